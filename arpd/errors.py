@@ -1,0 +1,51 @@
+"""The errors arpd raises on purpose; each message names the place, the fault and the way out."""
+
+from __future__ import annotations
+
+
+class ArpdError(Exception):
+    """Root of every error arpd raises on purpose.
+
+    Attributes
+    ----------
+    exit_code : process exit code when the error ends a command (sysexits.h where one fits)
+    """
+
+    exit_code = 1
+
+
+class UsageError(ArpdError):
+    """The command line asks for something that does not exist."""
+
+    exit_code = 2
+
+
+class ConfigError(ArpdError):
+    """The configuration cannot be used.
+
+    Parameters
+    ----------
+    faults : one clear line per fault, each ``file:line:col: key: what is wrong; what would be right``
+    """
+
+    exit_code = 78
+
+    def __init__(self, faults: list[str]) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
+
+
+class DaemonUnreachableError(ArpdError):
+    """No daemon answers at the given URL."""
+
+    exit_code = 69
+
+
+class LinkError(ArpdError):
+    """The link interface cannot be read (gone, renamed, or never there)."""
+
+
+class RosUnavailableError(ArpdError):
+    """ROS 2 cannot be imported in this Python."""
+
+    exit_code = 69

@@ -1,0 +1,1 @@
+"""The host as arpd sees it: link counters and memory."""

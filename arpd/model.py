@@ -1,0 +1,393 @@
+"""The frozen values every stage of a tick takes and returns; base SI units, units in names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
+
+
+class Direction(StrEnum):
+    """Which way a topic crosses the link."""
+
+    SENSING = "sensing"  # robot computer -> CEDDP (the paper's SPt)
+    ACTUATION = "actuation"  # CEDDP -> robot computer (the paper's PAAt)
+    LOCAL = "local"  # does not cross the link (no reader on the other host)
+
+
+class CapacityKind(StrEnum):
+    """How the capacity estimate was made, best evidence first."""
+
+    PEER = "peer"
+    LOCAL = "local"
+    RADIO = "radio"
+    CONFIGURED = "configured"
+
+
+class LinkState(StrEnum):
+    """What the link is doing, as far as the estimator can tell."""
+
+    STEADY = "steady"
+    APP_LIMITED = "app_limited"
+    CONGESTED = "congested"
+    DRAINING = "draining"
+    OUTAGE = "outage"
+
+
+class Binding(StrEnum):
+    """The constraint that stopped a rate or a depth from being larger."""
+
+    LINK = "link"
+    MEMORY = "memory"
+    LATENCY_BUDGET = "latency_budget"
+    DESIRED_RATE = "desired_rate"
+    MAX_DEPTH = "max_depth"
+    FLOOR = "floor"
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkCounters:
+    """Interface counters of the robot's link, as psutil reads them.
+
+    Parameters
+    ----------
+    rx_bytes, tx_bytes : monotonic counters (bytes)
+    rx_packets, tx_packets : monotonic counters (packets)
+    tx_dropped : packets the interface dropped on the way out
+    is_up : carrier and administrative state
+    """
+
+    interface: str
+    rx_bytes: int
+    tx_bytes: int
+    rx_packets: int
+    tx_packets: int
+    tx_dropped: int
+    is_up: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MemoryState:
+    """Memory of the robot computer (psutil ``virtual_memory``)."""
+
+    total_bytes: int
+    available_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Train:
+    """Dispersion of one burst of back-to-back probe packets at the receiver.
+
+    Parameters
+    ----------
+    payload_bytes : wire bytes after the first packet (bytes)
+    duration_s : arrival of the last packet minus arrival of the first (s)
+    packets : packets that arrived
+    """
+
+    payload_bytes: int
+    duration_s: float
+    packets: int
+
+    @property
+    def rate_bytes_per_second(self) -> float:
+        """Capacity this train saw: bytes after the first / (t_last - t_first), DESIGN §5."""
+        return self.payload_bytes / self.duration_s if self.duration_s > 0 else math.inf
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerReport:
+    """One receiver report from ``arpd peer``, with the moment it reached the daemon.
+
+    Parameters
+    ----------
+    peer : name of the reporting host
+    received_at_s : daemon's monotonic clock (s)
+    interval_s : time covered by the counters (s)
+    rx_bytes, rx_packets : what the peer's link interface received in that time
+    delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
+    trains : bursts completed in that time
+    """
+
+    peer: str
+    received_at_s: float
+    interval_s: float
+    rx_bytes: int
+    rx_packets: int
+    delays_s: tuple[float, ...] = ()
+    trains: tuple[Train, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PublisherState:
+    """What one AdaptivePublisher announced, joined with what the graph says of its readers.
+
+    Parameters
+    ----------
+    node : fully qualified node name; with ``topic`` the publisher's identity
+    payload_bytes : mean serialized size of recent samples (bytes)
+    source_rate_hz : rate at which the application calls ``publish()`` (Hz)
+    offered : samples the application gave
+    published : samples written to the link
+    withheld : samples pacing chose not to send (conflated or dropped from the queue)
+    queued : samples waiting in the pacing queue now
+    blocked_s : time spent inside the middleware's ``publish()`` since start (s)
+    rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
+    baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
+    generation : generation of the plan these settings came from, 0 = the application's own
+    swaps_by_result : QoS swaps since start, by result
+    refusal : why the last request was refused, empty if it was not
+    remote_readers : off-host participants that read the topic (unicast copies)
+    requested_deadline_ns : tightest deadline a reader requests, 0 when none does
+    age_s : time since the announcement (s)
+    """
+
+    node: str
+    topic: str
+    type_name: str
+    direction: Direction
+    payload_bytes: float
+    source_rate_hz: float
+    offered: int
+    published: int
+    withheld: int
+    queued: int
+    blocked_s: float
+    rate_hz: float
+    depth: int
+    deadline_ns: int
+    baseline_depth: int
+    baseline_deadline_ns: int
+    generation: int
+    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    refusal: str = ""
+    remote_readers: int = 0
+    requested_deadline_ns: int = 0
+    age_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """Everything one tick sees of the world.
+
+    Parameters
+    ----------
+    now_s : monotonic clock (s)
+    counters : the robot's link interface, None while it cannot be read
+    reports : peer reports that arrived since the last tick, oldest first
+    publishers : live AdaptivePublishers
+    memory : memory of the robot computer
+    sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
+    """
+
+    now_s: float
+    counters: LinkCounters | None
+    reports: tuple[PeerReport, ...]
+    publishers: tuple[PublisherState, ...]
+    memory: MemoryState
+    sensing_topics: int
+    actuation_topics: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkEstimate:
+    """What the estimator believes of the link.
+
+    Parameters
+    ----------
+    capacity_bytes_per_second : wire bytes the link carries (bytes/s), ≥ 0
+    kind : how it was made
+    state : what the link is doing
+    queue_delay_s : one-way delay above its 10 s minimum (s)
+    delivery_rate_bytes_per_second : what the peer received over the last 300 ms (bytes/s)
+    age_s : time since the evidence behind the capacity (s)
+    evidence : the last change, in words
+    """
+
+    capacity_bytes_per_second: float
+    kind: CapacityKind
+    state: LinkState
+    queue_delay_s: float
+    delivery_rate_bytes_per_second: float
+    age_s: float
+    evidence: str
+
+    @property
+    def is_app_limited(self) -> bool:
+        """Whether traffic alone says nothing about capacity now."""
+        return self.state is LinkState.APP_LIMITED
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProbeRequest:
+    """A burst the estimator wants on the link: ``packets`` of ``packet_bytes`` payload, back to back."""
+
+    packets: int
+    packet_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Topic:
+    """Demand of one managed topic: one row of the program (DESIGN §4).
+
+    Parameters
+    ----------
+    name : topic name, the row's identity
+    wire_bytes : s_i, bytes on the wire per message, headers and unicast copies included (bytes)
+    packets : k_i, packets on the wire per message
+    desired_rate_hz : u_i, the rate beyond which more is of no use (Hz)
+    min_rate_hz : the floor ℓ_i, kept as long as the link carries all floors (Hz)
+    weight : w_i > 0; a topic of weight 2 gets twice the link time of one with 1
+    min_depth, max_depth : Dmin and Dmax (samples)
+    latency_budget_s : cap on depth / rate (s); None = no cap
+    slot_bytes : m_i, memory per history slot (bytes)
+    """
+
+    name: str
+    wire_bytes: float
+    packets: int
+    desired_rate_hz: float
+    min_rate_hz: float
+    weight: float = 1.0
+    min_depth: int = 1
+    max_depth: int = 5000
+    latency_budget_s: float | None = None
+    slot_bytes: float = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicAllocation:
+    """The program's answer for one topic; real-valued optimum beside what is applied.
+
+    Parameters
+    ----------
+    share : e_i, the share of link time (dimensionless)
+    max_rate_hz : Rmax_i = 1 / a_i, the rate with the link to itself (Hz)
+    rate_hz, depth : the real optimum R*, D*
+    deadline_ns, depth_applied : after rounding, feasible in exact arithmetic (ns, samples)
+    binding : what stopped the rate; ``depth_binding`` : what stopped the depth
+    """
+
+    name: str
+    share: float
+    max_rate_hz: float
+    rate_hz: float
+    depth: float
+    deadline_ns: int
+    depth_applied: int
+    binding: Binding
+    depth_binding: Binding
+
+
+class AllocationStatus(StrEnum):
+    """Whether all of the program's constraints could be kept."""
+
+    OPTIMAL = "optimal"
+    DEGRADED = "degraded"  # infeasible as asked; floors or reserves were given up in order (DESIGN §4)
+    EMPTY = "empty"  # no topic to plan for
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Allocation:
+    """The program's answer for all topics.
+
+    Parameters
+    ----------
+    topics : one row per topic, in the order asked
+    status : whether everything asked for could be kept
+    binding : the binding constraint in all
+    capacity_bytes_per_second : the capacity it was solved for, after headroom and foreign traffic (bytes/s)
+    degradation : which reserves were given up, in words, empty if none
+    backend : back end that answered
+    solve_s : time it took (s)
+    """
+
+    topics: tuple[TopicAllocation, ...]
+    status: AllocationStatus
+    binding: Binding
+    capacity_bytes_per_second: float
+    degradation: str = ""
+    backend: str = "exact"
+    solve_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicPlan:
+    """QoS of one publisher under a plan.
+
+    Parameters
+    ----------
+    rate_hz : paced publish rate, ≥ 0, ``inf`` = unpaced (Hz)
+    min_rate_hz : floor below which the gate does not push the rate (Hz)
+    deadline_ns : offered DEADLINE period, 0 = infinite (ns)
+    depth : KEEP_LAST depth (samples), 1..5000
+    """
+
+    rate_hz: float
+    min_rate_hz: float
+    deadline_ns: int
+    depth: int
+
+    def __post_init__(self) -> None:
+        """Refuse nonsense at birth."""
+        if math.isnan(self.rate_hz) or self.rate_hz < 0:
+            raise ValueError(f"rate_hz {self.rate_hz!r} is not a rate")
+        if self.depth < 1:
+            raise ValueError(f"depth {self.depth} is below 1")
+        if self.deadline_ns < 0:
+            raise ValueError(f"deadline_ns {self.deadline_ns} is negative")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QosPlan:
+    """A whole plan: what every managed publisher should run with; ``topics`` maps topic name to its row."""
+
+    generation: int
+    topics: Mapping[str, TopicPlan]
+    level_bytes_per_second: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Transition:
+    """One atomic step towards a plan: all of one node's publishers at once.
+
+    Parameters
+    ----------
+    node : fully qualified node name
+    generation : plan generation the step belongs to
+    topics : topic name → row to set there
+    reason : why, in words
+    """
+
+    node: str
+    generation: int
+    topics: Mapping[str, TopicPlan]
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Decision:
+    """What one tick decided.
+
+    Parameters
+    ----------
+    gate : factor in (0, 1] on every paced rate above its floor
+    plan : the plan in force after this tick
+    level_changed : whether this tick made a new plan
+    reason : why the level changed or was held, in words
+    refusals : changes wanted but refused, by reason
+    """
+
+    gate: float
+    plan: QosPlan
+    level_changed: bool
+    reason: str
+    refusals: tuple[str, ...] = ()

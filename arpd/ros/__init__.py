@@ -1,0 +1,1 @@
+"""The ROS 2 side: adaptive publishers, relay, peer, graph and parameters."""

@@ -1,0 +1,1 @@
+"""Back ends for the DEPTH/DEADLINE program, one module each."""
