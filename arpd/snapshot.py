@@ -1,0 +1,76 @@
+"""One immutable picture of the daemon after a tick; metrics, health and status are made from nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.model import Allocation, Decision, LinkEstimate, Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Totals:
+    """What the daemon counted since it started; every attempt and every failure has its own count.
+
+    Parameters
+    ----------
+    ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
+    solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
+    cross_check_disagreements : answers of the back end that ``exact`` contradicted
+    levels_by_cause : new plans by cause (``down``, ``up``, ``topics``, ``start``, ``reload``)
+    refusals_by_reason : plan changes wanted but refused (``dwell``, ``hold``, ``deadband``, ``budget`` …)
+    applies_by_result : parameter calls by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
+    probes, probe_bytes : trains and pings put on the link, and their wire bytes
+    reports : peer reports received
+    reloads_by_result : configuration reloads (``ok``, ``failed``)
+    """
+
+    ticks: int = 0
+    ticks_failed: int = 0
+    ticks_late: int = 0
+    solves_by_outcome: Mapping[tuple[str, str], int] = field(default_factory=lambda: MappingProxyType({}))
+    cross_check_disagreements: int = 0
+    levels_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    refusals_by_reason: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    applies_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    probes: int = 0
+    probe_bytes: int = 0
+    reports: int = 0
+    reloads_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Snapshot:
+    """The daemon after one finished tick.
+
+    Parameters
+    ----------
+    version : arpd's version
+    interface : link interface in use
+    finished_at_s : monotonic clock when the tick finished (s)
+    unix_time_s : wall clock at the same moment (s)
+    tick_s : how long the tick took (s)
+    observation, link, allocation, decision : what the stages of the tick returned
+    totals : counts since start
+    config_path : file in force
+    config_error : first line of why the last reload was refused, empty when it was not
+    confirmed : number of managed publishers whose announcement matches the plan
+    """
+
+    version: str
+    interface: str
+    finished_at_s: float
+    unix_time_s: float
+    tick_s: float
+    observation: Observation
+    link: LinkEstimate
+    allocation: Allocation
+    decision: Decision
+    totals: Totals
+    config_path: str = ""
+    config_error: str = ""
+    confirmed: int = 0
