@@ -1,0 +1,96 @@
+"""Pacing of one publisher: when a sample may leave, and which samples give way when it may not."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+from arpd.settings import Overflow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Pacer:
+    """A virtual-scheduling pacer (GCRA, ITU-T I.371 annex A) in front of a bounded queue.
+
+    A sample may leave when the theoretical time of the next one is at most one period ahead, so that a source
+    that publishes at exactly its rate, with jitter below a period, is never delayed twice.
+
+    Parameters
+    ----------
+    overflow : what gives way when samples come faster than they may leave
+    depth : most samples the queue holds (samples); ``latest`` holds one
+    on_withheld : called with the number of samples given up, once per ``offer`` that gives any up
+
+    Notes
+    -----
+    Not thread-safe; the publisher's lock guards it. Times are seconds of one monotonic clock.
+    """
+
+    def __init__(self, *, overflow: Overflow, depth: int, on_withheld: Callable[[int], None]) -> None:
+        self._overflow = overflow
+        self._on_withheld = on_withheld
+        self._depth = depth
+        self._rate_hz = math.inf
+        self._next_s = -math.inf
+        self._queue: deque[bytes] = deque()
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate in force, ``inf`` = unpaced (Hz)."""
+        return self._rate_hz
+
+    def retune(self, *, rate_hz: float, depth: int, now_s: float) -> None:
+        """Change rate and queue bound at once.
+
+        The next departure is never further away than one new period: a pause or a very low rate that ends must not
+        keep its old schedule.
+        """
+        self._rate_hz = rate_hz
+        self._depth = depth
+        if rate_hz > 0:
+            self._next_s = min(self._next_s, now_s + 1.0 / rate_hz)
+        self._shed()
+
+    def offer(self, sample: bytes) -> None:
+        """Queue a sample; with ``latest`` it replaces what waits, with ``queue`` the oldest beyond depth goes."""
+        self._queue.append(sample)
+        self._shed()
+
+    def due_s(self, now_s: float) -> float:
+        """When the next queued sample may leave (s); ``inf`` when none waits or the topic is paused."""
+        if not self._queue or self._rate_hz <= 0:
+            return math.inf
+        if math.isinf(self._rate_hz):
+            return now_s
+        return self._next_s - 1.0 / self._rate_hz
+
+    def take(self, now_s: float) -> bytes | None:
+        """Return the next sample if it may leave now, and move the schedule on."""
+        if self.due_s(now_s) > now_s:
+            return None
+        if not math.isinf(self._rate_hz):
+            self._next_s = max(self._next_s, now_s) + 1.0 / self._rate_hz
+        return self._queue.popleft()
+
+    def clear(self) -> None:
+        """Give up everything that waits, counted as withheld."""
+        withheld = len(self._queue)
+        self._queue.clear()
+        if withheld:
+            self._on_withheld(withheld)
+
+    def _shed(self) -> None:
+        bound = 1 if self._overflow is Overflow.LATEST else self._depth
+        if math.isinf(self._rate_hz) and self._overflow is Overflow.LATEST:
+            bound = self._depth  # unpaced samples wait only while a swap holds them: lose none of them
+        excess = len(self._queue) - bound
+        if excess > 0:
+            for _ in range(excess):
+                self._queue.popleft()
+            self._on_withheld(excess)

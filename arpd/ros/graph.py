@@ -1,0 +1,80 @@
+"""Which topics really cross the link, read from the live ROS graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from arpd.model import Direction
+from arpd.ros.names import GATE_TOPIC, is_internal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Endpoint:
+    """One writer or reader: the host it lives on, its participant, the deadline it asks for (ns, 0 = infinite)."""
+
+    host: bytes
+    participant: bytes
+    deadline_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Crossing:
+    """How one topic crosses the link.
+
+    Parameters
+    ----------
+    direction : which way; a topic with writers on both sides counts as sensing
+    remote_readers : participants on the far side that read it: as many unicast copies
+    requested_deadline_ns : tightest deadline any of its readers requests, 0 = none does
+    """
+
+    direction: Direction
+    remote_readers: int
+    requested_deadline_ns: int
+
+
+def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
+    """Tell how a topic crosses, from where its endpoints live: pure."""
+    writers, readers = tuple(writers), tuple(readers)
+    writer_hosts = {writer.host for writer in writers}
+    remote = {reader.participant for reader in readers if writer_hosts - {reader.host}}
+    requests = [reader.deadline_ns for reader in readers if reader.deadline_ns]
+    if not remote or not writer_hosts:
+        direction = Direction.LOCAL
+    elif robot_host in writer_hosts:
+        direction = Direction.SENSING
+    else:
+        direction = Direction.ACTUATION
+    return Crossing(
+        direction=direction,
+        remote_readers=len(remote) if direction is not Direction.LOCAL else 0,
+        requested_deadline_ns=min(requests, default=0),
+    )
+
+
+def read_crossings(node: Any) -> Mapping[str, Crossing]:
+    """Return how every topic of the graph crosses the link, ROS's and arpd's own left out.
+
+    Fast DDS GUIDs carry the host in bytes 2-3 (DESIGN §2); the robot's own host is that of this node's writer.
+    """
+    own = [info for info in node.get_publishers_info_by_topic(GATE_TOPIC) if info.node_name == node.get_name()]
+    robot_host = _endpoint(own[0]).host if own else b""
+    return {
+        topic: crossing(
+            robot_host=robot_host,
+            writers=map(_endpoint, node.get_publishers_info_by_topic(topic)),
+            readers=map(_endpoint, node.get_subscriptions_info_by_topic(topic)),
+        )
+        for topic, _ in node.get_topic_names_and_types()
+        if not is_internal(topic)
+    }
+
+
+def _endpoint(info: Any) -> Endpoint:
+    gid = bytes(info.endpoint_gid)
+    deadline_ns = int(info.qos_profile.deadline.nanoseconds)
+    return Endpoint(host=gid[2:4], participant=gid[:12], deadline_ns=0 if deadline_ns >= 2**63 - 1 else deadline_ns)

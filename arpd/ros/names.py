@@ -1,0 +1,30 @@
+"""Names of arpd's topics and parameters: the protocol of DESIGN §7 in one place."""
+
+from __future__ import annotations
+
+PUBLISHERS_TOPIC = "/arpd/publishers"
+GATE_TOPIC = "/arpd/gate"
+PROBE_TOPIC = "/arpd/probe"
+REPORT_TOPIC = "/arpd/peer/report"
+GENERATION_PARAMETER = "arpd.generation"
+
+DEPTH = "depth"
+DEADLINE = "deadline"
+RATE = "rate"
+MIN_RATE = "min_rate"
+
+
+def parameter_name(topic: str, setting: str) -> str:
+    """Full parameter name of one setting of the publisher on ``topic``.
+
+    Depth and deadline use ROS 2's standard QoS-override names (design.ros2.org, "QoS Overrides by Parameters"),
+    so that a user finds them where they already look; rate and floor are ours.
+    """
+    if setting in {DEPTH, DEADLINE}:
+        return f"qos_overrides.{topic}.publisher.{setting}"
+    return f"arpd.{topic}.publisher.{setting}"
+
+
+def is_internal(topic: str) -> bool:
+    """Whether a topic belongs to ROS or arpd itself and is no robot traffic."""
+    return topic in {"/rosout", "/parameter_events"} or topic.startswith("/arpd/")

@@ -1,0 +1,95 @@
+"""Starting and spinning rclpy in arpd's own processes."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.errors import RosUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+log = logging.getLogger(__name__)
+
+FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+
+
+def prepare_environment() -> None:
+    """Give Fast DDS our default profile (short heartbeats), unless the user has one of their own."""
+    if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(FASTDDS_PROFILE)
+
+
+@contextmanager
+def ros_node(name: str) -> Iterator[Any]:
+    """Run rclpy with one node, without its signal handlers: the process has its own.
+
+    Raises
+    ------
+    RosUnavailableError
+        If ROS 2 cannot be imported here.
+    """
+    prepare_environment()
+    try:
+        import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
+        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    except ImportError as error:
+        raise RosUnavailableError(
+            f"ROS 2 cannot be imported ({error}); source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
+        ) from error
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(name)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def spinning(executor: Any) -> Iterator[None]:
+    """Spin an executor in a thread of its own; leaving the block ends the thread."""
+    stopping = threading.Event()
+    thread = threading.Thread(target=_spin, args=(executor, stopping), name="arpd-ros", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        executor.wake()
+        thread.join(timeout=2.0)
+        executor.shutdown(timeout_sec=1.0)
+
+
+def spin_until(executor: Any, stopping: threading.Event) -> None:
+    """Spin in this thread until ``stopping`` is set."""
+    _spin(executor, stopping)
+
+
+def stop_on_signals(stopping: threading.Event, *, wake: Callable[[], None] | None = None) -> None:
+    """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler."""
+
+    def handle(_signum: int, _frame: Any) -> None:
+        stopping.set()
+        if wake is not None:
+            wake()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+
+
+def _spin(executor: Any, stopping: threading.Event) -> None:
+    # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
+    while not stopping.is_set():
+        try:
+            executor.spin_once(timeout_sec=0.2)
+        except Exception:
+            if stopping.is_set():
+                return
+            log.exception("a callback failed; the node goes on")

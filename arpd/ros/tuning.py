@@ -1,0 +1,213 @@
+"""What AdaptivePublishers of one node share: the pacing thread, the parameters, the gate and the announcement."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64
+
+from arpd.ros.announce import to_status
+from arpd.ros.names import (
+    DEADLINE,
+    DEPTH,
+    GATE_TOPIC,
+    GENERATION_PARAMETER,
+    MIN_RATE,
+    PUBLISHERS_TOPIC,
+    RATE,
+    parameter_name,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.node import Node
+
+    from arpd.model import TopicPlan
+    from arpd.ros.publisher import AdaptivePublisher
+
+_ATTRIBUTE = "_arpd_tuning"
+_ANNOUNCE_S = 1.0
+_GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
+_INFINITE_NS = 2**63 - 1
+
+_SETTINGS = {
+    DEPTH: ("depth", Parameter.Type.INTEGER, "KEEP_LAST depth, 1..5000 samples"),
+    DEADLINE: ("deadline_ns", Parameter.Type.INTEGER, "offered deadline period in ns, 0 = infinite"),
+    RATE: ("rate_hz", Parameter.Type.DOUBLE, "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
+    MIN_RATE: ("min_rate_hz", Parameter.Type.DOUBLE, "floor in Hz below which the gate does not push the rate"),
+}
+
+
+class NodeTuning:
+    """The shared half of all AdaptivePublishers in one node; made by the first of them.
+
+    One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and
+    the gate arrive through the executor, as everything in ROS does.
+    """
+
+    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._publishers: dict[str, AdaptivePublisher] = {}
+        self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
+        self._gate_at_s = -math.inf
+        self._generation = 0
+        self._wakeup = threading.Event()
+        self._stopping = False
+        node.declare_parameter(
+            GENERATION_PARAMETER, 0, ParameterDescriptor(description="generation of the plan in force; never goes back")
+        )
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        node.create_subscription(
+            Float64, GATE_TOPIC, self._on_gate, QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        )
+        self._announcer = node.create_publisher(DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5))
+        self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
+        self._thread.start()
+        node.context.on_shutdown(self.stop)
+
+    @classmethod
+    def of(cls, node: Node) -> NodeTuning:
+        """Return the node's tuning, made on first use and kept on the node itself."""
+        tuning = getattr(node, _ATTRIBUTE, None)
+        if not isinstance(tuning, NodeTuning):
+            tuning = cls(node)
+            setattr(node, _ATTRIBUTE, tuning)
+        return tuning
+
+    def adopt(self, publisher: AdaptivePublisher) -> None:
+        """Declare the publisher's parameters and start to pace it."""
+        topic = publisher.topic_name
+        if topic in self._publishers:
+            raise ValueError(
+                f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
+                "their parameters would share one name"
+            )
+        for setting, (field, _, description) in _SETTINGS.items():
+            name = parameter_name(topic, setting)
+            self._parameters[name] = (topic, field)
+            value = getattr(publisher.plan, field)
+            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
+        self._publishers = {**self._publishers, topic: publisher}
+        self.wake()
+
+    def release(self, publisher: AdaptivePublisher) -> None:
+        """Forget a publisher and its parameters."""
+        topic = publisher.topic_name
+        self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
+        for setting in _SETTINGS:
+            name = parameter_name(topic, setting)
+            if self._parameters.pop(name, None) and self._node.context.ok():
+                self._node.undeclare_parameter(name)
+
+    def wake(self) -> None:
+        """Let the pacing thread look again."""
+        self._wakeup.set()
+
+    def stop(self) -> None:
+        """End the pacing thread; its publishers stay as they are."""
+        self._stopping = True
+        self.wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        announce_s = self._clock()
+        while not self._stopping and self._node.context.ok():
+            self._wakeup.clear()
+            now_s = self._clock()
+            next_s = announce_s
+            for publisher in self._publishers.values():
+                next_s = min(next_s, publisher.service(now_s))
+            if now_s >= announce_s:
+                announce_s = now_s + _ANNOUNCE_S
+                self._expire_gate(now_s)
+                self._announce()
+                continue
+            self._wakeup.wait(max(0.0, next_s - self._clock()))
+
+    def _announce(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [to_status(p.state(generation=self._generation)) for p in self._publishers.values()]
+        self._announcer.publish(message)
+
+    def _on_gate(self, message: Any) -> None:
+        if 0.0 < message.data <= 1.0:
+            self._gate_at_s = self._clock()
+            for publisher in self._publishers.values():
+                publisher.set_gate(message.data)
+
+    def _expire_gate(self, now_s: float) -> None:
+        if now_s - self._gate_at_s > _GATE_LEASE_S:
+            for publisher in self._publishers.values():
+                publisher.set_gate(1.0)
+
+    def _validate(self, parameters: Sequence[Any]) -> Any:
+        try:
+            for topic, plan in self._plans(parameters).items():
+                reason = self._publishers[topic].refuse_reason(plan)
+                if reason:
+                    return SetParametersResult(successful=False, reason=reason)
+            for parameter in parameters:
+                if parameter.name == GENERATION_PARAMETER:
+                    self._check_generation(parameter)
+        except ValueError as refusal:
+            return SetParametersResult(successful=False, reason=str(refusal))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Any]) -> None:
+        for parameter in parameters:
+            if parameter.name == GENERATION_PARAMETER:
+                self._generation = int(parameter.value)
+        for topic, plan in self._plans(parameters).items():
+            self._publishers[topic].retune(plan)
+
+    def _check_generation(self, parameter: Any) -> None:
+        if parameter.type_ is not Parameter.Type.INTEGER:
+            raise ValueError(f"{GENERATION_PARAMETER} must be an integer")
+        if parameter.value < self._generation:
+            raise ValueError(
+                f"{GENERATION_PARAMETER} {parameter.value} is older than {self._generation}, the plan in force"
+            )
+
+    def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
+        """Turn changed parameters into whole plans per topic; refuse nonsense with a reason."""
+        changes: dict[str, dict[str, Any]] = {}
+        for parameter in parameters:
+            if parameter.name in self._parameters:
+                topic, field = self._parameters[parameter.name]
+                if topic in self._publishers:
+                    changes.setdefault(topic, {})[field] = _checked(parameter, field)
+        return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
+
+
+def _checked(parameter: Any, field: str) -> int | float:
+    expected = next(kind for name, kind, _ in _SETTINGS.values() if name == field)
+    if parameter.type_ is not expected:
+        raise ValueError(
+            f"{parameter.name} must be {'an integer' if expected is Parameter.Type.INTEGER else 'a double'}"
+        )
+    value = parameter.value
+    if field == "depth" and not 1 <= value <= 5000:
+        raise ValueError(f"{parameter.name} = {value} is outside 1..5000")
+    if field == "deadline_ns":
+        if value < 0:
+            raise ValueError(f"{parameter.name} = {value} is negative; 0 means infinite")
+        return 0 if value >= _INFINITE_NS else int(value)
+    if field == "rate_hz" and (math.isnan(value) or value < 0):
+        raise ValueError(f"{parameter.name} = {value} is not a rate; use Hz ≥ 0, 0 = paused, .inf = unpaced")
+    if field == "min_rate_hz" and not 0 <= value < math.inf:
+        raise ValueError(f"{parameter.name} = {value} is not a floor; use a finite number of Hz ≥ 0")
+    assert isinstance(value, int | float)
+    return value
