@@ -1,1 +1,19 @@
 """Keeps a ROS 2 robot's wireless traffic inside what the link can carry, live."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from arpd.ros.publisher import AdaptivePublisher
+
+__all__ = ["AdaptivePublisher"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import AdaptivePublisher on first use, so that `import arpd` works where ROS does not."""
+    if name == "AdaptivePublisher":
+        from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
+
+        return AdaptivePublisher
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -58,7 +58,7 @@ class TopicSettings:
     min_rate_hz : floor (Hz)
     max_rate_hz : desired rate (Hz); None = the rate the application publishes at
     min_depth, max_depth : bounds of DEPTH (samples)
-    latency_budget_s : cap on the time a full history stands for (s)
+    latency_budget_s : cap on the time a full history stands for (s); deeper is bufferbloat after an outage
     """
 
     weight: float = 1.0
@@ -66,7 +66,7 @@ class TopicSettings:
     max_rate_hz: float | None = None
     min_depth: int = 1
     max_depth: int = 5000
-    latency_budget_s: float | None = None
+    latency_budget_s: float | None = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

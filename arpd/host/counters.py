@@ -82,3 +82,8 @@ def _default_route(route: Path) -> str:
         return ""
     fields = (line.split() for line in lines)
     return next((field[0] for field in fields if len(field) > 1 and field[1] == "00000000"), "")
+
+
+def list_interfaces() -> list[str]:
+    """Return the names of this host's network interfaces."""
+    return sorted(psutil.net_if_stats())

@@ -1,0 +1,366 @@
+"""`arpd run`: the supervisor loop and its tick."""
+
+from __future__ import annotations
+
+import logging
+import math
+import signal
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from arpd.config import describe_change, load_settings, restart_only_changes
+from arpd.errors import ConfigError
+from arpd.estimator import Estimator
+from arpd.governor import Governor
+from arpd.host.counters import choose_interface, list_interfaces
+from arpd.planner import is_confirmed, plan_transitions, restore_plan
+from arpd.program import Program
+from arpd.settings import OnStop
+from arpd.snapshot import Snapshot, Totals
+from arpd.systemd import Notifier
+from arpd.topics import memory_budget_bytes, topics_to_plan
+from arpd.version import VERSION
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
+
+    from arpd.model import Decision, Observation, ProbeRequest, QosPlan, Transition
+    from arpd.settings import Settings
+
+log = logging.getLogger(__name__)
+
+TICK_S = 0.1
+_RESTORE_S = 4.0
+
+
+class World(Protocol):
+    """What the daemon observes and acts on: real ROS (`arpd.ros.control`) or a simulated link (`arpd.sim`)."""
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+
+    def set_gate(self, gate: float) -> None:
+        """Tell every publisher the gate."""
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Carry out the steps of a plan; called at every tick until the publishers announce it."""
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Put one probe train on the link."""
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
+
+
+class Daemon:
+    """Runs the tick over a world; knows no ROS, no HTTP and no systemd.
+
+    Parameters
+    ----------
+    world : what is observed and acted on
+    settings : the configuration in force
+    interface : name of the link interface, for the snapshot
+    config_path : the file the settings came from, for the snapshot
+    clock, wall_clock : monotonic and Unix time (s)
+    """
+
+    def __init__(
+        self,
+        world: World,
+        settings: Settings,
+        *,
+        interface: str,
+        config_path: str = "",
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._world = world
+        self._settings = settings
+        self._interface = interface
+        self._config_path = config_path
+        self._config_error = ""
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._estimator = Estimator(settings.link)
+        self._governor = Governor(settings)
+        self._program = _program(settings, clock)
+        self._totals = Totals()
+        self._reloads: dict[str, int] = {}
+        self.snapshot: Snapshot | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """Configuration in force."""
+        return self._settings
+
+    def tick(self, now_s: float) -> Decision:
+        """Observe → estimate → solve → govern → apply, once."""
+        observation = self._world.observe(now_s)
+        link = self._estimator.update(observation)
+        topics = topics_to_plan(observation.publishers, self._settings) if self._estimator.has_evidence else ()
+        memory = memory_budget_bytes(observation.memory, self._settings.program)
+        allocation = self._program.solve(link.capacity_bytes_per_second, topics, memory)
+        decision = self._governor.decide(
+            now_s, link=link, allocation=allocation, topics=topics, publishers=observation.publishers
+        )
+        self._world.set_gate(decision.gate)
+        transitions = plan_transitions(observation.publishers, decision.plan, reason=decision.reason)
+        self._world.apply(transitions, now_s=now_s)
+        for request in self._estimator.wanted_probes(now_s):
+            self._world.probe(request)
+        if decision.level_changed:
+            log.info("plan %d (%s): %s", decision.plan.generation, decision.reason, _describe(decision.plan))
+        self._totals = self._count(observation)
+        finished_s = self._clock()
+        self.snapshot = Snapshot(
+            version=VERSION,
+            interface=self._interface,
+            finished_at_s=finished_s,
+            unix_time_s=self._wall_clock(),
+            tick_s=finished_s - now_s,
+            observation=observation,
+            link=link,
+            allocation=allocation,
+            decision=decision,
+            totals=self._totals,
+            config_path=self._config_path,
+            config_error=self._config_error,
+            confirmed=_confirmed(observation, decision.plan),
+        )
+        return decision
+
+    def note_failed_tick(self) -> None:
+        """Count a tick that raised."""
+        self._totals = replace(self._totals, ticks_failed=self._totals.ticks_failed + 1)
+
+    def note_late_tick(self) -> None:
+        """Count a tick that started more than half a period late."""
+        self._totals = replace(self._totals, ticks_late=self._totals.ticks_late + 1)
+
+    def reload(self, load: Callable[[], Settings]) -> bool:
+        """Take a new configuration whole, or keep the old one whole.
+
+        Parameters
+        ----------
+        load : reads and checks the new configuration; raises ConfigError
+
+        Returns
+        -------
+        Whether the new configuration is in force.
+        """
+        try:
+            fresh = load()
+            program = _program(fresh, self._clock)
+        except ConfigError as error:
+            for fault in error.faults:
+                log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
+            log.error("reload refused; the configuration in force stays")  # noqa: TRY400 - the same
+            self._config_error = error.faults[0]
+            self._reloads["failed"] = self._reloads.get("failed", 0) + 1
+            return False
+        for key in restart_only_changes(self._settings, fresh):
+            log.warning("%s changed, and takes effect after a restart", key)
+        for change in describe_change(self._settings, fresh):
+            log.info("reloaded: %s", change)
+        self._settings, self._program = fresh, program
+        self._estimator.reconfigure(fresh.link)
+        self._governor.reconfigure(fresh)
+        self._config_error = ""
+        self._reloads["ok"] = self._reloads.get("ok", 0) + 1
+        return True
+
+    def restore(self, *, wait: Callable[[float], None]) -> int:
+        """Give every managed publisher its application's QoS back, and wait for the announcements.
+
+        Parameters
+        ----------
+        wait : sleeps for the given time (s)
+
+        Returns
+        -------
+        Number of publishers that did not confirm in time.
+        """
+        if self.snapshot is None:
+            return 0
+        until_s = self._clock() + _RESTORE_S
+        managed = set(self.snapshot.decision.plan.topics)
+        missing = 0
+        while True:
+            now_s = self._clock()
+            observation = self._world.observe(now_s)
+            publishers = [p for p in observation.publishers if p.topic in managed]
+            known = max((p.generation for p in publishers), default=0)
+            generation = max(known, self.snapshot.decision.plan.generation + 1)
+            plan = restore_plan(publishers, generation=generation)
+            transitions = plan_transitions(publishers, plan, reason="stop")
+            missing = sum(len(transition.topics) for transition in transitions)
+            if not transitions or now_s > until_s:
+                return missing
+            self._world.set_gate(1.0)
+            self._world.apply(transitions, now_s=now_s)
+            wait(TICK_S)
+
+    def status_line(self) -> str:
+        """One line a human can read, for ``systemctl status``."""
+        if self.snapshot is None:
+            return "starting"
+        link, decision = self.snapshot.link, self.snapshot.decision
+        line = (
+            f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}), "
+            f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
+            f"{self.snapshot.confirmed} of {len(decision.plan.topics)} topics confirmed"
+        )
+        return f"{line}; reload refused: {self._config_error}" if self._config_error else line
+
+    def _count(self, observation: Observation) -> Totals:
+        probes, probe_bytes = self._world.probes_sent()
+        return replace(
+            self._totals,
+            ticks=self._totals.ticks + 1,
+            solves_by_outcome=MappingProxyType(dict(self._program.outcomes)),
+            cross_check_disagreements=self._program.disagreements,
+            levels_by_cause=MappingProxyType(dict(self._governor.levels_by_cause)),
+            refusals_by_reason=MappingProxyType(dict(self._governor.refusals_by_reason)),
+            applies_by_result=MappingProxyType(dict(self._world.results())),
+            probes=probes,
+            probe_bytes=probe_bytes,
+            reports=self._totals.reports + len(observation.reports),
+            reloads_by_result=MappingProxyType(dict(self._reloads)),
+        )
+
+
+@dataclass(slots=True)
+class Signals:
+    """Signals only set flags; the loop reads them."""
+
+    stop: bool = False
+    reload: bool = False
+    wakeup: threading.Event = field(default_factory=threading.Event)
+
+    def install(self) -> None:
+        """Handle SIGTERM and SIGINT (stop) and SIGHUP (reload)."""
+        signal.signal(signal.SIGTERM, self._on_stop)
+        signal.signal(signal.SIGINT, self._on_stop)
+        signal.signal(signal.SIGHUP, self._on_reload)
+
+    def _on_stop(self, _signum: int, _frame: Any) -> None:
+        self.stop = True
+        self.wakeup.set()
+
+    def _on_reload(self, _signum: int, _frame: Any) -> None:
+        self.reload = True
+        self.wakeup.set()
+
+
+def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Callable[[], Settings]) -> None:
+    """Tick until told to stop; a tick that raises is logged, counted and not repeated in haste."""
+    notifier.ready()
+    next_s = time.monotonic()
+    status = ""
+    while not signals.stop:
+        if signals.reload:
+            signals.reload = False
+            notifier.reloading()
+            daemon.reload(load)
+            notifier.ready()
+        now_s = time.monotonic()
+        if now_s - next_s > TICK_S / 2:
+            daemon.note_late_tick()
+        try:
+            daemon.tick(now_s)
+        except Exception:
+            log.exception("a tick failed; the publishers keep the plan they have")
+            daemon.note_failed_tick()
+        else:
+            notifier.watchdog()
+            if (line := daemon.status_line()) != status:
+                status = line
+                notifier.status(line)
+        next_s = max(next_s + TICK_S, now_s)
+        signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
+        signals.wakeup.clear()
+
+
+def run_daemon(*, config_path: Path, log_level: str) -> int:
+    """Run the daemon until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    config_path : YAML configuration
+    log_level : name of a logging level
+
+    Raises
+    ------
+    ArpdError
+        If the configuration, the interface, the HTTP address or ROS cannot be used.
+    """
+    logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
+
+    def load() -> Settings:
+        return load_settings(config_path, interfaces=list_interfaces)
+
+    settings = load()
+    interface = choose_interface(settings.link.interface)
+    signals = Signals()
+    signals.install()
+    notifier = Notifier()
+    from arpd.ros.runtime import ros_node, spinning  # noqa: PLC0415 - the config is checked before ROS is needed
+
+    with ros_node("arpd") as node:
+        from rclpy.executors import MultiThreadedExecutor  # noqa: PLC0415
+
+        from arpd.ros.control import RosControl  # noqa: PLC0415
+        from arpd.web.service import serving  # noqa: PLC0415
+
+        world = RosControl(node, interface=interface, graph=settings.graph)
+        daemon = Daemon(world, settings, interface=interface, config_path=str(config_path))
+        executor = MultiThreadedExecutor(num_threads=2)
+        executor.add_node(node)
+        with serving(settings.http, lambda: daemon.snapshot) as url, spinning(executor):
+            log.info("arpd %s on %s, metrics at %s/metrics", VERSION, interface, url)
+            supervise(daemon, signals, notifier, load=load)
+            notifier.stopping()
+            _stop(daemon)
+    return 0
+
+
+def _stop(daemon: Daemon) -> None:
+    if daemon.settings.on_stop is not OnStop.RESTORE:
+        log.info("stopping; the publishers keep their plan (on_stop: keep)")
+        return
+    missing = daemon.restore(wait=time.sleep)
+    if missing:
+        log.warning("stopping; %d publishers did not confirm their original QoS in time", missing)
+    else:
+        log.info("stopping; every publisher has its original QoS back")
+
+
+def _program(settings: Settings, clock: Callable[[], float]) -> Program:
+    return Program(
+        settings=settings.program,
+        headroom=settings.link.headroom,
+        packet_overhead_s=settings.link.packet_overhead_s,
+        clock=clock,
+    )
+
+
+def _confirmed(observation: Observation, plan: QosPlan) -> int:
+    return sum(
+        (row := plan.topics.get(publisher.topic)) is not None and is_confirmed(publisher, row)
+        for publisher in observation.publishers
+    )
+
+
+def _describe(plan: QosPlan) -> str:
+    rows = (
+        f"{topic} {'unpaced' if math.isinf(row.rate_hz) else f'{row.rate_hz:.3g} Hz'} depth {row.depth}"
+        for topic, row in plan.topics.items()
+    )
+    return ", ".join(rows)

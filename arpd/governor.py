@@ -1,0 +1,220 @@
+"""When what was measured becomes action: the gate at every tick, the level (a QoS swap) rarely (DESIGN §6)."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from arpd.model import AllocationStatus, Decision, LinkState, QosPlan
+from arpd.planner import make_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic
+    from arpd.settings import Settings
+
+_GATE_CLOSED = 0.01  # floors are all that flows
+_DRAIN_FACTOR = 0.5
+_FLAP_S = 15.0
+_CALM_S = 60.0
+_DEMAND_CHANGE = 0.25
+_NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
+
+
+class Governor:
+    """Decides with two actuators: the gate, instant and free; the level, a swap that costs discovery and time.
+
+    Parameters
+    ----------
+    settings : thresholds, dwell, deadband, budget
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._plan = _NO_PLAN
+        self._below_since_s: float | None = None
+        self._above_since_s: float | None = None
+        self._demand_since_s: float | None = None
+        self._topics: frozenset[str] = frozenset()
+        self._seen: frozenset[str] = frozenset()
+        self._seen_since_s = -math.inf
+        self._changed_at_s = -math.inf
+        self._up_at_s = -math.inf
+        self._dwell_s = settings.governor.dwell_s
+        self._reload_pending = False
+        self._swapped: deque[tuple[float, int]] = deque()
+        self._levels: Counter[str] = Counter()
+        self._refusals: Counter[str] = Counter()
+
+    @property
+    def plan(self) -> QosPlan:
+        """Plan in force."""
+        return self._plan
+
+    @property
+    def levels_by_cause(self) -> Mapping[str, int]:
+        """New plans so far, by cause."""
+        return dict(self._levels)
+
+    @property
+    def refusals_by_reason(self) -> Mapping[str, int]:
+        """Plan changes wanted but refused so far, by reason."""
+        return dict(self._refusals)
+
+    def reconfigure(self, settings: Settings) -> None:
+        """Take new settings; a new plan follows at the next tick."""
+        self._settings = settings
+        self._dwell_s = settings.governor.dwell_s
+        self._reload_pending = True
+
+    def decide(
+        self,
+        now_s: float,
+        *,
+        link: LinkEstimate,
+        allocation: Allocation,
+        topics: Sequence[Topic],
+        publishers: Sequence[PublisherState],
+    ) -> Decision:
+        """Decide gate and plan for this tick."""
+        cause, refusal = self._cause(now_s, link, allocation, topics)
+        refusals = [refusal] if refusal else []
+        if cause:
+            plan = self._next_plan(allocation, topics, publishers)
+            swaps = sum(self._plan.topics.get(name) != row for name, row in plan.topics.items())
+            if self._is_over_budget(now_s, swaps):
+                refusals.append("budget")
+                cause = ""
+            else:
+                self._adopt(plan, cause, swaps, now_s)
+        self._refusals.update(refusals)
+        self._calm(now_s)
+        return Decision(
+            gate=self._gate(link, topics),
+            plan=self._plan,
+            level_changed=bool(cause),
+            reason=cause,
+            refusals=tuple(refusals),
+        )
+
+    # -- the level
+
+    def _cause(
+        self, now_s: float, link: LinkEstimate, allocation: Allocation, topics: Sequence[Topic]
+    ) -> tuple[str, str]:
+        """Return why a new plan is due (or empty) and why a wanted one is refused (or empty)."""
+        if allocation.status is AllocationStatus.EMPTY:
+            return "", ""
+        names = frozenset(topic.name for topic in topics)
+        if names != self._topics:
+            return self._topics_cause(now_s, names), ""
+        self._seen = names
+        if self._reload_pending:
+            return "reload", ""
+        if link.state is LinkState.OUTAGE:
+            return "", ""  # the gate holds; a plan for a link that is gone would be a guess
+        return self._level_cause(now_s, allocation, topics)
+
+    def _topics_cause(self, now_s: float, names: frozenset[str]) -> str:
+        """Debounce topics that come and go, so that a node that brings ten of them costs one plan."""
+        if names != self._seen:
+            self._seen, self._seen_since_s = names, now_s
+        if now_s - self._seen_since_s < self._settings.governor.debounce_s:
+            return ""
+        return "start" if self._plan.generation == 0 else "topics"
+
+    def _level_cause(self, now_s: float, allocation: Allocation, topics: Sequence[Topic]) -> tuple[str, str]:
+        g = self._settings.governor
+        level, capacity = self._plan.level_bytes_per_second, allocation.capacity_bytes_per_second
+        below, above = capacity < g.down_ratio * level, capacity > g.up_ratio * level
+        moved = not below and not above and self._demand_moved(allocation, topics)
+        self._below_since_s = _since(below, self._below_since_s, now_s)
+        self._above_since_s = _since(above, self._above_since_s, now_s)
+        self._demand_since_s = _since(moved, self._demand_since_s, now_s)
+        for cause, since_s, dwell_s in (
+            ("down", self._below_since_s, 0.0),
+            ("up", self._above_since_s, self._dwell_s),
+            ("demand", self._demand_since_s, g.dwell_s),
+        ):
+            if since_s is not None and now_s - since_s >= g.hold_s:
+                return (cause, "") if now_s - self._changed_at_s >= dwell_s else ("", "dwell")
+        return "", ""
+
+    def _demand_moved(self, allocation: Allocation, topics: Sequence[Topic]) -> bool:
+        """Whether a source now wants something else than the plan gives, at the same capacity."""
+        for row, topic in zip(allocation.topics, topics, strict=True):
+            planned = self._plan.topics.get(topic.name)
+            if planned is not None and abs(planned.rate_hz - row.rate_hz) > _DEMAND_CHANGE * max(
+                planned.rate_hz, row.rate_hz
+            ):
+                return True
+        return False
+
+    def _next_plan(
+        self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState]
+    ) -> QosPlan:
+        # A restarted daemon finds publishers with a generation of its predecessor: never fall behind it.
+        known = max((publisher.generation for publisher in publishers), default=0)
+        return make_plan(
+            allocation,
+            topics,
+            publishers,
+            previous=self._plan,
+            generation=max(known, self._plan.generation) + 1,
+            deadline_slack=self._settings.program.deadline_slack,
+            deadband=self._settings.governor.deadband,
+        )
+
+    def _is_over_budget(self, now_s: float, swaps: int) -> bool:
+        while self._swapped and now_s - self._swapped[0][0] > 60.0:
+            self._swapped.popleft()
+        spent = sum(count for _, count in self._swapped)
+        return bool(self._swapped) and spent + swaps > self._settings.governor.swaps_per_minute
+
+    def _adopt(self, plan: QosPlan, cause: str, swaps: int, now_s: float) -> None:
+        g = self._settings.governor
+        if cause == "down" and now_s - self._up_at_s <= _FLAP_S:
+            self._dwell_s = min(2 * self._dwell_s, g.dwell_max_s)
+        if cause == "up":
+            self._up_at_s = now_s
+        self._plan = plan
+        self._topics = frozenset(plan.topics)
+        self._changed_at_s = now_s
+        self._below_since_s = self._above_since_s = self._demand_since_s = None
+        self._reload_pending = False
+        self._swapped.append((now_s, swaps))
+        self._levels[cause] += 1
+
+    def _calm(self, now_s: float) -> None:
+        dwell_s = self._settings.governor.dwell_s
+        if self._dwell_s > dwell_s and now_s - self._changed_at_s >= _CALM_S:
+            self._dwell_s = max(dwell_s, self._dwell_s / 2)
+            self._changed_at_s = now_s
+
+    # -- the gate
+
+    def _gate(self, link: LinkEstimate, topics: Sequence[Topic]) -> float:
+        """Factor on every paced rate, so that what is planned fits what the link carries now."""
+        if link.state is LinkState.OUTAGE:
+            return _GATE_CLOSED
+        planned = sum(
+            topic.wire_bytes * min(row.rate_hz, max(topic.desired_rate_hz, topic.min_rate_hz))
+            for topic in topics
+            if (row := self._plan.topics.get(topic.name)) is not None
+        )
+        if planned <= 0:
+            return 1.0
+        usable = self._settings.link.headroom * link.capacity_bytes_per_second
+        gate = min(1.0, usable / planned)
+        if link.state is LinkState.DRAINING:
+            gate *= _DRAIN_FACTOR
+        return max(_GATE_CLOSED, gate)
+
+
+def _since(holds: bool, since_s: float | None, now_s: float) -> float | None:  # noqa: FBT001 - a condition, not a mode
+    """Start, keep or clear the moment since which a condition holds."""
+    if not holds:
+        return None
+    return now_s if since_s is None else since_s

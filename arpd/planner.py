@@ -1,0 +1,134 @@
+"""From an allocation to a plan, and from a plan to the ordered steps that bring the publishers there."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from arpd.model import Binding, Direction, QosPlan, TopicPlan, Transition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from arpd.model import Allocation, PublisherState, Topic, TopicAllocation
+
+# A topic that gets all it wants is paced a little above its source, so that jitter is not throttled.
+_SOURCE_MARGIN = 1.1
+
+
+def plan_row(
+    row: TopicAllocation, topic: Topic, *, deadline_slack: float, requested_deadline_ns: int, is_capped: bool
+) -> TopicPlan:
+    """QoS of one topic under an allocation.
+
+    Parameters
+    ----------
+    deadline_slack : offered period = slack / R, so that jitter is not a missed deadline
+    requested_deadline_ns : tightest deadline a reader requests, 0 = none; a longer offer would disconnect it
+    is_capped : whether the desired rate is the operator's cap rather than the source's own rate
+    """
+    gets_all = row.binding is Binding.DESIRED_RATE and not is_capped
+    rate_hz = row.rate_hz * _SOURCE_MARGIN if gets_all else row.rate_hz
+    deadline_ns = math.ceil(row.deadline_ns * deadline_slack)
+    if requested_deadline_ns and (deadline_ns == 0 or deadline_ns > requested_deadline_ns):
+        deadline_ns = requested_deadline_ns
+    return TopicPlan(
+        rate_hz=rate_hz,
+        min_rate_hz=min(topic.min_rate_hz, rate_hz),
+        deadline_ns=deadline_ns,
+        depth=row.depth_applied,
+    )
+
+
+def make_plan(
+    allocation: Allocation,
+    topics: Sequence[Topic],
+    publishers: Iterable[PublisherState],
+    *,
+    previous: QosPlan,
+    generation: int,
+    deadline_slack: float,
+    deadband: float,
+) -> QosPlan:
+    """Plan for all topics; a row that changes less than the deadband keeps its QoS, so that it is not swapped.
+
+    Parameters
+    ----------
+    deadband : relative change of rate and of depth below which a row stays as it was
+    """
+    publishers = tuple(publishers)
+    requested = _tightest_requests(publishers)
+    source_hz = {p.topic: p.source_rate_hz for p in publishers}
+    rows: dict[str, TopicPlan] = {}
+    for row, topic in zip(allocation.topics, topics, strict=True):
+        fresh = plan_row(
+            row,
+            topic,
+            deadline_slack=deadline_slack,
+            requested_deadline_ns=requested.get(topic.name, 0),
+            is_capped=topic.desired_rate_hz < source_hz.get(topic.name, 0.0),
+        )
+        kept = previous.topics.get(topic.name)
+        rows[topic.name] = kept if kept is not None and _within(kept, fresh, deadband) else fresh
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
+
+
+def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
+    """Whether an announcement shows the row in force; announced rates carry six digits."""
+    same_rate = publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)
+    return same_rate and publisher.depth == row.depth and publisher.deadline_ns == row.deadline_ns
+
+
+def plan_transitions(publishers: Iterable[PublisherState], plan: QosPlan, *, reason: str) -> tuple[Transition, ...]:
+    """Return the steps that bring every managed publisher to the plan: one per node, slowing nodes first.
+
+    Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and no
+    prefix that starts with the slowing steps puts more on the link than the larger of the two plans.
+    """
+    wanted: dict[str, dict[str, TopicPlan]] = {}
+    change_hz: dict[str, float] = {}
+    for publisher in publishers:
+        row = plan.topics.get(publisher.topic)
+        if row is None or publisher.direction is Direction.LOCAL:
+            continue
+        if not is_confirmed(publisher, row):
+            wanted.setdefault(publisher.node, {})[publisher.topic] = row
+            now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
+            cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
+            change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
+    return tuple(
+        Transition(node=node, generation=plan.generation, topics=wanted[node], reason=reason)
+        for node in sorted(wanted, key=lambda name: (change_hz[name], name))
+    )
+
+
+def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
+    """Return every publisher to the QoS its application asked for, unpaced."""
+    rows = {
+        publisher.topic: TopicPlan(
+            rate_hz=math.inf,
+            min_rate_hz=0.0,
+            deadline_ns=publisher.baseline_deadline_ns,
+            depth=publisher.baseline_depth,
+        )
+        for publisher in publishers
+    }
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
+
+
+def _tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:
+    tightest: dict[str, int] = {}
+    for publisher in publishers:
+        if publisher.requested_deadline_ns:
+            known = tightest.get(publisher.topic, publisher.requested_deadline_ns)
+            tightest[publisher.topic] = min(known, publisher.requested_deadline_ns)
+    return tightest
+
+
+def _within(kept: TopicPlan, fresh: TopicPlan, deadband: float) -> bool:
+    def near(old: float, new: float) -> bool:
+        return old == new or abs(new - old) <= deadband * max(old, new)
+
+    # One sample more or less is inside the band of a small depth.
+    same_depth = near(kept.depth, fresh.depth) or abs(kept.depth - fresh.depth) <= 1
+    return near(kept.rate_hz, fresh.rate_hz) and same_depth and near(kept.deadline_ns, fresh.deadline_ns)

@@ -1,0 +1,171 @@
+"""The daemon's ROS side: what it observes and how it acts, behind one node."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64, UInt8MultiArray
+
+from arpd.host.counters import read_counters, read_memory
+from arpd.model import Direction, Observation, PeerReport, PublisherState
+from arpd.ros import report as wire_format
+from arpd.ros.announce import from_status
+from arpd.ros.graph import Crossing, read_crossings
+from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
+from arpd.ros.parameters import ParameterApplier
+from arpd.wire import probe_wire_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from arpd.model import ProbeRequest, Transition
+    from arpd.settings import GraphSettings
+
+log = logging.getLogger(__name__)
+
+_GRAPH_S = 1.0
+_STALE_S = 3.5  # three announcements missed: the publisher is gone
+_MOST_PUBLISHERS = 2000  # more than any robot has; a liar on the network cannot take our memory
+
+
+class RosControl:
+    """Observes the link, the graph and the publishers; carries out gate, plan and probes.
+
+    Parameters
+    ----------
+    node : rclpy node; somebody else spins it
+    interface : the robot's link interface
+    graph : pinned topic counts
+    """
+
+    def __init__(
+        self, node: Any, *, interface: str, graph: GraphSettings, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._node = node
+        self._interface = interface
+        self._graph_settings = graph
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._reports: list[PeerReport] = []
+        self._announced: dict[tuple[str, str], tuple[float, PublisherState]] = {}
+        self._crossings: Mapping[str, Crossing] = {}
+        self._trains = 0
+        self._probes = 0
+        self._probe_bytes = 0
+        best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest)
+        self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
+        node.create_subscription(UInt8MultiArray, REPORT_TOPIC, self._on_report, best_effort)
+        node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_announcement, best_effort)
+        node.create_timer(_GRAPH_S, self._read_graph, callback_group=ReentrantCallbackGroup())
+        self._applier = ParameterApplier(node)
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+        self._graph_settings = graph
+
+    # -- observe
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+        with self._lock:
+            reports, self._reports = tuple(self._reports), []
+            self._announced = {
+                key: (at_s, state) for key, (at_s, state) in self._announced.items() if now_s - at_s <= _STALE_S
+            }
+            announced = sorted(self._announced.items())
+        crossings = self._crossings
+        pinned = self._graph_settings
+        directions = [crossing.direction for crossing in crossings.values()]
+        sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+        return Observation(
+            now_s=now_s,
+            counters=read_counters(self._interface),
+            reports=reports,
+            publishers=tuple(_join(state, now_s - at_s, crossings) for _, (at_s, state) in announced),
+            memory=read_memory(),
+            sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
+            actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
+        )
+
+    # -- act
+
+    def set_gate(self, gate: float) -> None:
+        """Tell every publisher the gate; said at every tick, so that a lost message matters for one tick only."""
+        self._gate_publisher.publish(Float64(data=gate))
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Set parameters on the nodes of a plan; returns at once."""
+        self._applier.apply(transitions, now_s=now_s)
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Put one train (or ping) on the link, back to back."""
+        self._trains += 1
+        packets = [
+            wire_format.encode_probe(
+                wire_format.ProbeHeader(train=self._trains, index=index, packets=request.packets),
+                payload_bytes=request.packet_bytes,
+            )
+            for index in range(request.packets)
+        ]
+        for packet in packets:
+            self._probe_publisher.publish(packet)
+        self._probes += 1
+        self._probe_bytes += sum(probe_wire_bytes(len(packet.data)) for packet in packets)
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+        return self._applier.results
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
+        return self._probes, self._probe_bytes
+
+    # -- what arrives
+
+    def _on_report(self, message: Any) -> None:
+        try:
+            report = wire_format.decode_report(message, received_at_s=self._clock())
+        except ValueError as fault:
+            log.debug("ignored a peer report: %s", fault)
+            return
+        with self._lock:
+            self._reports.append(report)
+            del self._reports[:-100]
+
+    def _on_announcement(self, message: Any) -> None:
+        now_s = self._clock()
+        for status in message.status:
+            try:
+                state = from_status(status)
+            except ValueError as fault:
+                log.debug("ignored an announcement: %s", fault)
+                continue
+            with self._lock:
+                key = (state.node, state.topic)
+                if key in self._announced or len(self._announced) < _MOST_PUBLISHERS:
+                    self._announced[key] = (now_s, state)
+
+    def _read_graph(self) -> None:
+        self._crossings = read_crossings(self._node)
+
+
+def _join(state: PublisherState, age_s: float, crossings: Mapping[str, Crossing]) -> PublisherState:
+    crossing = crossings.get(state.topic)
+    if crossing is None:
+        return replace(state, age_s=age_s)
+    return replace(
+        state,
+        age_s=age_s,
+        direction=crossing.direction,
+        remote_readers=crossing.remote_readers,
+        requested_deadline_ns=crossing.requested_deadline_ns,
+    )

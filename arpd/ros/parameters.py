@@ -1,0 +1,122 @@
+"""Applying transitions: one atomic parameter call per node, retried with back-off, never waiting for a slow node."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+
+from arpd.ros.names import DEADLINE, DEPTH, GENERATION_PARAMETER, MIN_RATE, RATE, parameter_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from arpd.model import TopicPlan, Transition
+
+log = logging.getLogger(__name__)
+
+_TIMEOUT_S = 2.0
+_FIRST_BACKOFF_S = 1.5  # one announcement must have had the time to confirm
+_MAX_BACKOFF_S = 12.0
+
+
+@dataclass(slots=True)
+class _Node:
+    client: Any
+    generation: int = -1
+    future: Any = None
+    sent_at_s: float = 0.0
+    backoff_s: float = _FIRST_BACKOFF_S
+
+
+class ParameterApplier:
+    """Sends transitions and remembers what is under way, per node.
+
+    A transition is repeated by the caller at every tick until the node announces its settings; this class decides
+    when to send it again. A newer generation is sent at once, an unconfirmed one after a growing back-off.
+
+    Parameters
+    ----------
+    node : rclpy node the clients live in; its executor runs the answers' callbacks
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._ros = node
+        self._nodes: dict[str, _Node] = {}
+        self._results: Counter[str] = Counter()
+
+    @property
+    def results(self) -> Mapping[str, int]:
+        """Calls so far, by result: ``ok``, ``refused``, ``timeout``, ``unreachable``, ``failed``."""
+        return dict(self._results)
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Send what is new or due again; returns at once."""
+        for transition in transitions:
+            node = self._nodes.get(transition.node) or self._add(transition.node)
+            self._expire(transition.node, node, now_s)
+            is_newer = transition.generation > node.generation
+            if node.future is not None and not is_newer:
+                continue
+            if not is_newer and now_s - node.sent_at_s < node.backoff_s:
+                continue
+            node.backoff_s = _FIRST_BACKOFF_S if is_newer else min(2 * node.backoff_s, _MAX_BACKOFF_S)
+            node.generation, node.sent_at_s = transition.generation, now_s
+            self._send(transition, node)
+
+    def _add(self, name: str) -> _Node:
+        client = self._ros.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
+        self._nodes[name] = node = _Node(client=client)
+        return node
+
+    def _send(self, transition: Transition, node: _Node) -> None:
+        if not node.client.service_is_ready():
+            self._results["unreachable"] += 1
+            node.generation = -1 if node.backoff_s == _FIRST_BACKOFF_S else node.generation
+            log.info("%s does not offer its parameter service yet", transition.node)
+            return
+        parameters = [
+            parameter.to_parameter_msg()
+            for topic, row in transition.topics.items()
+            for parameter in _parameters(topic, row)
+        ]
+        parameters.append(Parameter(GENERATION_PARAMETER, value=transition.generation).to_parameter_msg())
+        request = SetParametersAtomically.Request(parameters=parameters)
+        node.future = node.client.call_async(request)
+        node.future.add_done_callback(lambda future: self._on_answer(transition, node, future))
+
+    def _on_answer(self, transition: Transition, node: _Node, future: Any) -> None:
+        if node.future is future:
+            node.future = None
+        if future.cancelled():
+            return
+        if future.exception() is not None:
+            self._results["failed"] += 1
+            log.warning("%s: parameter call failed: %s", transition.node, future.exception())
+            return
+        result = future.result().result
+        self._results["ok" if result.successful else "refused"] += 1
+        if not result.successful:
+            log.warning("%s refused plan %d: %s", transition.node, transition.generation, result.reason)
+
+    def _expire(self, name: str, node: _Node, now_s: float) -> None:
+        if node.future is not None and now_s - node.sent_at_s > _TIMEOUT_S:
+            self._results["timeout"] += 1
+            log.warning("%s did not answer a parameter call within %.0f s", name, _TIMEOUT_S)
+            node.client.remove_pending_request(node.future)
+            node.future.cancel()
+            node.future = None
+
+
+def _parameters(topic: str, row: TopicPlan) -> list[Any]:
+    values: dict[str, int | float] = {
+        DEPTH: row.depth,
+        DEADLINE: row.deadline_ns,
+        RATE: float(row.rate_hz),
+        MIN_RATE: float(row.min_rate_hz),
+    }
+    return [Parameter(parameter_name(topic, setting), value=value) for setting, value in values.items()]

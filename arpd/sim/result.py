@@ -1,0 +1,66 @@
+"""What one run of the demo robot brought, per topic: the same figures for real and for virtual links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicResult:
+    """One topic over one run.
+
+    Parameters
+    ----------
+    offered : samples the application published
+    withheld : samples pacing chose not to send; never called loss
+    sent : samples written to the link
+    received : different samples that reached the reader
+    doubled : samples that reached it more than once
+    reordered : samples that arrived after a younger one
+    delivered_bytes : payload bytes of what was received
+    latency_p50_s, latency_p99_s, latency_max_s : source stamp to arrival at the reader (s); None when none arrived
+    age_p50_s, age_p99_s : age of the newest sample at the reader, sampled at 20 Hz (s); None when none arrived
+    """
+
+    topic: str
+    source_rate_hz: float
+    offered: int
+    withheld: int
+    sent: int
+    received: int
+    doubled: int
+    reordered: int
+    delivered_bytes: int
+    latency_p50_s: float | None
+    latency_p99_s: float | None
+    latency_max_s: float | None
+    age_p50_s: float | None
+    age_p99_s: float | None
+
+    @property
+    def lost(self) -> int:
+        """Samples sent on the link that never arrived."""
+        return max(0, self.sent - self.received)
+
+    @property
+    def loss_ratio(self) -> float:
+        """Lost over sent."""
+        return self.lost / self.sent if self.sent else 0.0
+
+    @property
+    def withheld_ratio(self) -> float:
+        """Withheld over offered."""
+        return self.withheld / self.offered if self.offered else 0.0
+
+
+def percentile(values: Sequence[float], q: float) -> float | None:
+    """Return the nearest-rank percentile (the smallest value with a share ``q`` at or below it), None for none."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    rank = max(1, -(-len(ordered) * round(q * 1000) // 1000))
+    return ordered[rank - 1]

@@ -1,0 +1,185 @@
+"""The demo: the same robot over the same link, with rclpy's defaults and with arpd, side by side.
+
+Eleven sensors on `robot` are read by a planner on `ceddp`, which sends commands back; the link between them drops and
+recovers by schedule. Both hosts are network namespaces of this machine, the link is a real rate-limited veth pair, and
+every process is the real one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.live import Live
+
+from arpd.errors import ArpdError
+from arpd.sim.schedule import RateSchedule
+from arpd.sim.simlink import SimLink, available, user_namespace_argv
+from scripts.robot.report import Pair, as_document, final_table, live_line, live_view, pair_up, verdict
+from scripts.robot.run import HTTP_PORT, Side, play, robot, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+FULL = "0:20mbit,20:5mbit,50:20mbit"
+QUICK = "0:20mbit,8:5mbit,26:20mbit"
+_TAIL_S = {FULL: 20.0, QUICK: 12.0}
+_NESTED = "ARPD_DEMO_NESTED"
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="scripts/demo",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="examples:\n  scripts/demo\n  scripts/demo --quick --json\n  scripts/demo --serve\n"
+        '  scripts/demo --schedule "0:10mbit,15:2mbit,40:10mbit"',
+    )
+    parser.add_argument("--quick", action="store_true", help="a shorter schedule: the whole demo in about two minutes")
+    parser.add_argument("--schedule", help=f"rates of the link over time (default {FULL!r})")
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
+    parser.add_argument("--serve", action="store_true", help="keep the robot with arpd running; print the metrics URL")
+    parser.add_argument(
+        "--simulated", action="store_true", help="use the built-in simulated link (virtual time, no ROS)"
+    )
+    parser.add_argument("--logs", type=Path, help="folder for the processes' logs (default: a temporary one)")
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str] | None = None) -> int:
+    arguments = sys.argv[1:] if argv is None else argv
+    args = parse(arguments)
+    console = Console(stderr=args.json)
+    text = args.schedule or (QUICK if args.quick else FULL)
+    try:
+        schedule = RateSchedule.parse(text)
+    except ValueError as error:
+        console.print(f"--schedule: {error}")
+        return 2
+    duration_s = schedule.duration_s + _TAIL_S.get(text, 15.0)
+    try:
+        usable, reason = (False, "asked for") if args.simulated else _namespaces(arguments)
+        logs = args.logs or Path(tempfile.mkdtemp(prefix="arpd-demo-"))
+        if usable and args.serve:
+            serve(logs, schedule, duration_s, console)
+            return 0
+        if usable:
+            console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
+            pairs = compare_for_real(logs, schedule, duration_s, console)
+        else:
+            console.print(f"no network namespaces here ({reason}): using the built-in simulated link, in virtual time")
+            pairs = compare_simulated(schedule, duration_s)
+    except ArpdError as error:
+        console.print(f"scripts/demo: {error}", style="red")
+        return error.exit_code
+    if args.json:
+        print(json.dumps(as_document(pairs), indent=2))
+    else:
+        # A pipe has no width of its own; the table must not be cut to 80 columns there.
+        wide = console if console.is_terminal else Console(width=160)
+        wide.print(final_table(pairs))
+        console.print(verdict(pairs)[1])
+        console.print("loss: sent on the link and never received; withheld: pacing chose a fresher sample instead.")
+    return 0
+
+
+def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float, console: Console) -> list[Pair]:
+    """Run both sides over the real link, one after the other."""
+    results = []
+    for is_managed in (False, True):
+        name = "with arpd" if is_managed else "without arpd"
+        console.print(f"{name}: starting the robot …")
+        with _robot(logs, schedule, is_managed=is_managed) as side:
+            results.append(run(side, schedule, duration_s, on_tick=_watch(side, schedule, duration_s, name, console)))
+    return pair_up(*results)
+
+
+def serve(logs: Path, schedule: RateSchedule, duration_s: float, console: Console) -> None:
+    """Keep the robot with arpd running, the schedule repeating, until Ctrl-C."""
+
+    def rate_at(elapsed_s: float) -> float:
+        return schedule.rate_at(elapsed_s % duration_s)
+
+    with suppress(KeyboardInterrupt), _robot(logs, schedule, is_managed=True, listen_port=HTTP_PORT) as side:
+        console.print(
+            f"arpd is running; metrics: {side.url}/metrics   page: {side.url}/   Ctrl-C ends it", soft_wrap=True
+        )
+        play(side, rate_at, math.inf, on_tick=lambda _elapsed_s: None)
+
+
+@contextmanager
+def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool, listen_port: int = 0) -> Iterator[Side]:
+    run_id = f"demo-{os.getpid()}-{int(is_managed)}"
+    folder = logs / ("with" if is_managed else "without")
+    with (
+        SimLink(run_id, rate_bytes_per_second=schedule.rate_at(0.0)) as link,
+        robot(link, folder, is_managed=is_managed, listen_port=listen_port) as side,
+    ):
+        yield side
+
+
+def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
+    """Run both sides in virtual time."""
+    from arpd.sim.scenario import demo_settings
+    from arpd.sim.scenario import run as simulate
+
+    sides = [
+        simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics
+        for is_managed in (False, True)
+    ]
+    return pair_up(*sides)
+
+
+def _watch(
+    side: Side, schedule: RateSchedule, duration_s: float, name: str, console: Console
+) -> Callable[[float], None]:
+    """Return what shows the run: a live table on a terminal, a line every two seconds in a pipe."""
+    last_s = -2.0
+    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+
+    def show(elapsed_s: float) -> None:
+        nonlocal last_s
+        truth, status = schedule.rate_at(elapsed_s), side.status()
+        if live is not None:
+            view = live_view(
+                elapsed_s=elapsed_s,
+                duration_s=duration_s,
+                truth=truth,
+                side=name,
+                status=status,
+                arrivals=side.arrivals,
+            )
+            live.start()
+            live.update(view, refresh=True)
+            if elapsed_s + 1.0 > duration_s:
+                live.stop()
+        elif elapsed_s - last_s >= 2.0:
+            last_s = elapsed_s
+            line = live_line(elapsed_s=elapsed_s, truth=truth, status=status)
+            console.print(line, highlight=False, soft_wrap=True)
+
+    return show
+
+
+def _namespaces(arguments: list[str]) -> tuple[bool, str]:
+    """Whether namespaces work here; without root, this process becomes root of a user namespace first."""
+    usable, reason = available()
+    if usable or os.geteuid() == 0 or os.environ.get(_NESTED):
+        return usable, reason
+    if subprocess.run(user_namespace_argv(["true"]), capture_output=True, check=False).returncode == 0:
+        command = user_namespace_argv([sys.executable, "-m", "scripts.robot.demo", *arguments])
+        os.execve(command[0], command, {**os.environ, _NESTED: "1"})
+    return False, reason
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""The planner on the CEDDP: consumes every sensor topic and sends commands back.
+
+Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json
+
+It prints one JSON line a second with what arrived, for the live table; the same signals as the sensors.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from arpd import AdaptivePublisher
+from scripts.robot.sensors import COMMAND_TOPIC, RATES_HZ, RCLPY_DEPTH, SENSORS
+from scripts.robot.stamped import Arrivals
+
+COMMAND_RATE_HZ = 20.0
+
+
+class Planner(Node):
+    """Subscribes to all sensors and publishes commands at a fixed rate."""
+
+    def __init__(self, prefix: str, *, is_adaptive: bool) -> None:
+        super().__init__("planner")
+        self.arrivals = {topic: Arrivals() for topic in RATES_HZ}
+        self.offered = 0
+        self.is_publishing = False
+        for group in SENSORS.values():
+            for topic, _, make in group:
+                self._subscribe(prefix + topic, type(make()), self.arrivals[topic])
+        self.commands: Any
+        if is_adaptive:
+            self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
+        else:
+            self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
+        self.create_timer(1.0 / COMMAND_RATE_HZ, self._command)
+        self.create_timer(0.05, self._sample_ages)
+        self.create_timer(1.0, self._report)
+
+    def _subscribe(self, topic: str, kind: Any, arrivals: Arrivals) -> None:
+        def on_sample(sample: bytes, info: dict[str, int]) -> None:
+            arrivals.on_sample(sample, info["received_timestamp"] * 1e-9)
+
+        self.create_subscription(kind, topic, on_sample, RCLPY_DEPTH, raw=True)
+
+    def _command(self) -> None:
+        if not self.is_publishing:
+            return
+        command = TwistStamped()
+        command.header.stamp = self.get_clock().now().to_msg()
+        command.header.frame_id = f"base#{self.offered}"
+        self.offered += 1
+        self.commands.publish(command)
+
+    def _sample_ages(self) -> None:
+        now_s = float(self.get_clock().now().nanoseconds) * 1e-9
+        if self.is_publishing:
+            for arrivals in self.arrivals.values():
+                arrivals.on_age(now_s)
+
+    def _report(self) -> None:
+        recent = {topic: arrivals.take_recent() for topic, arrivals in self.arrivals.items()}
+        print(json.dumps({topic: {"rate_hz": n, "worst_s": worst} for topic, (n, worst) in recent.items()}), flush=True)
+
+
+def main() -> None:
+    prefix, kind, out = sys.argv[1], sys.argv[2], Path(sys.argv[3])
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    planner = Planner(prefix if prefix != "-" else "", is_adaptive=kind == "adaptive")
+    running = True
+
+    def on_signal(signum: int, _frame: Any) -> None:
+        nonlocal running
+        running = running and signum != signal.SIGTERM
+        planner.is_publishing = signum == signal.SIGUSR1
+
+    for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
+        signal.signal(signum, on_signal)
+    executor = SingleThreadedExecutor()
+    executor.add_node(planner)
+    print("ready", flush=True)
+    while running:
+        executor.spin_once(timeout_sec=0.1)
+    received = {topic: arrivals.summary().as_dict() for topic, arrivals in planner.arrivals.items()}
+    out.write_text(json.dumps({"offered": {COMMAND_TOPIC: planner.offered}, "received": received}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""The demo's tables: live while it runs, and side by side at the end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from arpd.sim.result import TopicResult
+
+_HURT_P99_S = 0.25  # a default robot whose topic is later than this at p99 is behind a link that cannot carry it
+_HURT_LOSS = 0.001
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pair:
+    """One topic in both runs."""
+
+    without: TopicResult
+    with_arpd: TopicResult
+
+    @property
+    def is_overloaded(self) -> bool:
+        """Whether the link could not carry the topic's demand without arpd."""
+        return self.without.loss_ratio > _HURT_LOSS or (self.without.latency_p99_s or math.inf) > _HURT_P99_S
+
+    @property
+    def is_better(self) -> bool:
+        """Less loss (or none in both), lower p99 latency and lower p99 age with arpd."""
+        return (
+            (self.with_arpd.loss_ratio < self.without.loss_ratio or self.with_arpd.lost == 0)
+            and _less(self.with_arpd.latency_p99_s, self.without.latency_p99_s)
+            and _less(self.with_arpd.age_p99_s, self.without.age_p99_s)
+        )
+
+
+def pair_up(without: Sequence[TopicResult], with_arpd: Sequence[TopicResult]) -> list[Pair]:
+    """Pair the topics of two runs."""
+    managed = {result.topic: result for result in with_arpd}
+    return [Pair(without=result, with_arpd=managed[result.topic]) for result in without]
+
+
+def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
+    """Whether arpd was better on every topic the link could not carry, in a sentence."""
+    overloaded = [pair for pair in pairs if pair.is_overloaded]
+    worse = [pair.without.topic for pair in overloaded if not pair.is_better]
+    if not overloaded:
+        return True, "The link carried everything without help in this run."
+    if worse:
+        return False, f"Not better on {', '.join(worse)} ({len(overloaded)} topics were overloaded)."
+    return True, (
+        f"On all {len(overloaded)} topics the link could not carry, arpd had less loss, "
+        "a lower p99 latency and a lower p99 age."
+    )
+
+
+def final_table(pairs: Sequence[Pair]) -> Table:
+    """Both runs side by side, per topic and in all."""
+    table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10)  │  arpd", title_justify="left", pad_edge=False)
+    table.add_column("topic", no_wrap=True)
+    for heading in ("source\nHz", "lat p50\nms", "lat p99\nms", "loss\n%", "age p50\nms", "age p99\nms", "MB"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("│lat p50\nms", "lat p99\nms", "loss\n%", "withheld\n%", "age p50\nms", "age p99\nms", "MB"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for pair in sorted(pairs, key=lambda pair: -pair.without.delivered_bytes):
+        style = "bold" if pair.is_overloaded else ""
+        table.add_row(pair.without.topic, *_plain_cells(pair.without), *_managed_cells(pair.with_arpd), style=style)
+    table.add_section()
+    table.add_row("all", *_total_cells([p.without for p in pairs]), *_total_managed([p.with_arpd for p in pairs]))
+    return table
+
+
+def live_view(
+    *, elapsed_s: float, duration_s: float, truth: float, side: str, status: dict[str, Any] | None, arrivals: Any
+) -> Group:
+    """Show what is going on now: the link, the estimate, the gate, every topic."""
+    head = Text(f"{side}  {elapsed_s:4.0f} / {duration_s:.0f} s   link carries {truth * 8e-6:.1f} Mbit/s")
+    table = Table(pad_edge=False)
+    table.add_column("topic", no_wrap=True)
+    columns = ("planned Hz", "floor", "depth", "deadline ms", "Rmax Hz", "arrived Hz", "worst ms", "withheld", "swaps")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    if status is None:
+        for topic, now in arrivals.items():
+            table.add_row(topic, *[""] * 5, f"{now['rate_hz']}", f"{now['worst_s'] * 1e3:.0f}", "", "")
+        return Group(head, table)
+    link, plan = status["link"], status["plan"]
+    head.append(
+        f"\nestimate {link['capacity_bytes_per_second'] * 8e-6:.1f} Mbit/s ({link['kind']}, {link['state']})   "
+        f"queue {link['queue_delay_seconds'] * 1e3:.0f} ms   gate {status['gate']:.2f}   plan {plan['generation']}"
+    )
+    for topic in status["topics"]:
+        now = arrivals.get(topic["topic"].removeprefix("/link"), {})
+        planned = topic["planned"] or {}
+        table.add_row(
+            topic["topic"],
+            _cell(planned.get("rate_hz")),
+            _cell(planned.get("min_rate_hz")),
+            _cell(topic["confirmed"]["depth"]),
+            _cell(topic["confirmed"]["deadline_ns"], scale=1e-6),
+            _cell(topic["max_rate_hz"]),
+            _cell(now.get("rate_hz")),
+            _cell(now.get("worst_s"), scale=1e3),
+            _cell(topic["withheld"]),
+            _cell(sum(topic["swaps"].values())),
+        )
+    return Group(head, table)
+
+
+def live_line(*, elapsed_s: float, truth: float, status: dict[str, Any] | None) -> str:
+    """Say the same in one line, for a pipe."""
+    line = f"{elapsed_s:5.0f} s  link {truth * 8e-6:5.1f} Mbit/s"
+    if status is None:
+        return line
+    link = status["link"]
+    swaps = sum(sum(topic["swaps"].values()) for topic in status["topics"])
+    return (
+        f"{line}  estimate {link['capacity_bytes_per_second'] * 8e-6:5.1f}  {link['state']:<11}"
+        f"  queue {link['queue_delay_seconds'] * 1e3:4.0f} ms  gate {status['gate']:.2f}"
+        f"  plan {status['plan']['generation']}  swaps {swaps}"
+    )
+
+
+def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
+    """JSON form of the whole comparison."""
+    better, sentence = verdict(pairs)
+    return {
+        "verdict": {"is_better": better, "text": sentence},
+        "topics": [
+            {
+                "topic": pair.without.topic,
+                "is_overloaded": pair.is_overloaded,
+                "is_better": pair.is_better,
+                "without": {**asdict(pair.without), "loss_ratio": pair.without.loss_ratio},
+                "with": {
+                    **asdict(pair.with_arpd),
+                    "loss_ratio": pair.with_arpd.loss_ratio,
+                    "withheld_ratio": pair.with_arpd.withheld_ratio,
+                },
+            }
+            for pair in pairs
+        ],
+    }
+
+
+def _less(ours: float | None, theirs: float | None) -> bool:
+    return ours is not None and (theirs is None or ours < theirs)
+
+
+def _cell(value: float | None, *, scale: float = 1.0) -> str:
+    return "" if value is None else f"{value * scale:.4g}"
+
+
+def _ms(value: float | None) -> str:
+    return "never" if value is None else f"{value * 1e3:.0f}"
+
+
+def _plain_cells(result: TopicResult) -> list[str]:
+    return [f"{result.source_rate_hz:g}", *_latency_cells(result), *_age_cells(result)]
+
+
+def _managed_cells(result: TopicResult) -> list[str]:
+    return [*_latency_cells(result), f"{result.withheld_ratio:.1%}".rstrip("%"), *_age_cells(result)]
+
+
+def _latency_cells(result: TopicResult) -> list[str]:
+    return [_ms(result.latency_p50_s), _ms(result.latency_p99_s), f"{result.loss_ratio * 100:.2f}"]
+
+
+def _age_cells(result: TopicResult) -> list[str]:
+    return [_ms(result.age_p50_s), _ms(result.age_p99_s), f"{result.delivered_bytes / 1e6:.2f}"]
+
+
+def _total_cells(results: Sequence[TopicResult]) -> list[str]:
+    sent = sum(result.sent for result in results)
+    lost = sum(result.lost for result in results)
+    worst_latency = max((result.latency_p99_s or math.inf for result in results), default=0.0)
+    worst_age = max((result.age_p99_s or math.inf for result in results), default=0.0)
+    total = sum(result.delivered_bytes for result in results) / 1e6
+    loss = lost / sent if sent else 0.0
+    return ["", "", f"≤{worst_latency * 1e3:.0f}", f"{loss * 100:.2f}", "", f"≤{worst_age * 1e3:.0f}", f"{total:.2f}"]
+
+
+def _total_managed(results: Sequence[TopicResult]) -> list[str]:
+    offered = sum(result.offered for result in results)
+    withheld = sum(result.withheld for result in results)
+    _, p50, p99, loss, *ages = _total_cells(results)
+    return [p50, p99, loss, f"{withheld / offered * 100 if offered else 0.0:.1f}", *ages]

@@ -1,0 +1,249 @@
+"""One run of the demo robot over the simulated link, with or without arpd."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.errors import ArpdError
+from arpd.ros.runtime import FASTDDS_PROFILE
+from arpd.sim.result import TopicResult
+from scripts.robot.proxy import window
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from arpd.sim.namespaces import HostName
+    from arpd.sim.schedule import RateSchedule
+    from arpd.sim.simlink import SimLink
+
+REPO = Path(__file__).resolve().parents[2]
+CONFIG = Path(__file__).with_name("arpd.yaml")
+PREFIX = "/link"
+HTTP_PORT = 9464
+COMMAND_TOPIC = "/cmd_vel"
+_SOURCES = ("perception", "base", "planner")
+_START_S = 40.0
+_DRAIN_S = 4.0  # several heartbeats of rclpy's default writer, so that late samples still count as delivered
+_TICK_S = 0.5
+
+
+class DemoError(ArpdError):
+    """A part of the demo did not come up or died."""
+
+
+@dataclass(slots=True)
+class Side:
+    """The processes of one run.
+
+    Parameters
+    ----------
+    link : the two hosts
+    workdir : logs and results of the processes
+    is_managed : with arpd
+    """
+
+    link: SimLink
+    workdir: Path
+    is_managed: bool
+    processes: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
+    arrivals: dict[str, Any] = field(default_factory=dict)
+    url: str = ""
+
+    def start(self, name: str, host: HostName, *argv: str, env: dict[str, str] | None = None) -> None:
+        """Start one process; its stderr goes to a log in the work folder."""
+        with (self.workdir / f"{name}.log").open("a") as log:
+            self.processes[name] = self.link.popen(
+                host,
+                [sys.executable, "-u", "-m", *argv],
+                env={**os.environ, "PYTHONPATH": str(REPO), **(env or {})},
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                cwd=REPO,
+            )
+
+    def await_ready(self, name: str) -> None:
+        """Wait for the process's line ``ready``, then keep reading what it says."""
+        process = self.processes[name]
+        assert process.stdout is not None
+        if process.stdout.readline().strip() != "ready":
+            raise DemoError(f"{name} did not start; see {self.workdir / (name + '.log')}")
+        threading.Thread(target=self._read, args=(process,), daemon=True).start()
+
+    def signal(self, number: signal.Signals, *names: str) -> None:
+        """Send a signal to processes by name."""
+        for name in names:
+            self.processes[name].send_signal(number)
+
+    def stop(self, *names: str) -> None:
+        """Ask processes to end, and wait."""
+        self.signal(signal.SIGTERM, *names)
+        for name in names:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.processes[name].wait(timeout=10)
+
+    def status(self) -> dict[str, Any] | None:
+        """Return arpd's status document, None while it does not answer."""
+        if not self.url:
+            return None
+        with (
+            contextlib.suppress(OSError, urllib.error.URLError, json.JSONDecodeError),
+            urllib.request.urlopen(f"{self.url}/api/v1/status", timeout=3.0) as answer,
+        ):
+            document = json.load(answer)
+            return document if isinstance(document, dict) else None
+        return None
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            with contextlib.suppress(json.JSONDecodeError):
+                self.arrivals = json.loads(line)
+
+
+@contextlib.contextmanager
+def robot(link: SimLink, workdir: Path, *, is_managed: bool, listen_port: int = 0) -> Iterator[Side]:
+    """Bring up planner, sensors and, if managed, peer, daemon and relay; end them all on leaving.
+
+    Raises
+    ------
+    DemoError
+        If something does not come up.
+    """
+    side = Side(link, workdir, is_managed)
+    workdir.mkdir(parents=True, exist_ok=True)
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)} if is_managed else {}
+    prefix, kind = (PREFIX, "adaptive") if is_managed else ("-", "plain")
+    with contextlib.ExitStack() as stack:
+        stack.callback(_end, side)
+        side.start(
+            "planner", "ceddp", "scripts.robot.planner", prefix, kind, str(workdir / "planner.json"), env=profile
+        )
+        if is_managed:
+            side.start("peer", "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
+            side.start("run", "robot", "arpd", "run", "--config", str(CONFIG))
+            side.start("relay", "robot", "arpd", "relay", "--config", str(CONFIG))
+            side.url = stack.enter_context(window(link.robot, HTTP_PORT, listen_port=listen_port))
+        for group in ("perception", "base"):
+            side.start(group, "robot", "scripts.robot.sensors", group, str(workdir / f"{group}.json"))
+        for name in ("planner", "perception", "base"):
+            side.await_ready(name)
+        _await_discovery(side)
+        yield side
+
+
+def run(
+    side: Side, schedule: RateSchedule, duration_s: float, *, on_tick: Callable[[float], None]
+) -> list[TopicResult]:
+    """Let the robot work for ``duration_s`` while the link follows the schedule, and return what arrived.
+
+    Parameters
+    ----------
+    on_tick : called twice a second with the time since the start (s)
+    """
+    before = sum(counters.rx_bytes for counters in side.link.counters().values())
+    play(side, schedule.rate_at, duration_s, on_tick=on_tick)
+    side.signal(signal.SIGUSR2, *_SOURCES)
+    time.sleep(_DRAIN_S)
+    final = side.status() if side.is_managed else None
+    if side.is_managed and final is None:
+        raise DemoError(f"arpd does not answer at {side.url}; see {side.workdir / 'run.log'}")
+    side.stop(*_SOURCES)
+    crossed = sum(counters.rx_bytes for counters in side.link.counters().values()) - before
+    results = _results(side, final)
+    delivered = sum(result.delivered_bytes for result in results)
+    if crossed < delivered:
+        raise DemoError(f"only {crossed} bytes crossed the link for {delivered} delivered: the link was bypassed")
+    return results
+
+
+def play(side: Side, rate_at: Callable[[float], float], duration_s: float, *, on_tick: Callable[[float], None]) -> None:
+    """Let every source publish while the link follows ``rate_at``; they go on publishing afterwards."""
+    side.signal(signal.SIGUSR1, *_SOURCES)
+    started_s = time.monotonic()
+    while (elapsed_s := time.monotonic() - started_s) < duration_s:
+        rate = rate_at(elapsed_s)
+        if rate != side.link.rate_bytes_per_second:
+            side.link.set_rate(rate)
+        on_tick(elapsed_s)
+        _check_alive(side)
+        time.sleep(max(0.0, _TICK_S - (time.monotonic() - started_s - elapsed_s)))
+
+
+def _await_discovery(side: Side) -> None:
+    """Wait until every writer has its reader, so that nothing is published into the void."""
+    if not side.is_managed:
+        time.sleep(4.0)
+        return
+    until_s = time.monotonic() + _START_S
+    crossing = 0
+    while time.monotonic() < until_s:
+        _check_alive(side)
+        status = side.status()
+        if status is not None:
+            crossing = sum(topic["direction"] != "local" for topic in status["topics"])
+            if crossing >= 12:
+                time.sleep(1.0)
+                return
+        time.sleep(0.3)
+    raise DemoError(f"only {crossing} of 12 topics crossed the link after {_START_S:.0f} s; logs in {side.workdir}")
+
+
+def _check_alive(side: Side) -> None:
+    for name, process in side.processes.items():
+        if process.poll() is not None:
+            raise DemoError(f"{name} ended with code {process.returncode}; see {side.workdir / (name + '.log')}")
+
+
+def _results(side: Side, status: dict[str, Any] | None) -> list[TopicResult]:
+    files = [json.loads((side.workdir / f"{name}.json").read_text()) for name in ("perception", "base", "planner")]
+    offered = {topic: count for file in files for topic, count in file["offered"].items()}
+    received = {topic: summary for file in files for topic, summary in file.get("received", {}).items()}
+    by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}
+    results = []
+    for topic, summary in received.items():
+        managed = by_topic.get(topic if topic == COMMAND_TOPIC else PREFIX + topic)
+        results.append(
+            TopicResult(
+                topic=topic,
+                source_rate_hz=_rate_hz(topic),
+                offered=offered[topic],
+                withheld=managed["withheld"] if managed else 0,
+                sent=managed["published"] if managed else offered[topic],
+                **summary,
+            )
+        )
+    return results
+
+
+def _rate_hz(topic: str) -> float:
+    # Imported late: sensors.py imports ROS, and this module must not need it before the environment is set.
+    from scripts.robot.planner import COMMAND_RATE_HZ
+    from scripts.robot.sensors import RATES_HZ
+
+    return RATES_HZ.get(topic, COMMAND_RATE_HZ)
+
+
+def _end(side: Side) -> None:
+    for name in ("run", "relay", "peer", *side.processes):
+        process = side.processes.get(name)
+        if process is not None and process.poll() is None:
+            process.terminate()
+    for process in side.processes.values():
+        try:
+            process.wait(timeout=8)
+        except subprocess.TimeoutExpired:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)

@@ -1,0 +1,157 @@
+"""The robot's sensors: ordinary rclpy nodes that know nothing of arpd.
+
+Usage: python -m scripts.robot.sensors GROUP OUT.json  (GROUP is ``perception`` or ``base``)
+
+They publish after a warm-up, as real sensors do; on SIGUSR1 they start, on SIGUSR2 they stop publishing and stay,
+on SIGTERM they write how many samples each topic published and leave.
+"""
+
+from __future__ import annotations
+
+import array
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import (
+    BatteryState,
+    CompressedImage,
+    Imu,
+    JointState,
+    LaserScan,
+    NavSatFix,
+    PointCloud2,
+    PointField,
+    Range,
+    Temperature,
+)
+
+from scripts.robot.stamped import Arrivals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+COMMAND_TOPIC = "/cmd_vel"
+RCLPY_DEPTH = 10  # what every rclpy tutorial passes
+
+
+def laser_scan() -> LaserScan:
+    scan = LaserScan(angle_min=-3.14, angle_max=3.14, angle_increment=6.28 / 720, range_max=30.0)
+    scan.ranges = array.array("f", [1.5] * 720)
+    scan.intensities = array.array("f", [100.0] * 720)
+    return scan
+
+
+def point_cloud() -> PointCloud2:
+    names = ("x", "y", "z", "intensity")
+    fields = [PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(names)]
+    return PointCloud2(
+        height=1, width=1024, fields=fields, point_step=16, row_step=16384, data=array.array("B", bytes(16384))
+    )
+
+
+def image() -> CompressedImage:
+    return CompressedImage(format="jpeg", data=array.array("B", bytes(30_000)))
+
+
+def joint_state() -> JointState:
+    return JointState(
+        name=[f"joint_{i}" for i in range(12)], position=[0.1] * 12, velocity=[0.1] * 12, effort=[0.1] * 12
+    )
+
+
+# group → (topic, rate in Hz, message with its realistic size)
+SENSORS: dict[str, list[tuple[str, float, Callable[[], Any]]]] = {
+    "perception": [
+        ("/scan/front", 20.0, laser_scan),
+        ("/scan/rear", 20.0, laser_scan),
+        ("/camera/image/compressed", 30.0, image),
+        ("/points", 10.0, point_cloud),
+    ],
+    "base": [
+        ("/imu", 200.0, Imu),
+        ("/odom", 50.0, Odometry),
+        ("/joint_states", 50.0, joint_state),
+        ("/range/front", 20.0, Range),
+        ("/gps/fix", 5.0, NavSatFix),
+        ("/temperature", 2.0, Temperature),
+        ("/battery", 1.0, BatteryState),
+    ],
+}
+RATES_HZ = {topic: rate_hz for group in SENSORS.values() for topic, rate_hz, _ in group}
+
+
+class Sensor(Node):
+    """One sensor: a timer and a publisher."""
+
+    def __init__(self, topic: str, rate_hz: float, message: Any) -> None:
+        super().__init__(topic.strip("/").replace("/", "_"))
+        self._message = message
+        self._frame = topic.strip("/").replace("/", "_")
+        self.topic = topic
+        self.offered = 0
+        self.is_publishing = False
+        self._publisher = self.create_publisher(type(message), topic, RCLPY_DEPTH)
+        self.create_timer(1.0 / rate_hz, self._publish)
+
+    def _publish(self) -> None:
+        if not self.is_publishing:
+            return
+        self._message.header.stamp = self.get_clock().now().to_msg()
+        self._message.header.frame_id = f"{self._frame}#{self.offered}"
+        self.offered += 1
+        self._publisher.publish(self._message)
+
+
+class Base(Node):
+    """The base driver: obeys the command topic, and notes how the commands arrive."""
+
+    def __init__(self) -> None:
+        super().__init__("base_driver")
+        self.commands = Arrivals()
+        self.create_subscription(TwistStamped, COMMAND_TOPIC, self._on_command, RCLPY_DEPTH, raw=True)
+        self.create_timer(0.05, lambda: self.commands.on_age(self._now_s()))
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _on_command(self, sample: bytes, info: dict[str, int]) -> None:
+        self.commands.on_sample(sample, info["received_timestamp"] * 1e-9)
+
+
+def main() -> None:
+    group, out = sys.argv[1], Path(sys.argv[2])
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    sensors = [Sensor(topic, rate_hz, make()) for topic, rate_hz, make in SENSORS[group]]
+    base = Base() if group == "base" else None
+    running = True
+
+    def on_signal(signum: int, _frame: Any) -> None:
+        nonlocal running
+        running = running and signum != signal.SIGTERM
+        for sensor in sensors:
+            sensor.is_publishing = signum == signal.SIGUSR1
+
+    for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
+        signal.signal(signum, on_signal)
+    executor = SingleThreadedExecutor()
+    for node in [*sensors, *([base] if base else [])]:
+        executor.add_node(node)
+    print("ready", flush=True)
+    while running:
+        executor.spin_once(timeout_sec=0.1)
+    result: dict[str, Any] = {"offered": {sensor.topic: sensor.offered for sensor in sensors}}
+    if base is not None:
+        result["received"] = {COMMAND_TOPIC: base.commands.summary().as_dict()}
+    out.write_text(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

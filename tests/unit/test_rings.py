@@ -1,0 +1,98 @@
+"""The three rings of DESIGN §3: an import points inwards only."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "arpd"
+DOMAIN = {
+    "demand",
+    "errors",
+    "estimator",
+    "governor",
+    "model",
+    "pacing",
+    "paper",
+    "planner",
+    "program",
+    "rounding",
+    "settings",
+    "snapshot",
+    "swap",
+    "topics",
+    "wire",
+    "solvers",
+}
+ENTRY_POINTS = {"cli", "cli_solve", "cli_status", "daemon", "__main__"}
+FORBIDDEN_IN_DOMAIN = {
+    "http",
+    "os",
+    "pathlib",
+    "prometheus_client",
+    "psutil",
+    "pydantic",
+    "rclpy",
+    "socket",
+    "subprocess",
+    "threading",
+    "time",
+    "yaml",
+}
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def part(path):
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0].removesuffix(".py")
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+
+
+@pytest.mark.parametrize("path", [m for m in MODULES if part(m) in DOMAIN], ids=lambda p: p.name)
+def test_domain_is_pure(path):
+    """The domain ring imports no adapter, no entry point, and nothing that touches the world."""
+    for name in imports(path):
+        root, _, rest = name.partition(".")
+        assert root not in FORBIDDEN_IN_DOMAIN, f"{path.name} imports {name}"
+        if root == "arpd":
+            assert rest.split(".")[0] in DOMAIN, f"{path.name} imports {name}, which is further out"
+
+
+@pytest.mark.parametrize(
+    "path", [m for m in MODULES if part(m) not in DOMAIN | ENTRY_POINTS | {"sim", "__init__"}], ids=lambda p: p.name
+)
+def test_adapters_do_not_import_entry_points(path):
+    """An adapter never imports the daemon or the command line."""
+    for name in imports(path):
+        root, _, rest = name.partition(".")
+        assert root != "arpd" or rest.split(".")[0] not in ENTRY_POINTS, f"{path.name} imports {name}"
+
+
+def test_every_module_has_a_ring():
+    """A module that is named in no ring is a decision nobody took."""
+    adapters = {
+        "config",
+        "config_schema",
+        "config_source",
+        "host",
+        "quantities",
+        "ros",
+        "sim",
+        "systemd",
+        "version",
+        "web",
+    }
+    assert {part(m) for m in MODULES} - {"__init__"} <= DOMAIN | ENTRY_POINTS | adapters
+
+
+def test_modules_stay_small():
+    """No module is longer than 400 lines."""
+    long = {m.name: n for m in MODULES if (n := len(m.read_text().splitlines())) > 400}
+    assert not long
