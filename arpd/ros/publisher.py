@@ -201,13 +201,6 @@ class AdaptivePublisher:
         """QoS the application asked for at creation."""
         return self._baseline
 
-    def refuse_reason(self, plan: TopicPlan) -> str:
-        """Why these settings cannot be applied, empty if they can."""
-        changes_qos = (plan.depth, plan.deadline_ns) != (self._plan.depth, self._plan.deadline_ns)
-        if changes_qos and self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL:
-            return f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need"
-        return ""
-
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
 
@@ -226,7 +219,13 @@ class AdaptivePublisher:
             self._apply_rate(now_s)
             # Two periods of what flows, so that the acknowledgement a next sample provokes can come back.
             period_s = 1.0 / max(min(plan.rate_hz, self._source_rate_hz(now_s)), 1e-3)
-            self._swap.request(WriterQos(depth=plan.depth, deadline_ns=deadline_ns), hold_s=2.0 * period_s)
+            qos = WriterQos(depth=plan.depth, deadline_ns=deadline_ns)
+            if self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL and qos != self._swap.qos:
+                self._refusal = (
+                    f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need"
+                )
+            else:
+                self._swap.request(qos, hold_s=2.0 * period_s)
         self._tuning.wake()
 
     def set_gate(self, gate: float) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
@@ -40,10 +39,10 @@ _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon
 _INFINITE_NS = 2**63 - 1
 
 _SETTINGS = {
-    DEPTH: ("depth", Parameter.Type.INTEGER, "KEEP_LAST depth, 1..5000 samples"),
-    DEADLINE: ("deadline_ns", Parameter.Type.INTEGER, "offered deadline period in ns, 0 = infinite"),
-    RATE: ("rate_hz", Parameter.Type.DOUBLE, "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
-    MIN_RATE: ("min_rate_hz", Parameter.Type.DOUBLE, "floor in Hz below which the gate does not push the rate"),
+    DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
+    DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
+    RATE: ("rate_hz", "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
+    MIN_RATE: ("min_rate_hz", "floor in Hz below which the gate does not push the rate"),
 }
 
 
@@ -93,7 +92,7 @@ class NodeTuning:
                 f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
                 "their parameters would share one name"
             )
-        for setting, (field, _, description) in _SETTINGS.items():
+        for setting, (field, description) in _SETTINGS.items():
             name = parameter_name(topic, setting)
             self._parameters[name] = (topic, field)
             value = getattr(publisher.plan, field)
@@ -155,10 +154,7 @@ class NodeTuning:
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
-            for topic, plan in self._plans(parameters).items():
-                reason = self._publishers[topic].refuse_reason(plan)
-                if reason:
-                    return SetParametersResult(successful=False, reason=reason)
+            self._plans(parameters)
             for parameter in parameters:
                 if parameter.name == GENERATION_PARAMETER:
                     self._check_generation(parameter)
@@ -174,8 +170,6 @@ class NodeTuning:
             self._publishers[topic].retune(plan)
 
     def _check_generation(self, parameter: Any) -> None:
-        if parameter.type_ is not Parameter.Type.INTEGER:
-            raise ValueError(f"{GENERATION_PARAMETER} must be an integer")
         if parameter.value < self._generation:
             raise ValueError(
                 f"{GENERATION_PARAMETER} {parameter.value} is older than {self._generation}, the plan in force"

@@ -1,0 +1,76 @@
+"""Real rclpy for every test: a context of its own, on this host only, with an executor in a thread."""
+
+import os
+import threading
+import time
+from contextlib import ExitStack
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+
+class Ros:
+    """Nodes of one test, each spun by an executor of its own."""
+
+    def __init__(self, context, stack):
+        self.context = context
+        self._stack = stack
+
+    def node(self, name, executor=None):
+        from rclpy.executors import SingleThreadedExecutor
+
+        from arpd.ros.runtime import spinning
+
+        node = rclpy.create_node(name, context=self.context)
+        chosen = executor or SingleThreadedExecutor(context=self.context)
+        chosen.add_node(node)
+        self._stack.callback(node.destroy_node)
+        self._stack.enter_context(spinning(chosen))
+        return node
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    from arpd.ros.runtime import prepare_environment
+
+    prepare_environment()
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=1 + os.getpid() % 90)
+    with ExitStack() as stack:
+        yield Ros(context, stack)
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def eventually():
+    """Wait for a condition, generously: the machine is shared and noisy."""
+
+    def wait(condition, timeout_s=15.0):
+        until_s = time.monotonic() + timeout_s
+        while time.monotonic() < until_s:
+            if condition():
+                return
+            time.sleep(0.02)
+        assert condition(), "did not happen in time"
+
+    return wait
+
+
+@pytest.fixture
+def background():
+    """Run a function in a thread until the test ends."""
+    stopping = threading.Event()
+    threads = []
+
+    def start(work):
+        thread = threading.Thread(target=work, args=(stopping,), daemon=True)
+        thread.start()
+        threads.append(thread)
+
+    yield start
+    stopping.set()
+    for thread in threads:
+        thread.join(timeout=5)

@@ -1,0 +1,244 @@
+"""AdaptivePublisher with real rclpy and Fast DDS on this host."""
+
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64, String
+
+from arpd import AdaptivePublisher
+from arpd.ros.announce import from_status
+from arpd.settings import Overflow
+
+pytestmark = pytest.mark.ros
+TOPIC = "/swapped"
+DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
+DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
+RATE = f"arpd.{TOPIC}.publisher.rate"
+MIN_RATE = f"arpd.{TOPIC}.publisher.min_rate"
+
+
+class Reader:
+    def __init__(self, node, qos=1000):
+        self.received = []
+        node.create_subscription(String, TOPIC, lambda message: self.received.append(int(message.data)), qos)
+
+
+class Setter:
+    """What `ros2 param set` and `arpd run` do."""
+
+    def __init__(self, node, target):
+        self._client = node.create_client(SetParametersAtomically, f"{target}/set_parameters_atomically")
+        assert self._client.wait_for_service(timeout_sec=10)
+
+    def __call__(self, **values):
+        names = {
+            "depth": DEPTH,
+            "deadline": DEADLINE,
+            "rate": RATE,
+            "min_rate": MIN_RATE,
+            "generation": "arpd.generation",
+        }
+        parameters = [Parameter(names[key], value=value).to_parameter_msg() for key, value in values.items()]
+        future = self._client.call_async(SetParametersAtomically.Request(parameters=parameters))
+        until_s = time.monotonic() + 10
+        while not future.done() and time.monotonic() < until_s:
+            time.sleep(0.005)
+        return future.result().result
+
+
+@pytest.fixture
+def publisher(ros):
+    return AdaptivePublisher(ros.node("talker"), String, TOPIC, 10)
+
+
+@pytest.fixture
+def configure(ros, publisher):
+    return Setter(ros.node("tuner"), "/talker")
+
+
+@pytest.fixture
+def reader(ros, publisher, eventually):
+    reader = Reader(ros.node("listener"))
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    time.sleep(0.3)
+    return reader
+
+
+def state(publisher):
+    return publisher.state(generation=0)
+
+
+def publish_at(publisher, rate_hz):
+    def work(stopping):
+        number = 0
+        while not stopping.is_set():
+            publisher.publish(String(data=str(number)))
+            number += 1
+            time.sleep(1 / rate_hz)
+
+    return work
+
+
+def test_swap_loses_nothing(publisher, reader, configure, background, eventually):
+    """Twelve swaps of depth and deadline under 200 Hz lose, double and reorder no message."""
+    background(publish_at(publisher, 200))
+    for k in range(12):
+        assert configure(depth=20 + k, deadline=10**9 + k).successful
+        eventually(lambda k=k: state(publisher).depth == 20 + k)
+    swaps = state(publisher).swaps_by_result
+    assert sum(swaps.values()) == 12, swaps
+    assert swaps.get("ok", 0) + swaps.get("reorder_possible", 0) == 12
+    sent = state(publisher).published
+    eventually(lambda: len(reader.received) >= sent)
+    assert reader.received == list(range(len(reader.received)))
+
+
+def test_equal_settings_are_no_swap(publisher, reader, configure):
+    """Setting what is already in force makes no new writer."""
+    assert configure(depth=10, deadline=0).successful
+    time.sleep(0.3)
+    assert not state(publisher).swaps_by_result
+
+
+def test_the_newest_request_wins(publisher, reader, configure, eventually):
+    """Requests that arrive while a swap is under way coalesce to the newest."""
+    for depth in (11, 12, 13, 14):
+        configure(depth=depth)
+    eventually(lambda: state(publisher).depth == 14)
+    assert sum(state(publisher).swaps_by_result.values()) <= 4
+
+
+def test_pacing_conflates_and_counts(publisher, reader, configure, background, eventually):
+    """A paced topic sends its newest sample at the rate set, and every sample is sent, withheld or waiting."""
+    assert configure(rate=5.0).successful
+    background(publish_at(publisher, 100))
+    eventually(lambda: state(publisher).published >= 10)
+    now = state(publisher)
+    assert now.withheld > 5 * now.published
+    assert now.offered == now.published + now.withheld + now.queued
+    assert reader.received == sorted(set(reader.received))
+
+
+def test_queue_overflow_keeps_order(ros, background, eventually):
+    """With overflow ``queue`` the samples leave in order, at most depth of them wait, the oldest give way."""
+    publisher = AdaptivePublisher(ros.node("queued"), String, TOPIC, 5, overflow=Overflow.QUEUE)
+    configure = Setter(ros.node("tuner"), "/queued")
+    assert configure(rate=10.0).successful
+    background(publish_at(publisher, 200))
+    eventually(lambda: state(publisher).published >= 5)
+    now = state(publisher)
+    assert now.queued <= 5
+    assert now.withheld > 0
+
+
+def test_gate_scales_but_keeps_the_floor(ros, publisher, configure, background, eventually):
+    """A closed gate pushes the rate down to the floor and no further; opening it lets the rate return."""
+    assert configure(rate=100.0, min_rate=20.0).successful
+    gate = ros.node("governor").create_publisher(Float64, "/arpd/gate", 1)
+    background(publish_at(publisher, 200))
+
+    def rate_under(value):
+        for _ in range(5):
+            gate.publish(Float64(data=value))
+            time.sleep(0.05)
+        before, since_s = state(publisher).published, time.monotonic()
+        time.sleep(1.0)
+        return (state(publisher).published - before) / (time.monotonic() - since_s)
+
+    eventually(lambda: gate.get_subscription_count() >= 1)
+    closed, opened = rate_under(0.01), rate_under(1.0)
+    assert 0.5 * 20 < closed < 1.5 * 20
+    assert opened > 2 * closed
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"depth": 0}, "outside 1..5000"),
+        ({"depth": 5001}, "outside 1..5000"),
+        ({"depth": "ten"}, "Wrong parameter type"),
+        ({"deadline": -1}, "negative"),
+        ({"rate": -1.0}, "not a rate"),
+        ({"rate": float("nan")}, "not a rate"),
+        ({"rate": 5}, "Wrong parameter type"),
+        ({"min_rate": float("inf")}, "not a floor"),
+    ],
+)
+def test_nonsense_is_refused_with_a_reason(publisher, configure, values, reason):
+    """A bad value is refused with a reason, and nothing else of the same call is applied."""
+    before = publisher.plan
+    result = configure(**{"rate": 7.0, **values})
+    assert not result.successful
+    assert reason in result.reason
+    assert publisher.plan == before
+
+
+def test_an_older_generation_is_refused(publisher, configure):
+    """A late answer of an older plan cannot undo a newer one."""
+    assert configure(depth=20, generation=5).successful
+    result = configure(depth=10, generation=4)
+    assert not result.successful
+    assert "older" in result.reason
+
+
+def test_deadline_is_clamped_to_the_tightest_reader(ros, publisher, configure, background, eventually):
+    """An offered deadline longer than a reader requests is clamped, so that no reader is lost."""
+    assert configure(deadline=100_000_000).successful
+    eventually(lambda: state(publisher).deadline_ns == 100_000_000)
+    demanding = Reader(ros.node("demanding"), QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000_000)))
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    assert configure(deadline=900_000_000, depth=30).successful
+    eventually(lambda: state(publisher).depth == 30)
+    assert state(publisher).deadline_ns == 500_000_000
+    background(publish_at(publisher, 50))
+    eventually(lambda: len(demanding.received) > 5)
+
+
+def test_transient_local_is_paced_but_not_swapped(ros, eventually):
+    """A TRANSIENT_LOCAL topic keeps its writer; the announcement says why."""
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = AdaptivePublisher(ros.node("latched"), String, TOPIC, latched)
+    configure = Setter(ros.node("tuner"), "/latched")
+    assert configure(depth=20, rate=3.0).successful
+    eventually(lambda: "TRANSIENT_LOCAL" in state(publisher).refusal)
+    assert (state(publisher).depth, state(publisher).rate_hz) == (1, 3.0)
+
+
+def test_it_announces_itself(ros, publisher, reader, eventually):
+    """The announcement carries what is really in force, once a second."""
+    seen = []
+    ros.node("watcher").create_subscription(DiagnosticArray, "/arpd/publishers", seen.append, 10)
+    publisher.publish(String(data="0"))
+    eventually(lambda: seen and from_status(seen[-1].status[0]).published == 1)
+    announced = from_status(seen[-1].status[0])
+    assert (announced.node, announced.topic, announced.depth) == ("/talker", TOPIC, 10)
+    assert announced.type_name == "std_msgs/msg/String"
+
+
+def test_two_publishers_of_one_topic_in_one_node_are_refused(publisher):
+    """Two AdaptivePublishers whose parameters would share a name cannot exist in one node."""
+    with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
+        AdaptivePublisher(publisher._node, String, TOPIC, 10)
+
+
+def test_destroy_frees_name_and_writers(publisher, ros):
+    """A destroyed publisher leaves no writer and no parameter behind."""
+    node = publisher._node
+    publisher.destroy()
+    assert not node.has_parameter(DEPTH)
+    assert not node.get_publishers_info_by_topic(TOPIC)
+    AdaptivePublisher(node, String, TOPIC, 10).destroy()
+
+
+def test_wrong_type_is_refused(publisher):
+    """Publishing another type raises TypeError, as rclpy does."""
+    with pytest.raises(TypeError):
+        publisher.publish(Float64())
