@@ -15,6 +15,7 @@ class TopicResult:
 
     Parameters
     ----------
+    expected : samples the application would have published had the middleware never blocked it
     offered : samples the application published
     withheld : samples pacing chose not to send; never called loss
     sent : samples written to the link
@@ -40,6 +41,12 @@ class TopicResult:
     latency_max_s: float | None
     age_p50_s: float | None
     age_p99_s: float | None
+    expected: int = 0
+
+    @property
+    def stalled_ratio(self) -> float:
+        """Share of its samples the application never published because ``publish()`` held it back."""
+        return max(0.0, 1 - self.offered / self.expected) if self.expected else 0.0
 
     @property
     def lost(self) -> int:

@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from arpd import AdaptivePublisher
-from scripts.robot.sensors import COMMAND_TOPIC, RATES_HZ, RCLPY_DEPTH, SENSORS
+from scripts.robot.sensors import COMMAND_TOPIC, RCLPY_DEPTH, SENSORS
 from scripts.robot.stamped import Arrivals
 
 COMMAND_RATE_HZ = 20.0
@@ -30,12 +30,11 @@ class Planner(Node):
 
     def __init__(self, prefix: str, *, is_adaptive: bool) -> None:
         super().__init__("planner")
-        self.arrivals = {topic: Arrivals() for topic in RATES_HZ}
+        self.arrivals = {topic: Arrivals() for topic in SENSORS}
         self.offered = 0
         self.is_publishing = False
-        for group in SENSORS.values():
-            for topic, _, make in group:
-                self._subscribe(prefix + topic, type(make()), self.arrivals[topic])
+        for topic, (_, make) in SENSORS.items():
+            self._subscribe(prefix + topic, type(make()), self.arrivals[topic])
         self.commands: Any
         if is_adaptive:
             self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)

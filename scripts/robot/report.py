@@ -65,9 +65,27 @@ def final_table(pairs: Sequence[Pair]) -> Table:
     """Both runs side by side, per topic and in all."""
     table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10)  │  arpd", title_justify="left", pad_edge=False)
     table.add_column("topic", no_wrap=True)
-    for heading in ("source\nHz", "lat p50\nms", "lat p99\nms", "loss\n%", "age p50\nms", "age p99\nms", "MB"):
+    for heading in (
+        "source\nHz",
+        "stalled\n%",
+        "lat p50\nms",
+        "lat p99\nms",
+        "loss\n%",
+        "age p50\nms",
+        "age p99\nms",
+        "MB",
+    ):
         table.add_column(heading, justify="right", no_wrap=True)
-    for heading in ("│lat p50\nms", "lat p99\nms", "loss\n%", "withheld\n%", "age p50\nms", "age p99\nms", "MB"):
+    for heading in (
+        "│stalled\n%",
+        "lat p50\nms",
+        "lat p99\nms",
+        "loss\n%",
+        "withheld\n%",
+        "age p50\nms",
+        "age p99\nms",
+        "MB",
+    ):
         table.add_column(heading, justify="right", no_wrap=True)
     for pair in sorted(pairs, key=lambda pair: -pair.without.delivered_bytes):
         style = "bold" if pair.is_overloaded else ""
@@ -171,7 +189,12 @@ def _managed_cells(result: TopicResult) -> list[str]:
 
 
 def _latency_cells(result: TopicResult) -> list[str]:
-    return [_ms(result.latency_p50_s), _ms(result.latency_p99_s), f"{result.loss_ratio * 100:.2f}"]
+    return [
+        f"{result.stalled_ratio * 100:.1f}",
+        _ms(result.latency_p50_s),
+        _ms(result.latency_p99_s),
+        f"{result.loss_ratio * 100:.2f}",
+    ]
 
 
 def _age_cells(result: TopicResult) -> list[str]:
@@ -185,11 +208,21 @@ def _total_cells(results: Sequence[TopicResult]) -> list[str]:
     worst_age = max((result.age_p99_s or math.inf for result in results), default=0.0)
     total = sum(result.delivered_bytes for result in results) / 1e6
     loss = lost / sent if sent else 0.0
-    return ["", "", f"≤{worst_latency * 1e3:.0f}", f"{loss * 100:.2f}", "", f"≤{worst_age * 1e3:.0f}", f"{total:.2f}"]
+    stalled = 1 - sum(result.offered for result in results) / max(1, sum(result.expected for result in results))
+    return [
+        "",
+        f"{max(0.0, stalled) * 100:.1f}",
+        "",
+        f"≤{worst_latency * 1e3:.0f}",
+        f"{loss * 100:.2f}",
+        "",
+        f"≤{worst_age * 1e3:.0f}",
+        f"{total:.2f}",
+    ]
 
 
 def _total_managed(results: Sequence[TopicResult]) -> list[str]:
     offered = sum(result.offered for result in results)
     withheld = sum(result.withheld for result in results)
-    _, p50, p99, loss, *ages = _total_cells(results)
-    return [p50, p99, loss, f"{withheld / offered * 100 if offered else 0.0:.1f}", *ages]
+    _, stalled, p50, p99, loss, *ages = _total_cells(results)
+    return [stalled, p50, p99, loss, f"{withheld / offered * 100 if offered else 0.0:.1f}", *ages]

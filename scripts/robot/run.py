@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 from arpd.errors import ArpdError
 from arpd.ros.runtime import FASTDDS_PROFILE
 from arpd.sim.result import TopicResult
+from scripts.robot.planner import COMMAND_RATE_HZ
 from scripts.robot.proxy import window
+from scripts.robot.sensors import BASE_DRIVER, COMMAND_TOPIC, SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,8 +34,6 @@ REPO = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("arpd.yaml")
 PREFIX = "/link"
 HTTP_PORT = 9464
-COMMAND_TOPIC = "/cmd_vel"
-_SOURCES = ("perception", "base", "planner")
 _START_S = 40.0
 _DRAIN_S = 4.0  # several heartbeats of rclpy's default writer, so that late samples still count as delivered
 _TICK_S = 0.5
@@ -136,9 +136,10 @@ def robot(link: SimLink, workdir: Path, *, is_managed: bool, listen_port: int = 
             side.start("run", "robot", "arpd", "run", "--config", str(CONFIG))
             side.start("relay", "robot", "arpd", "relay", "--config", str(CONFIG))
             side.url = stack.enter_context(window(link.robot, HTTP_PORT, listen_port=listen_port))
-        for group in ("perception", "base"):
-            side.start(group, "robot", "scripts.robot.sensors", group, str(workdir / f"{group}.json"))
-        for name in ("planner", "perception", "base"):
+        for topic in (*SENSORS, BASE_DRIVER):
+            name = _process_name(topic)
+            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"))
+        for name in _sources():
             side.await_ready(name)
         _await_discovery(side)
         yield side
@@ -155,14 +156,14 @@ def run(
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
     play(side, schedule.rate_at, duration_s, on_tick=on_tick)
-    side.signal(signal.SIGUSR2, *_SOURCES)
+    side.signal(signal.SIGUSR2, *_sources())
     time.sleep(_DRAIN_S)
     final = side.status() if side.is_managed else None
     if side.is_managed and final is None:
         raise DemoError(f"arpd does not answer at {side.url}; see {side.workdir / 'run.log'}")
-    side.stop(*_SOURCES)
+    side.stop(*_sources())
     crossed = sum(counters.rx_bytes for counters in side.link.counters().values()) - before
-    results = _results(side, final)
+    results = _results(side, final, duration_s)
     delivered = sum(result.delivered_bytes for result in results)
     if crossed < delivered:
         raise DemoError(f"only {crossed} bytes crossed the link for {delivered} delivered: the link was bypassed")
@@ -171,7 +172,7 @@ def run(
 
 def play(side: Side, rate_at: Callable[[float], float], duration_s: float, *, on_tick: Callable[[float], None]) -> None:
     """Let every source publish while the link follows ``rate_at``; they go on publishing afterwards."""
-    side.signal(signal.SIGUSR1, *_SOURCES)
+    side.signal(signal.SIGUSR1, *_sources())
     started_s = time.monotonic()
     while (elapsed_s := time.monotonic() - started_s) < duration_s:
         rate = rate_at(elapsed_s)
@@ -207,8 +208,8 @@ def _check_alive(side: Side) -> None:
             raise DemoError(f"{name} ended with code {process.returncode}; see {side.workdir / (name + '.log')}")
 
 
-def _results(side: Side, status: dict[str, Any] | None) -> list[TopicResult]:
-    files = [json.loads((side.workdir / f"{name}.json").read_text()) for name in ("perception", "base", "planner")]
+def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> list[TopicResult]:
+    files = [json.loads((side.workdir / f"{name}.json").read_text()) for name in _sources()]
     offered = {topic: count for file in files for topic, count in file["offered"].items()}
     received = {topic: summary for file in files for topic, summary in file.get("received", {}).items()}
     by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}
@@ -219,6 +220,7 @@ def _results(side: Side, status: dict[str, Any] | None) -> list[TopicResult]:
             TopicResult(
                 topic=topic,
                 source_rate_hz=_rate_hz(topic),
+                expected=round(_rate_hz(topic) * duration_s),
                 offered=offered[topic],
                 withheld=managed["withheld"] if managed else 0,
                 sent=managed["published"] if managed else offered[topic],
@@ -229,11 +231,15 @@ def _results(side: Side, status: dict[str, Any] | None) -> list[TopicResult]:
 
 
 def _rate_hz(topic: str) -> float:
-    # Imported late: sensors.py imports ROS, and this module must not need it before the environment is set.
-    from scripts.robot.planner import COMMAND_RATE_HZ
-    from scripts.robot.sensors import RATES_HZ
+    return COMMAND_RATE_HZ if topic == COMMAND_TOPIC else SENSORS[topic][0]
 
-    return RATES_HZ.get(topic, COMMAND_RATE_HZ)
+
+def _process_name(topic: str) -> str:
+    return topic.strip("/").replace("/", "_")
+
+
+def _sources() -> list[str]:
+    return ["planner", *(_process_name(topic) for topic in (*SENSORS, BASE_DRIVER))]
 
 
 def _end(side: Side) -> None:

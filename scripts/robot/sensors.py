@@ -1,9 +1,9 @@
 """The robot's sensors: ordinary rclpy nodes that know nothing of arpd.
 
-Usage: python -m scripts.robot.sensors GROUP OUT.json  (GROUP is ``perception`` or ``base``)
+Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json
 
-They publish after a warm-up, as real sensors do; on SIGUSR1 they start, on SIGUSR2 they stop publishing and stay,
-on SIGTERM they write how many samples each topic published and leave.
+Each is a process of its own, as a robot's drivers are: their send buffers are what fills the link's queue. On SIGUSR1
+they start, on SIGUSR2 they stop publishing and stay, on SIGTERM they write how many samples they published and leave.
 """
 
 from __future__ import annotations
@@ -67,25 +67,21 @@ def joint_state() -> JointState:
     )
 
 
-# group → (topic, rate in Hz, message with its realistic size)
-SENSORS: dict[str, list[tuple[str, float, Callable[[], Any]]]] = {
-    "perception": [
-        ("/scan/front", 20.0, laser_scan),
-        ("/scan/rear", 20.0, laser_scan),
-        ("/camera/image/compressed", 30.0, image),
-        ("/points", 10.0, point_cloud),
-    ],
-    "base": [
-        ("/imu", 200.0, Imu),
-        ("/odom", 50.0, Odometry),
-        ("/joint_states", 50.0, joint_state),
-        ("/range/front", 20.0, Range),
-        ("/gps/fix", 5.0, NavSatFix),
-        ("/temperature", 2.0, Temperature),
-        ("/battery", 1.0, BatteryState),
-    ],
+# topic → (rate in Hz, message with its realistic size)
+SENSORS: dict[str, tuple[float, Callable[[], Any]]] = {
+    "/scan/front": (20.0, laser_scan),
+    "/scan/rear": (20.0, laser_scan),
+    "/camera/image/compressed": (30.0, image),
+    "/points": (10.0, point_cloud),
+    "/imu": (200.0, Imu),
+    "/odom": (50.0, Odometry),
+    "/joint_states": (50.0, joint_state),
+    "/range/front": (20.0, Range),
+    "/gps/fix": (5.0, NavSatFix),
+    "/temperature": (2.0, Temperature),
+    "/battery": (1.0, BatteryState),
 }
-RATES_HZ = {topic: rate_hz for group in SENSORS.values() for topic, rate_hz, _ in group}
+BASE_DRIVER = "base_driver"
 
 
 class Sensor(Node):
@@ -110,47 +106,48 @@ class Sensor(Node):
         self._publisher.publish(self._message)
 
 
-class Base(Node):
-    """The base driver: obeys the command topic, and notes how the commands arrive."""
+class BaseDriver(Node):
+    """Obeys the command topic, and notes how the commands arrive."""
 
     def __init__(self) -> None:
-        super().__init__("base_driver")
+        super().__init__(BASE_DRIVER)
         self.commands = Arrivals()
+        self.is_publishing = False  # what the signals call the time in which the run is measured
         self.create_subscription(TwistStamped, COMMAND_TOPIC, self._on_command, RCLPY_DEPTH, raw=True)
-        self.create_timer(0.05, lambda: self.commands.on_age(self._now_s()))
+        self.create_timer(0.05, self._sample_age)
 
-    def _now_s(self) -> float:
-        return float(self.get_clock().now().nanoseconds) * 1e-9
+    def _sample_age(self) -> None:
+        if self.is_publishing:
+            self.commands.on_age(float(self.get_clock().now().nanoseconds) * 1e-9)
 
     def _on_command(self, sample: bytes, info: dict[str, int]) -> None:
         self.commands.on_sample(sample, info["received_timestamp"] * 1e-9)
 
 
 def main() -> None:
-    group, out = sys.argv[1], Path(sys.argv[2])
+    name, out = sys.argv[1], Path(sys.argv[2])
     rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    sensors = [Sensor(topic, rate_hz, make()) for topic, rate_hz, make in SENSORS[group]]
-    base = Base() if group == "base" else None
+    node: Sensor | BaseDriver = (
+        BaseDriver() if name == BASE_DRIVER else Sensor(name, SENSORS[name][0], SENSORS[name][1]())
+    )
     running = True
 
     def on_signal(signum: int, _frame: Any) -> None:
         nonlocal running
         running = running and signum != signal.SIGTERM
-        for sensor in sensors:
-            sensor.is_publishing = signum == signal.SIGUSR1
+        node.is_publishing = signum == signal.SIGUSR1
 
     for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
         signal.signal(signum, on_signal)
     executor = SingleThreadedExecutor()
-    for node in [*sensors, *([base] if base else [])]:
-        executor.add_node(node)
+    executor.add_node(node)
     print("ready", flush=True)
     while running:
         executor.spin_once(timeout_sec=0.1)
-    result: dict[str, Any] = {"offered": {sensor.topic: sensor.offered for sensor in sensors}}
-    if base is not None:
-        result["received"] = {COMMAND_TOPIC: base.commands.summary().as_dict()}
-    out.write_text(json.dumps(result))
+    if isinstance(node, Sensor):
+        out.write_text(json.dumps({"offered": {node.topic: node.offered}}))
+    else:
+        out.write_text(json.dumps({"offered": {}, "received": {COMMAND_TOPIC: node.commands.summary().as_dict()}}))
 
 
 if __name__ == "__main__":

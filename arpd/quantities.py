@@ -1,0 +1,185 @@
+"""Quantities as people write them (`20mbit`, `64MiB`, `500ms`) and the base units the code uses."""
+
+from __future__ import annotations
+
+import math
+import re
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+# The bit units are those of tc(8), decimal. tc's own byte units (`kbps` is kilobytes there) are left out on purpose:
+# everybody reads them as bits.
+_BIT_RATES = {
+    unit: Fraction(scale, 8) for unit, scale in {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9}.items()
+}
+_SIZES = {
+    unit: Fraction(scale)
+    for unit, scale in {
+        "B": 1,
+        "kB": 10**3,
+        "MB": 10**6,
+        "GB": 10**9,
+        "KiB": 2**10,
+        "MiB": 2**20,
+        "GiB": 2**30,
+    }.items()
+}
+_DURATIONS = {
+    "ns": Fraction(1, 10**9),
+    "us": Fraction(1, 10**6),
+    "ms": Fraction(1, 10**3),
+    "s": Fraction(1),
+    "min": Fraction(60),
+    "h": Fraction(3600),
+}
+
+# Exponents of three digits and 40 characters in all: a quantity never costs more memory than its text.
+_QUANTITY = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]{1,3})?|\.[0-9]+)\s*([A-Za-zµμ/]*)\s*", re.ASCII)
+_LONGEST = 40
+
+
+def parse_rate(text: str) -> float:
+    """Read a data rate: `bit`, `kbit`, `mbit`, `gbit` (any case, `/s` allowed), or `B/s`, `kB/s`, `MiB/s` and so on.
+
+    Returns
+    -------
+    The rate (bytes/s).
+
+    Raises
+    ------
+    ValueError
+        If it is not a rate.
+    """
+    number, unit = _split(text, "rate", "20mbit or 125kB/s")
+    if unit.casefold() in {"kbps", "mbps", "gbps", "bps"}:
+        raise ValueError(f"'{unit}' means bits to some and bytes to tc(8); write kbit, mbit, gbit, kB/s or MB/s")
+    bits = unit.casefold().removesuffix("/s")
+    if bits in _BIT_RATES:
+        return _scaled(number, _BIT_RATES[bits])
+    size = _byte_unit(unit.removesuffix("/s"))
+    if unit.endswith("/s") and size in _SIZES:
+        return _scaled(number, _SIZES[size])
+    raise ValueError(_no_such_unit(text, unit, "rate", "20mbit or 125kB/s"))
+
+
+def parse_size(text: str) -> float:
+    """Read an amount of memory or data: `B`, `kB`, `MB`, `GB` (decimal) or `KiB`, `MiB`, `GiB` (binary).
+
+    Returns
+    -------
+    The size (bytes).
+
+    Raises
+    ------
+    ValueError
+        If it is not a size.
+    """
+    number, unit = _split(text, "size", "64MiB or 500kB")
+    if (name := _byte_unit(unit)) in _SIZES:
+        return _scaled(number, _SIZES[name])
+    raise ValueError(_no_such_unit(text, unit, "size", "64MiB or 500kB"))
+
+
+def parse_duration(text: str) -> float:
+    """Read a duration: `ns`, `us`, `ms`, `s`, `min` or `h`.
+
+    Returns
+    -------
+    The duration (s).
+
+    Raises
+    ------
+    ValueError
+        If it is not a duration.
+    """
+    number, unit = _split(text, "duration", "500ms or 2s")
+    if (name := re.sub("[µμ]s", "us", unit)) in _DURATIONS:
+        return _scaled(number, _DURATIONS[name])
+    raise ValueError(_no_such_unit(text, unit, "duration", "500ms or 2s"))
+
+
+def spell_rate(bytes_per_second: float) -> str:
+    """Write a rate (bytes/s) so that `parse_rate` reads exactly the same number."""
+    return _spell(bytes_per_second, _BIT_RATES)
+
+
+def spell_size(size_bytes: float) -> str:
+    """Write a size (bytes) so that `parse_size` reads exactly the same number."""
+    return _spell(size_bytes, _SIZES)
+
+
+def spell_duration(seconds: float) -> str:
+    """Write a duration (s) so that `parse_duration` reads exactly the same number."""
+    return _spell(seconds, _DURATIONS)
+
+
+def format_rate(bytes_per_second: float) -> str:
+    """Write a rate (bytes/s) for a reader: `5.00 Mbit/s`."""
+    return _format(bytes_per_second, {"Gbit/s": 1e9 / 8, "Mbit/s": 1e6 / 8, "kbit/s": 1e3 / 8, "bit/s": 1 / 8})
+
+
+def format_size(size_bytes: float) -> str:
+    """Write a size (bytes) for a reader: `64.0 MiB`."""
+    return _format(size_bytes, {"GiB": 2.0**30, "MiB": 2.0**20, "KiB": 2.0**10, "B": 1.0})
+
+
+def format_duration(seconds: float) -> str:
+    """Write a duration (s) for a reader: `12.5 ms`."""
+    return _format(seconds, {"h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
+
+
+def _split(text: str, what: str, example: str) -> tuple[str, str]:
+    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is None:
+        raise ValueError(f"{_quoted(text)} is not a {what}; write it like {example}")
+    return match[1], match[2]
+
+
+def _scaled(number: str, scale: Fraction) -> float:
+    """Multiply exactly and round once, so that `1.1ms` is the float nearest to 0.0011."""
+    try:
+        return float(Fraction(number) * scale)
+    except OverflowError:
+        raise ValueError(f"{_quoted(number)} is too large; write a smaller number") from None
+
+
+def _byte_unit(unit: str) -> str:
+    """Admit `KB` for `kB`; every other case is kept, for `Mb` may mean megabits."""
+    return "kB" if unit == "KB" else unit
+
+
+def _no_such_unit(text: str, unit: str, what: str, example: str) -> str:
+    if not unit:
+        return f"{_quoted(text)} has no unit; write a {what} like {example}"
+    return f"'{unit[:_LONGEST]}' is not a unit of a {what}; write it like {example}"
+
+
+def _quoted(text: str) -> str:
+    shown = ascii(text)
+    return shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 1]}…'"
+
+
+def _spell(value: float, units: Mapping[str, Fraction]) -> str:
+    """Take the unit with the shortest number among those that give the value back exactly."""
+    spellings = [
+        f"{number}{unit}"
+        for unit, scale in units.items()
+        for number in (f"{value / float(scale):g}", f"{value / float(scale)!r}")
+        if _scaled(number, scale) == value
+    ]
+    return min(spellings, key=len)
+
+
+def _format(value: float, units: Mapping[str, float]) -> str:
+    if not math.isfinite(value):
+        return "unlimited" if value > 0 else "unknown"
+    smallest = list(units)[-1]
+    # A hair below the unit still rounds up to it: 999.9999 kbit/s reads better as 1.00 Mbit/s.
+    unit = next((unit for unit, scale in units.items() if abs(value) >= scale * 0.99995), smallest)
+    number = value / units[unit]
+    if number == 0:
+        return f"0 {unit}"
+    return f"{number:.{max(0, 2 - max(0, math.floor(math.log10(abs(number) * 1.000001))))}f} {unit}"
