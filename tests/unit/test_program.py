@@ -1,0 +1,381 @@
+"""The per-topic program: (G1), (G2), degradation and rounding."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from fractions import Fraction
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.model import AllocationStatus, Binding, Topic
+from arpd.paper import Eq4Problem, solve_eq4
+from arpd.program import Program
+from arpd.rounding import rate_of, rational, shorten, stretch
+from arpd.settings import Backend, ProgramSettings
+from arpd.solvers import CheckedSolver, Solved
+
+AMPLE = 1e12  # bytes of memory that bind nothing
+
+
+def topic(name="/t", **fields):
+    return Topic(
+        **{"name": name, "wire_bytes": 1000.0, "packets": 1, "desired_rate_hz": 50.0, "min_rate_hz": 1.0, **fields}
+    )
+
+
+def program(backend=Backend.EXACT, **fields):
+    return Program(**{"settings": ProgramSettings(backend=backend), "headroom": 0.85, **fields})
+
+
+@st.composite
+def demands(draw, max_topics=10):
+    count = draw(st.integers(1, max_topics))
+    return [
+        topic(
+            f"/t{i}",
+            wire_bytes=draw(st.floats(60.0, 100_000.0)),
+            packets=draw(st.integers(1, 70)),
+            desired_rate_hz=draw(st.one_of(st.just(math.inf), st.integers(0, 100), st.floats(0.1, 100.0))),
+            min_rate_hz=draw(st.one_of(st.just(0.0), st.floats(0.1, 20.0))),
+            weight=draw(st.sampled_from([0.5, 1.0, 2.0, 5.0])),
+            min_depth=draw(st.integers(1, 10)),
+            max_depth=draw(st.integers(10, 5000)),
+            latency_budget_s=draw(st.one_of(st.none(), st.floats(0.01, 2.0))),
+            slot_bytes=draw(st.floats(0.0, 1e6)),
+        )
+        for i in range(count)
+    ]
+
+
+capacities = st.floats(1e3, 1e8)
+memories = st.floats(0.0, 1e9)
+
+
+def cost(row, capacity, overhead=0.0):
+    return row.packets * rational(overhead) + rational(row.wire_bytes) / rational(capacity)
+
+
+def link_time(topics, allocation, capacity, overhead=0.0):
+    return sum(
+        cost(row, capacity, overhead) * rate_of(answer.deadline_ns)
+        for row, answer in zip(topics, allocation.topics, strict=True)
+    )
+
+
+@pytest.mark.parametrize("backend", Backend)
+@pytest.mark.parametrize("max_rate_hz", [100, 200, 500, 1000, 108, 120])
+def test_identical_topics_are_the_paper(backend, max_rate_hz):
+    """Identical topics, no headroom and Rmin as reserve give Eq. (4): Table 2, and where R* is whole."""
+    topics = [topic(f"/t{i}", desired_rate_hz=math.inf) for i in range(12)]
+    solver = program(backend, headroom=1.0, rate_reserve=1.0)
+    allocation = solver.solve(1000.0 * max_rate_hz, topics, AMPLE)
+    paper = solve_eq4(Eq4Problem(max_rate_hz=max_rate_hz, topics=12))
+    assert allocation.status is AllocationStatus.OPTIMAL
+    assert (allocation.backend, solver.disagreements) == (backend, 0)
+    for row in allocation.topics:
+        assert row.rate_hz == pytest.approx(paper.rate_hz, rel=1e-6)
+        assert row.depth == pytest.approx(paper.depth, rel=1e-6)
+        assert (row.deadline_ns, row.depth_applied) == (paper.deadline_ns, paper.depth_applied)
+        assert math.floor(row.rate_hz) == paper.rate_hz_floor
+        assert row.max_rate_hz == max_rate_hz
+
+
+@settings(deadline=None, max_examples=200)
+@given(topics=demands(), capacity=capacities, memory=memories, overhead=st.sampled_from([0.0, 1e-4]))
+def test_applied_values_are_feasible(topics, capacity, memory, overhead):
+    """Periods keep the headroom, depths keep memory, caps and bounds, all in exact arithmetic."""
+    allocation = program(packet_overhead_s=overhead).solve(capacity, topics, memory)
+    assert link_time(topics, allocation, capacity, overhead) <= Fraction(85, 100)
+    assert [row.name for row in allocation.topics] == [row.name for row in topics]
+    held = sum(
+        rational(row.slot_bytes) * answer.depth_applied for row, answer in zip(topics, allocation.topics, strict=True)
+    )
+    assert held <= rational(memory) or "depth floor" in allocation.degradation or "memory" in allocation.degradation
+    for row, answer in zip(topics, allocation.topics, strict=True):
+        assert 1 <= answer.depth_applied <= row.max_depth
+        if "memory" not in allocation.degradation and "depth" not in allocation.degradation:
+            assert answer.depth_applied >= row.min_depth
+        window = row.max_depth * cost(row, capacity, overhead)
+        if row.latency_budget_s is not None:
+            window = min(window, rational(row.latency_budget_s))
+        cap = window * rate_of(answer.deadline_ns) - row.min_depth
+        assert answer.depth_applied <= max(cap, row.min_depth)
+
+
+@settings(deadline=None, max_examples=200)
+@given(topics=demands(), capacity=capacities)
+def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
+    """Every topic gets its floor when all floors fit below the headroom, and the answer is degraded when not."""
+    allocation = program().solve(capacity, topics, AMPLE)
+    floors = [min(row.min_rate_hz, row.desired_rate_hz or math.inf) for row in topics]
+    needed = sum(cost(row, capacity) * rational(floor) for row, floor in zip(topics, floors, strict=True))
+    assert (allocation.status is AllocationStatus.OPTIMAL) == (needed <= Fraction(85, 100))
+    if needed <= Fraction(85, 100):
+        for answer, floor in zip(allocation.topics, floors, strict=True):
+            assert answer.rate_hz >= floor * (1 - 1e-9)
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    topics=demands(),
+    capacity=capacities,
+    growth=st.floats(1.0, 5.0),
+    overhead=st.sampled_from([0.0, 1e-4]),
+    reserve=st.sampled_from([0.0, 1.0]),
+)
+def test_rates_grow_with_capacity(topics, capacity, growth, overhead, reserve):
+    """No topic's rate falls when the capacity rises, degraded or not."""
+    solver = program(packet_overhead_s=overhead, rate_reserve=reserve)
+    before = solver.solve(capacity, topics, AMPLE)
+    after = solver.solve(capacity * growth, topics, AMPLE)
+    for low, high in zip(before.topics, after.topics, strict=True):
+        assert high.rate_hz >= low.rate_hz * (1 - 1e-7)
+
+
+@settings(deadline=None, max_examples=100)
+@given(topics=demands(), capacity=capacities, memory=memories, seed=st.integers(0, 2**32))
+def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, seed):
+    """Permuting the topics permutes every real-valued answer of the exact back end, bit for bit."""
+    order = random.Random(seed).sample(range(len(topics)), len(topics))
+    straight = program().solve(capacity, topics, memory)
+    shuffled = program().solve(capacity, [topics[i] for i in order], memory)
+    for answer, index in zip(shuffled.topics, order, strict=True):
+        other = straight.topics[index]
+        assert (answer.rate_hz, answer.share, answer.depth) == (other.rate_hz, other.share, other.depth)
+        assert (answer.binding, answer.depth_binding) == (other.binding, other.depth_binding)
+
+
+@settings(deadline=None, max_examples=120)
+@given(topics=demands(), capacity=capacities, memory=memories)
+def test_osqp_plans_what_exact_plans(topics, capacity, memory):
+    """OSQP and exact give shares within 1e-6 of each other, and both keep the headroom."""
+    exact = program(Backend.EXACT).solve(capacity, topics, memory)
+    osqp = program(Backend.OSQP).solve(capacity, topics, memory)
+    for one, other in zip(exact.topics, osqp.topics, strict=True):
+        assert one.share == pytest.approx(other.share, abs=1e-6)
+    assert link_time(topics, osqp, capacity) <= Fraction(85, 100)
+    assert exact.status is osqp.status
+
+
+def test_same_inputs_plan_the_same_qos():
+    """A program that solved other problems plans exactly what a fresh one does."""
+    topics = [topic(f"/t{i}", wire_bytes=500.0 + 100 * i, weight=1.0 + i % 3) for i in range(8)]
+    used = program(Backend.OSQP)
+    for capacity in (1e5, 2e5, 4e5, 1e4, 2e5):
+        assert used.solve(capacity, topics, AMPLE) == program(Backend.OSQP).solve(capacity, topics, AMPLE)
+
+
+def test_weight_divides_the_link():
+    """A topic of weight 2 gets twice the link time of one with 1."""
+    topics = [topic("/a"), topic("/b", weight=2.0)]
+    light, heavy = program().solve(20_000.0, topics, AMPLE).topics
+    assert heavy.share == pytest.approx(2 * light.share)
+    assert (light.binding, heavy.binding) == (Binding.LINK, Binding.LINK)
+
+
+def test_plenty_gives_every_topic_what_it_wants():
+    """On an ample link the rate is the desired one to the nanosecond, and the wish is what binds."""
+    allocation = program().solve(1e7, [topic(desired_rate_hz=10.0)], AMPLE)
+    (row,) = allocation.topics
+    assert (row.rate_hz, row.deadline_ns, row.binding) == (10.0, 100_000_000, Binding.DESIRED_RATE)
+    assert allocation.binding is Binding.DESIRED_RATE
+    assert allocation.capacity_bytes_per_second == pytest.approx(0.85e7)
+
+
+@pytest.mark.parametrize(
+    ("fields", "memory", "depth", "binding"),
+    [
+        ({}, AMPLE, 24, Binding.LINK),  # 5000 · 10/2000 − 1
+        ({"latency_budget_s": 1.0}, AMPLE, 9, Binding.LATENCY_BUDGET),  # 1.0 · 10 − 1
+        ({"latency_budget_s": 0.05}, AMPLE, 1, Binding.FLOOR),  # 0.05 · 10 − 1 is below Dmin
+        ({"min_depth": 40}, AMPLE, 40, Binding.FLOOR),
+        ({"slot_bytes": 100.0}, 1250.0, 12, Binding.MEMORY),
+    ],
+)
+def test_what_binds_the_depth(fields, memory, depth, binding):
+    """Depth is stopped by the link share, the latency budget, its floor or memory, and says by which."""
+    allocation = program().solve(2e6, [topic(desired_rate_hz=10.0, **fields)], memory)
+    (row,) = allocation.topics
+    assert (row.depth_applied, row.depth_binding) == (depth, binding)
+    assert allocation.status is AllocationStatus.OPTIMAL
+
+
+def test_depth_stops_at_its_maximum():
+    """Without a depth reserve a topic alone on the link may have its whole maximum."""
+    solver = program(headroom=1.0, depth_reserve=0.0)
+    (row,) = solver.solve(1e5, [topic(desired_rate_hz=math.inf, max_depth=100)], AMPLE).topics
+    assert (row.depth_applied, row.depth_binding) == (100, Binding.MAX_DEPTH)
+
+
+@pytest.mark.parametrize("backend", [Backend.EXACT, Backend.OSQP])
+def test_memory_is_divided_by_weight(backend):
+    """When memory is short, its bytes are divided by weight and never overspent."""
+    topics = [topic("/a", slot_bytes=1000.0), topic("/b", slot_bytes=1000.0, weight=3.0)]
+    allocation = program(backend).solve(2e5, topics, 40_000.0)
+    assert [row.depth_applied for row in allocation.topics] == [10, 30]
+    assert allocation.binding is Binding.MEMORY
+
+
+def test_heaviest_suffers_last():
+    """As the link fails, floors give way class by class in ascending weight, and the heaviest is cut last."""
+    topics = [topic(f"/w{w}", weight=w, min_rate_hz=10.0) for w in (1.0, 2.0, 5.0)]
+    solver = program()
+    for capacity in (34_000.0, 30_000.0, 23_000.0, 18_000.0, 11_000.0, 5_000.0, 100.0):
+        allocation = solver.solve(capacity, topics, AMPLE)
+        rates = [row.rate_hz for row in allocation.topics]
+        assert allocation.status is AllocationStatus.DEGRADED
+        for light, heavy in itertools.pairwise(rates):
+            assert light == 0.0 or heavy == 10.0
+        assert math.fsum(rates) == pytest.approx(0.85 * capacity / 1000.0)
+
+
+def test_degradation_is_named_and_counted():
+    """A degraded answer says which floors were cut and paused, pauses with deadline 0, and needs no solver."""
+    topics = [topic("/a", min_rate_hz=10.0), topic("/b", min_rate_hz=10.0, weight=2.0)]
+    solver = program(Backend.OSQP, rate_reserve=1.0)
+    solver._solver._solver.solve = lambda problem: Solved(values=(0.0, 0.0))  # would be the answer if it were asked
+    allocation = solver.solve(10_000.0, topics, AMPLE)
+    paused, kept = allocation.topics
+    assert (paused.rate_hz, paused.deadline_ns, paused.depth_applied) == (0.0, 0, 1)
+    assert (paused.binding, kept.binding) == (Binding.LINK, Binding.LINK)
+    assert kept.rate_hz == 8.5
+    assert allocation.degradation == (
+        "rate reserve given up; rate floor of weight 1 given up; rate floor of weight 2 cut to 85%"
+    )
+    assert solver.outcomes["osqp", "infeasible"] == 1
+
+
+def test_rate_reserve_gives_way_before_a_floor():
+    """Where floors fit but not their reserve, every topic has its floor and the reserve is what was cut."""
+    topics = [topic(f"/t{i}", min_rate_hz=10.0) for i in range(2)]
+    allocation = program(headroom=1.0, rate_reserve=1.0).solve(30_000.0, topics, AMPLE)
+    assert [row.rate_hz for row in allocation.topics] == [10.0, 10.0]
+    assert allocation.degradation == "rate reserve cut to 50%"
+
+
+def test_memory_below_the_depth_floors_degrades():
+    """Depth floors that memory cannot hold shrink by ascending weight, down to one sample and no further."""
+    topics = [topic("/a", min_depth=10), topic("/b", min_depth=10, weight=2.0)]
+    allocation = program().solve(1e6, topics, 12_000.0)
+    assert [row.depth_applied for row in allocation.topics] == [2, 10]
+    assert allocation.status is AllocationStatus.DEGRADED
+    nothing = program().solve(1e6, topics, 0.0)
+    assert [row.depth_applied for row in nothing.topics] == [1, 1]
+    assert "below one sample" in nothing.degradation
+
+
+def test_no_topic_is_empty():
+    """No topic is a defined answer, not an error."""
+    allocation = program().solve(1e6, [], AMPLE)
+    assert (allocation.topics, allocation.status) == ((), AllocationStatus.EMPTY)
+
+
+@pytest.mark.parametrize("backend", [Backend.EXACT, Backend.OSQP])
+def test_no_capacity_pauses_everything(backend):
+    """A link without capacity pauses every topic and keeps its depth floor."""
+    allocation = program(backend).solve(0.0, [topic("/a", min_depth=3), topic("/b")], AMPLE)
+    assert [(row.rate_hz, row.deadline_ns, row.depth_applied) for row in allocation.topics] == [(0, 0, 3), (0, 0, 1)]
+    assert (allocation.status, allocation.binding) == (AllocationStatus.DEGRADED, Binding.LINK)
+
+
+def test_a_wish_below_the_floor_lowers_it():
+    """A source slower than its floor keeps its own period as deadline, which it can meet."""
+    (row,) = program().solve(1e6, [topic(desired_rate_hz=0.5, min_rate_hz=1.0)], AMPLE).topics
+    assert (row.rate_hz, row.deadline_ns, row.binding) == (0.5, 2_000_000_000, Binding.DESIRED_RATE)
+
+
+def test_a_topic_without_a_measured_rate_gets_its_floor():
+    """A desired rate of 0 means nothing measured yet: the floor, not a pause."""
+    (row,) = program().solve(1e6, [topic(desired_rate_hz=0.0, min_rate_hz=2.0)], AMPLE).topics
+    assert row.rate_hz == 2.0
+
+
+def test_a_topic_off_the_link_costs_nothing():
+    """A topic without wire bytes has its wish, or no pacing at all, and leaves the link to the others."""
+    topics = [topic("/local", wire_bytes=0.0), topic("/free", wire_bytes=0.0, desired_rate_hz=math.inf), topic("/far")]
+    local, free, far = program().solve(10_000.0, topics, AMPLE).topics
+    assert (local.rate_hz, local.share) == (50.0, 0.0)
+    assert (free.rate_hz, free.deadline_ns) == (math.inf, 0)
+    assert far.rate_hz == pytest.approx(8.5)
+
+
+def test_a_disagreeing_back_end_does_not_reach_the_plan():
+    """A back end that lies is overruled, counted, and the allocation says that exact answered."""
+    solver = program()
+
+    class Liar:
+        name = Backend.OSQP
+
+        def solve(self, problem):
+            return Solved(values=problem.lo)
+
+    solver._solver = CheckedSolver(Liar())
+    allocation = solver.solve(10_000.0, [topic()], AMPLE)
+    assert allocation.topics[0].rate_hz == pytest.approx(8.5)
+    assert allocation.backend is Backend.EXACT
+    assert solver.disagreements > 0
+
+
+def test_a_solve_is_timed_by_the_given_clock():
+    """``solve_s`` is the difference of two readings of the injected clock."""
+    readings = iter([10.0, 10.25])
+    assert program(clock=lambda: next(readings)).solve(1e6, [topic()], AMPLE).solve_s == 0.25
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"weight": 0.0},
+        {"wire_bytes": math.nan},
+        {"min_rate_hz": -1.0},
+        {"desired_rate_hz": math.nan},
+        {"min_depth": 0},
+        {"min_depth": 10, "max_depth": 5},
+        {"latency_budget_s": math.inf},
+    ],
+)
+@pytest.mark.parametrize("capacity", [0.0, 1e6])
+def test_a_row_of_nonsense_is_refused_by_name(fields, capacity):
+    """A row the program cannot use raises an error that names the topic."""
+    with pytest.raises(ValueError, match="/odd"):
+        program().solve(capacity, [topic("/odd", **fields)], AMPLE)
+
+
+@pytest.mark.parametrize("capacity", [-1.0, math.nan, math.inf])
+def test_capacity_must_be_a_number(capacity):
+    """A capacity that is no finite number is refused."""
+    with pytest.raises(ValueError, match="capacity"):
+        program().solve(capacity, [topic()], AMPLE)
+
+
+@pytest.mark.parametrize("fields", [{"headroom": 0.0}, {"headroom": 1.5}, {"rate_reserve": -1.0}])
+def test_a_program_of_nonsense_is_refused(fields):
+    """Headroom and reserves outside their range are refused when the program is made."""
+    with pytest.raises(ValueError):
+        program(**fields)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    rows=st.lists(st.tuples(st.integers(0, 10**10), st.integers(1, 10**6)), min_size=1, max_size=20),
+    tightness=st.integers(1, 2000),
+)
+def test_stretched_periods_keep_any_budget(rows, tightness):
+    """Stretching ends inside the budget, however far outside it the periods start, and shortens none."""
+    periods = [period for period, _ in rows]
+    costs = [Fraction(micros, 10**6) for _, micros in rows]
+    budget = Fraction(tightness, 1000)
+    stretched = stretch(periods, costs=costs, budget=budget, preferred=[False] * len(rows))
+    assert sum(c * rate_of(p) for c, p in zip(costs, stretched, strict=True)) <= budget
+    assert all(after >= before for before, after in zip(periods, stretched, strict=True))
+
+
+def test_shortened_depths_keep_memory_or_one_sample():
+    """Shortening takes samples from what memory already holds back, and never the last one."""
+    slots = [Fraction(10), Fraction(10)]
+    assert shorten([5, 5], slots=slots, budget=Fraction(80), preferred=[True, False]) == [3, 5]
+    assert shorten([5, 5], slots=slots, budget=Fraction(1), preferred=[True, False]) == [1, 1]

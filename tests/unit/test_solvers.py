@@ -1,0 +1,258 @@
+"""The share problem: water-filling, the back ends and the judge between them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+import subprocess
+import sys
+from fractions import Fraction
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.settings import Backend
+from arpd.solvers import CheckedSolver, Infeasible, ShareProblem, Solved, SolverFailed, load
+from arpd.solvers.exact import water_fill
+from arpd.solvers.osqp_ import OsqpSolver
+from arpd.solvers.outcome import checked, disagreement, residual, settle
+
+
+@st.composite
+def share_problems(draw, max_topics=12):
+    rows = draw(
+        st.lists(
+            st.tuples(st.floats(0.2, 20.0), st.floats(1e-6, 1.0), st.floats(0.0, 1.0)),
+            min_size=1,
+            max_size=max_topics,
+        )
+    )
+    budget = draw(st.floats(0.05, 1.0))
+    hi = [high for _, high, _ in rows]
+    lo = [high * part for _, high, part in rows]
+    total = math.fsum(lo)
+    if total > budget:
+        lo = [low * 0.9 * budget / total for low in lo]
+    return ShareProblem(weights=tuple(w for w, _, _ in rows), lo=tuple(lo), hi=tuple(hi), budget=budget)
+
+
+def permuted(problem, order):
+    return ShareProblem(
+        weights=tuple(problem.weights[i] for i in order),
+        lo=tuple(problem.lo[i] for i in order),
+        hi=tuple(problem.hi[i] for i in order),
+        budget=problem.budget,
+    )
+
+
+def simple(**fields):
+    return ShareProblem(**{"weights": (1.0, 1.0), "lo": (0.1, 0.1), "hi": (0.9, 0.9), "budget": 0.8, **fields})
+
+
+def answer(backend, problem):
+    outcome = load(backend).solve(problem)
+    assert isinstance(outcome, Solved)
+    return outcome.values
+
+
+class Liar:
+    """A back end that returns what it was told to."""
+
+    name = Backend.OSQP
+
+    def __init__(self, outcome):
+        self.outcome = outcome
+
+    def solve(self, problem):
+        return self.outcome
+
+
+@settings(deadline=None, max_examples=300)
+@given(problem=share_problems(max_topics=40))
+def test_water_fill_keeps_bounds_and_budget(problem):
+    """Water-filling never leaves a bound, and spends the whole budget unless every topic has all it wants."""
+    shares = water_fill(problem)
+    assert all(lo <= e <= hi for lo, e, hi in zip(problem.lo, shares, problem.hi, strict=True))
+    spent = math.fsum(shares)
+    assert spent == pytest.approx(min(problem.budget, math.fsum(problem.hi)), rel=1e-12, abs=1e-15)
+
+
+@settings(deadline=None, max_examples=200)
+@given(problem=share_problems())
+def test_water_fill_is_one_level_for_all(problem):
+    """Topics between their bounds share one level e/w; those at the floor are above it, those at the top below."""
+    shares = water_fill(problem)
+    rows = list(zip(shares, problem.weights, problem.lo, problem.hi, strict=True))
+    rising = [e / w for e, w, lo, hi in rows if e < hi]  # could take more: level not above anyone's who could give
+    giving = [e / w for e, w, lo, hi in rows if e > lo]
+    if rising and giving:
+        assert min(rising) >= max(giving) * (1 - 1e-9)
+
+
+@settings(deadline=None, max_examples=200)
+@given(problem=share_problems(), seed=st.integers(0, 2**32))
+def test_exact_is_permutation_invariant(problem, seed):
+    """Permuting the topics permutes the exact answer, bit for bit."""
+    order = list(range(len(problem.lo)))
+    random.Random(seed).shuffle(order)
+    straight = answer(Backend.EXACT, problem)
+    assert answer(Backend.EXACT, permuted(problem, order)) == tuple(straight[i] for i in order)
+
+
+@settings(deadline=None, max_examples=250)
+@given(problem=share_problems())
+def test_osqp_is_right_or_says_that_it_failed(problem):
+    """Whatever OSQP calls solved is within 1e-6 of water-filling in every share; it never cries infeasible."""
+    outcome = load(Backend.OSQP).solve(problem)
+    assert not isinstance(outcome, Infeasible)
+    if isinstance(outcome, Solved):
+        reference = water_fill(problem)
+        assert max(abs(a - b) for a, b in zip(outcome.values, reference, strict=True)) <= 1e-6
+
+
+def test_osqp_solves_ordinary_problems():
+    """OSQP itself solves and agrees on every one of 300 random problems with shares over four decades."""
+    rng = random.Random(1)
+    solver = CheckedSolver(load(Backend.OSQP))
+    for _ in range(300):
+        count = rng.randint(1, 30)
+        hi = [10 ** rng.uniform(-4, 0) for _ in range(count)]
+        lo = [high * rng.uniform(0.0, 0.3) for high in hi]
+        budget = rng.choice([0.5, 0.85, 1.0])
+        scale = min(1.0, 0.9 * budget / math.fsum(lo))
+        solver.solve(
+            ShareProblem(
+                weights=tuple(10 ** rng.uniform(-1, 1) for _ in range(count)),
+                lo=tuple(low * scale for low in lo),
+                hi=tuple(hi),
+                budget=budget,
+            )
+        )
+    assert solver.outcomes == {("osqp", "solved"): 300}
+    assert solver.disagreements == 0
+
+
+def test_cvxpy_agrees_with_exact():
+    """Cvxpy agrees with water-filling on a spread of sizes, floors and weights."""
+    rng = random.Random(3)
+    solver = load(Backend.CVXPY)
+    for count in (1, 2, 5, 12, 12, 30):
+        weights = tuple(rng.choice([1.0, 2.0, 5.0]) for _ in range(count))
+        hi = tuple(rng.uniform(0.001, 0.5) for _ in range(count))
+        problem = ShareProblem(weights=weights, lo=tuple(h * 0.1 for h in hi), hi=hi, budget=0.1 + math.fsum(hi) / 4)
+        outcome = solver.solve(problem)
+        assert isinstance(outcome, Solved)
+        assert not disagreement(outcome.values, water_fill(problem))
+
+
+@pytest.mark.parametrize("backend", [Backend.OSQP, Backend.CVXPY])
+def test_an_answer_does_not_depend_on_the_ones_before(backend):
+    """A back end that solved other problems answers as a fresh one does, bit for bit."""
+    used = load(backend)
+    problems = [simple(budget=b, lo=(0.0, x)) for b, x in itertools.product((0.3, 0.5, 0.8), (0.0, 0.05, 0.2))]
+    for problem in problems:
+        assert used.solve(problem) == load(backend).solve(problem)
+
+
+def test_osqp_keeps_its_factorisation_while_the_weights_stay():
+    """New bounds and budgets update the workspace; new weights build another."""
+    solver = OsqpSolver()
+    solver.solve(simple())
+    first = solver._workspace
+    solver.solve(simple(budget=0.5, lo=(0.0, 0.2)))
+    assert solver._workspace is first
+    solver.solve(simple(weights=(1.0, 3.0)))
+    assert solver._workspace is not first
+
+
+def test_osqp_writes_nothing(capfd):
+    """OSQP writes nothing to stdout, which belongs to ``--json``, not even where no constraint shapes the optimum."""
+    for hi in (1.0, 0.5, 0.1):
+        load(Backend.OSQP).solve(simple(weights=(1.0,), lo=(0.0,), hi=(hi,), budget=1.0))
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("backend", Backend)
+def test_infeasible_floors(backend):
+    """Floors above the budget are Infeasible with every back end."""
+    assert isinstance(load(backend).solve(simple(budget=0.1)), Infeasible)
+
+
+@pytest.mark.parametrize("backend", Backend)
+def test_floors_that_fill_the_budget(backend):
+    """Floors that fill the budget exactly are the answer."""
+    outcome = load(backend).solve(simple(budget=0.2))
+    assert outcome == Solved(values=(0.1, 0.1))
+
+
+@pytest.mark.parametrize("values", [(math.nan, 0.4), (0.5, 0.5), (0.0, 0.4), (0.95, -0.2), (0.4,)], ids=str)
+def test_a_vector_that_breaks_a_constraint_is_a_failure(values):
+    """A vector outside the constraints, or none at all, is never Solved."""
+    assert isinstance(checked(simple(), values, solver="test"), SolverFailed)
+
+
+def test_residual_of_a_good_vector_is_zero():
+    """A vector inside every constraint has no residual."""
+    assert residual(simple(), (0.4, 0.4)) == 0.0
+
+
+@settings(deadline=None, max_examples=200)
+@given(problem=share_problems(), noise=st.lists(st.floats(-1e-6, 1e-6), min_size=12, max_size=12))
+def test_settled_shares_are_feasible(problem, noise):
+    """Settling a noisy optimum gives shares inside their bounds and the budget."""
+    noisy = [e + d for e, d in zip(water_fill(problem), noise, strict=False)]
+    shares = settle(problem, noisy)
+    assert all(lo - 1e-15 <= e <= hi for lo, e, hi in zip(problem.lo, shares, problem.hi, strict=True))
+    assert sum(map(Fraction, shares)) <= Fraction(problem.budget) * (1 + Fraction(1, 10**14))
+
+
+def test_a_disagreeing_back_end_is_overruled_and_counted():
+    """A feasible answer that is not the optimum is replaced by the exact one and counted as a disagreement."""
+    solver = CheckedSolver(Liar(Solved(values=(0.5, 0.3))))
+    assert solver.solve(simple()) == ((0.4, 0.4), Backend.EXACT)
+    assert solver.disagreements == 1
+    assert solver.outcomes == {("osqp", "solved"): 1, ("exact", "solved"): 1}
+
+
+@pytest.mark.parametrize("outcome", [SolverFailed(reason="test"), Infeasible(reason="test")])
+def test_a_failing_back_end_is_replaced_and_counted(outcome):
+    """A failed back end, or one that calls a feasible problem infeasible, is replaced by the exact answer."""
+    solver = CheckedSolver(Liar(outcome))
+    assert solver.solve(simple()) == ((0.4, 0.4), Backend.EXACT)
+    assert solver.disagreements == 0
+    assert solver.outcomes == {("osqp", outcome.kind): 1, ("exact", "solved"): 1}
+
+
+def test_an_agreeing_back_end_is_published():
+    """The published vector is the back end's own when it agrees."""
+    assert CheckedSolver(Liar(Solved(values=(0.4 + 1e-9, 0.4 - 1e-9)))).solve(simple()) == (
+        (0.4 + 1e-9, 0.4 - 1e-9),
+        Backend.OSQP,
+    )
+
+
+def test_counts_are_copies():
+    """Counts read once do not change under the reader."""
+    solver = CheckedSolver(load(Backend.EXACT))
+    solver.solve(simple())
+    before = solver.outcomes
+    solver.solve(simple())
+    assert before == {("exact", "solved"): 1}
+
+
+def test_a_small_topic_cannot_hide_in_the_absolute_tolerance():
+    """A share of 1e-5 that is 5 % off disagrees although it is only 5e-7 away."""
+    assert disagreement((1.05e-5, 0.5), (1e-5, 0.5))
+
+
+def test_importing_the_program_loads_no_solver_library():
+    """Importing the program loads neither numpy, osqp nor cvxpy, and the OSQP back end does not load cvxpy."""
+    script = (
+        "import sys, arpd.program, arpd.paper\n"
+        "assert not {'osqp', 'cvxpy', 'numpy', 'scipy'} & set(sys.modules)\n"
+        "from arpd.solvers import load; load('osqp')\n"
+        "assert 'osqp' in sys.modules and 'cvxpy' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
