@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
+_LEAST_PAUSE_S = 0.02  # however many reports arrive
 _RESTORE_S = 4.0
 
 
@@ -260,7 +261,10 @@ class Signals:
 
 
 def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Callable[[], Settings]) -> None:
-    """Tick until told to stop; a tick that raises is logged, counted and not repeated in haste."""
+    """Tick until told to stop, when a report wakes the loop or a period has passed, whichever comes first.
+
+    A tick that raises is logged, counted and not repeated in haste.
+    """
     notifier.ready()
     next_s = time.monotonic()
     status = ""
@@ -283,7 +287,8 @@ def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Cal
             if (line := daemon.status_line()) != status:
                 status = line
                 notifier.status(line)
-        next_s = max(next_s + TICK_S, now_s)
+        next_s = now_s + TICK_S
+        time.sleep(_LEAST_PAUSE_S)
         signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
         signals.wakeup.clear()
 
@@ -319,7 +324,7 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
         from arpd.ros.control import RosControl  # noqa: PLC0415
         from arpd.web.service import serving  # noqa: PLC0415
 
-        world = RosControl(node, interface=interface, graph=settings.graph)
+        world = RosControl(node, interface=interface, graph=settings.graph, on_report=signals.wakeup.set)
         daemon = Daemon(world, settings, interface=interface, config_path=str(config_path))
         executor = MultiThreadedExecutor(num_threads=2)
         executor.add_node(node)

@@ -9,6 +9,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from arpd.model import CapacityKind, LinkEstimate, LinkState, ProbeRequest
+from arpd.wire import wire_size
 
 if TYPE_CHECKING:
     from arpd.model import Observation, PeerReport
@@ -21,6 +22,7 @@ class EstimatorTuning:
 
     queue_high_s: float = 0.100
     queue_low_s: float = 0.050
+    burst_cap_s: float = 0.200  # of the allowance for the largest message
     delivery_window_s: float = 0.300
     delay_window_s: float = 10.0
     down_interval_s: float = 0.250
@@ -79,6 +81,7 @@ class Estimator:
         self._deliveries: deque[tuple[float, float, int]] = deque()  # arrival s, interval s, bytes
         self._trains: deque[tuple[float, float]] = deque()  # arrival s, bytes/s
         self._queue_delay_s = 0.0
+        self._burst_s = 0.0  # link time of the largest message, which is no queue
         self._high_reports = 0
         self._next_ping_s = -math.inf
         self._next_train_s = -math.inf
@@ -104,6 +107,8 @@ class Estimator:
             self._started_at_s = now_s
         elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
         self._last_s = now_s
+        largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
+        self._burst_s = min(self._tuning.burst_cap_s, wire_size(largest_bytes)[0] / self._capacity)
         for report in observation.reports:
             self._digest(report)
         silence_s = now_s - self._report_at_s
@@ -125,7 +130,7 @@ class Estimator:
         if now_s >= self._next_ping_s:
             self._next_ping_s = now_s + (t.outage_ping_interval_s if outage else 0.9 * t.ping_interval_s)
             probes.append(ProbeRequest(packets=1, packet_bytes=t.outage_ping_bytes if outage else t.ping_bytes))
-        if not outage and now_s >= self._next_train_s and self._queue_delay_s < t.queue_low_s:
+        if not outage and now_s >= self._next_train_s and self._queue_delay_s < self._queue_low_s:
             size = max(t.train_bytes, t.train_s * self._capacity)
             packets = 1 + math.ceil(size / t.train_packet_bytes)
             probes.append(ProbeRequest(packets=packets, packet_bytes=t.train_packet_bytes))
@@ -150,7 +155,7 @@ class Estimator:
             while now_s - self._delays[0][0] > t.delay_window_s:
                 self._delays.popleft()
             self._queue_delay_s = delay_s - min(delay for _, delay in self._delays)
-            self._high_reports = self._high_reports + 1 if self._queue_delay_s > t.queue_high_s else 0
+            self._high_reports = self._high_reports + 1 if self._queue_delay_s > self._queue_high_s else 0
         for train in report.trains:
             if math.isfinite(train.rate_bytes_per_second):
                 self._trains.append((now_s, train.rate_bytes_per_second))
@@ -179,7 +184,7 @@ class Estimator:
         t = self._tuning
         if self._high_reports >= 2:
             return self._queue_stands(now_s)
-        if self._queue_delay_s > t.queue_low_s:
+        if self._queue_delay_s > self._queue_low_s:
             return LinkState.DRAINING if now_s - self._down_at_s < t.undo_window_s else LinkState.CONGESTED
         recent = [rate for at_s, rate in self._trains if now_s - at_s <= t.train_window_s]
         if self._kind is not CapacityKind.PEER:
@@ -252,6 +257,14 @@ class Estimator:
             self._change(min(ceiling, grown), now_s, "no peer reports; probing upwards slowly")
         return LinkState.APP_LIMITED
 
+    @property
+    def _queue_low_s(self) -> float:
+        return self._tuning.queue_low_s + self._burst_s
+
+    @property
+    def _queue_high_s(self) -> float:
+        return self._tuning.queue_high_s + self._burst_s
+
     # -- results
 
     def _change(self, capacity: float, now_s: float, why: str) -> None:
@@ -275,6 +288,7 @@ class Estimator:
             kind=CapacityKind.CONFIGURED if pinned is not None else self._kind,
             state=self._state,
             queue_delay_s=max(0.0, self._queue_delay_s),
+            queue_allowance_s=self._queue_low_s,
             delivery_rate_bytes_per_second=self._delivery_rate if self._state is not LinkState.OUTAGE else 0.0,
             age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s or now_s),
             evidence="pinned by the configuration" if pinned is not None else self._evidence,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from arpd.settings import Settings
 
 _GATE_CLOSED = 0.01  # floors are all that flows
-_DRAIN_FACTOR = 0.5
+_DRAIN_S = 0.15  # a queue this far above the allowance closes the gate
 _FLAP_S = 15.0
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25
@@ -133,12 +133,14 @@ class Governor:
         self._below_since_s = _since(below, self._below_since_s, now_s)
         self._above_since_s = _since(above, self._above_since_s, now_s)
         self._demand_since_s = _since(moved, self._demand_since_s, now_s)
-        for cause, since_s, dwell_s in (
-            ("down", self._below_since_s, 0.0),
-            ("up", self._above_since_s, self._dwell_s),
-            ("demand", self._demand_since_s, g.dwell_s),
+        # The deeper the fall, the shorter the wait: the gate cuts all topics alike, only a plan knows their weights.
+        depth_of_fall = capacity / (g.down_ratio * level) if below else 1.0
+        for cause, since_s, hold_s, dwell_s in (
+            ("down", self._below_since_s, g.hold_s * depth_of_fall, 0.0),
+            ("up", self._above_since_s, g.hold_s, self._dwell_s),
+            ("demand", self._demand_since_s, g.hold_s, g.dwell_s),
         ):
-            if since_s is not None and now_s - since_s >= g.hold_s:
+            if since_s is not None and now_s - since_s >= hold_s:
                 return (cause, "") if now_s - self._changed_at_s >= dwell_s else ("", "dwell")
         return "", ""
 
@@ -208,9 +210,9 @@ class Governor:
             return 1.0
         usable = self._settings.link.headroom * link.capacity_bytes_per_second
         gate = min(1.0, usable / planned)
-        if link.state is LinkState.DRAINING:
-            gate *= _DRAIN_FACTOR
-        return max(_GATE_CLOSED, gate)
+        # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
+        excess_s = link.queue_delay_s - link.queue_allowance_s
+        return max(_GATE_CLOSED, gate * min(1.0, 1.0 - excess_s / _DRAIN_S))
 
 
 def _since(holds: bool, since_s: float | None, now_s: float) -> float | None:  # noqa: FBT001 - a condition, not a mode

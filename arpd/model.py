@@ -207,6 +207,7 @@ class LinkEstimate:
     kind : how it was made
     state : what the link is doing
     queue_delay_s : one-way delay above its 10 s minimum (s)
+    queue_allowance_s : delay that does not mean a standing queue: one large message passing explains it (s)
     delivery_rate_bytes_per_second : what the peer received over the last 300 ms (bytes/s)
     age_s : time since the evidence behind the capacity (s)
     evidence : the last change, in words
@@ -219,6 +220,7 @@ class LinkEstimate:
     delivery_rate_bytes_per_second: float
     age_s: float
     evidence: str
+    queue_allowance_s: float = 0.05
 
     @property
     def is_app_limited(self) -> bool:

@@ -11,12 +11,16 @@ from arpd.settings import Overflow
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+# A source at exactly its paced rate, early by up to half a period, is not delayed; no window of T seconds ever sees
+# more than rate·T + 1.5 samples.
+_MOST_CREDIT = 1.5
+
 
 class Pacer:
-    """A virtual-scheduling pacer (GCRA, ITU-T I.371 annex A) in front of a bounded queue.
+    """A token bucket in front of a bounded queue.
 
-    A sample may leave when the theoretical time of the next one is at most one period ahead, so that a source
-    that publishes at exactly its rate, with jitter below a period, is never delayed twice.
+    Credit is counted in samples, so that it survives a change of rate as it is: a gate that moves ten times a second
+    must neither release a sample early nor keep an old schedule.
 
     Parameters
     ----------
@@ -34,7 +38,8 @@ class Pacer:
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
-        self._next_s = -math.inf
+        self._credit = _MOST_CREDIT
+        self._at_s = -math.inf
         self._queue: deque[bytes] = deque()
 
     def __len__(self) -> int:
@@ -46,15 +51,10 @@ class Pacer:
         return self._rate_hz
 
     def retune(self, *, rate_hz: float, depth: int, now_s: float) -> None:
-        """Change rate and queue bound at once.
-
-        The next departure is never further away than one new period: a pause or a very low rate that ends must not
-        keep its old schedule.
-        """
+        """Change rate and queue bound at once; credit earned so far stays."""
+        self._earn(now_s)
         self._rate_hz = rate_hz
         self._depth = depth
-        if rate_hz > 0:
-            self._next_s = min(self._next_s, now_s + 1.0 / rate_hz)
         self._shed()
 
     def offer(self, sample: bytes) -> None:
@@ -66,16 +66,16 @@ class Pacer:
         """When the next queued sample may leave (s); ``inf`` when none waits or the topic is paused."""
         if not self._queue or self._rate_hz <= 0:
             return math.inf
-        if math.isinf(self._rate_hz):
+        self._earn(now_s)
+        if self._credit >= 1.0:
             return now_s
-        return self._next_s - 1.0 / self._rate_hz
+        return now_s + (1.0 - self._credit) / self._rate_hz
 
     def take(self, now_s: float) -> bytes | None:
-        """Return the next sample if it may leave now, and move the schedule on."""
+        """Return the next sample if it may leave now, and spend its credit."""
         if self.due_s(now_s) > now_s:
             return None
-        if not math.isinf(self._rate_hz):
-            self._next_s = max(self._next_s, now_s) + 1.0 / self._rate_hz
+        self._credit -= 1.0
         return self._queue.popleft()
 
     def clear(self) -> None:
@@ -84,6 +84,13 @@ class Pacer:
         self._queue.clear()
         if withheld:
             self._on_withheld(withheld)
+
+    def _earn(self, now_s: float) -> None:
+        if math.isinf(self._rate_hz):
+            self._credit = _MOST_CREDIT
+        elif now_s > self._at_s:
+            self._credit = min(_MOST_CREDIT, self._credit + self._rate_hz * (now_s - self._at_s))
+        self._at_s = max(self._at_s, now_s)
 
     def _shed(self) -> None:
         bound = 1 if self._overflow is Overflow.LATEST else self._depth

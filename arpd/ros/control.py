@@ -43,14 +43,22 @@ class RosControl:
     node : rclpy node; somebody else spins it
     interface : the robot's link interface
     graph : pinned topic counts
+    on_report : called when a peer report arrives, so that a tick can follow at once
     """
 
     def __init__(
-        self, node: Any, *, interface: str, graph: GraphSettings, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Any,
+        *,
+        interface: str,
+        graph: GraphSettings,
+        on_report: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
         self._interface = interface
         self._graph_settings = graph
+        self._on_report_arrived = on_report
         self._clock = clock
         self._lock = threading.Lock()
         self._reports: list[PeerReport] = []
@@ -140,6 +148,7 @@ class RosControl:
         with self._lock:
             self._reports.append(report)
             del self._reports[:-100]
+        self._on_report_arrived()
 
     def _on_announcement(self, message: Any) -> None:
         now_s = self._clock()

@@ -19,6 +19,7 @@ from arpd.wire import probe_wire_bytes
 log = logging.getLogger(__name__)
 
 REPORT_S = 0.1
+_PROMPT_S = 0.05  # least time between reports that a ping provokes
 _TRAIN_TIMEOUT_S = 1.0
 
 
@@ -98,7 +99,7 @@ class Peer:
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
         node.create_subscription(UInt8MultiArray, PROBE_TOPIC, self._on_probe, best_effort)
-        node.create_timer(REPORT_S, self._send)
+        self._timer = node.create_timer(1.2 * REPORT_S, self._send)
 
     def _on_probe(self, message: Any, info: Any) -> None:
         try:
@@ -114,6 +115,10 @@ class Peer:
             sent_ns=info["source_timestamp"],
             received_ns=info["received_timestamp"],
         )
+        # A ping's delay is the first sign of a queue: report it now, not at the next period.
+        if header.packets == 1 and self._last is not None and time.monotonic() - self._last[0] >= _PROMPT_S:
+            self._timer.reset()
+            self._send()
 
     def _send(self) -> None:
         now_s = time.monotonic()

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _INFINITE_NS = 2**63 - 1
 _POLL_S = 0.005  # how often a swap looks at its writers
 _RATE_WINDOW_S = 5.0
+_RATE_SETTLE_S = 0.5  # a shorter look at a source tells no rate
+_SILENT_PERIODS = 3.0
 
 
 def offered_deadline_ns(qos: Any) -> int:
@@ -108,7 +110,8 @@ class AdaptivePublisher:
         self._offered = self._published = self._withheld = 0
         self._blocked_s = 0.0
         self._payload_bytes = 0.0
-        self._offered_at: deque[tuple[float, int]] = deque([(clock(), 0)])
+        self._offered_at: deque[tuple[float, int]] = deque()  # marks of (time, samples offered by then)
+        self._last_offered_s = float("-inf")
         self._refusal = ""
         self._type_name = _type_name(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
@@ -158,11 +161,12 @@ class AdaptivePublisher:
         else:
             raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
         with self._lock:
-            self._offered += 1
+            now_s = self._clock()
+            self._count_offered(now_s)
             weight = 0.1 if self._payload_bytes else 1.0
             self._payload_bytes += weight * (len(sample) - self._payload_bytes)
             self._pacer.offer(sample)
-            self._release(self._clock())
+            self._release(now_s)
             waiting = len(self._pacer) > 0
         if waiting:
             self._tuning.wake()
@@ -259,7 +263,8 @@ class AdaptivePublisher:
             now_s = self._clock()
             qos = self._swap.qos
             rate_hz = self._source_rate_hz(now_s)
-            self._offered_at.append((now_s, self._offered))
+            if self._offered_at and self._offered > self._offered_at[-1][1]:
+                self._offered_at.append((self._last_offered_s, self._offered))
             while len(self._offered_at) > 2 and now_s - self._offered_at[1][0] >= _RATE_WINDOW_S:
                 self._offered_at.popleft()
             return PublisherState(
@@ -315,9 +320,22 @@ class AdaptivePublisher:
         gated_hz = max(self._plan.rate_hz * self._gate, min(self._plan.min_rate_hz, self._plan.rate_hz))
         self._pacer.retune(rate_hz=gated_hz, depth=self._plan.depth, now_s=now_s)
 
+    def _count_offered(self, now_s: float) -> None:
+        self._offered += 1
+        if now_s - self._last_offered_s > _RATE_WINDOW_S:
+            # The silence before a source starts says nothing of its rate: measure from its first sample on.
+            self._offered_at = deque([(now_s, self._offered)])
+        self._last_offered_s = now_s
+
     def _source_rate_hz(self, now_s: float) -> float:
+        """Rate between the first and the last sample of the window, so that a slow source is not underrated."""
+        if not self._offered_at or self._offered == self._offered_at[0][1]:
+            return 0.0
         since_s, count = self._offered_at[0]
-        return (self._offered - count) / (now_s - since_s) if now_s > since_s else 0.0
+        samples, span_s = self._offered - count, self._last_offered_s - since_s
+        if now_s - self._last_offered_s > _SILENT_PERIODS * span_s / samples + _RATE_SETTLE_S:
+            span_s = now_s - since_s  # it fell silent
+        return samples / span_s if span_s > 0 and now_s - since_s >= _RATE_SETTLE_S else 0.0
 
     def _tightest_request_ns(self) -> int:
         requests = (
