@@ -1,0 +1,87 @@
+"""systemd's notify protocol (sd_notify(3)): READY, RELOADING, STOPPING, STATUS and the watchdog.
+
+The protocol is one datagram to ``$NOTIFY_SOCKET``. ``sdnotify`` (no release since 2017), ``sd-notify`` and
+``systemd-watchdog`` send the same datagram, but none adds MONOTONIC_USEC or guards STATUS= against newlines;
+``cysystemd`` is a C extension that would have to be built on the Pi. A dependency would cost more than it saves.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+log = logging.getLogger(__name__)
+
+
+def _datagram_socket() -> socket.socket:
+    return socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+
+
+class Notifier:
+    """Tells systemd how the service is; does nothing outside systemd, and never raises into the loop that calls it.
+
+    Parameters
+    ----------
+    environ : where NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are looked up
+    make_socket : opens an unconnected AF_UNIX datagram socket
+    """
+
+    def __init__(
+        self,
+        environ: Mapping[str, str] = os.environ,
+        *,
+        make_socket: Callable[[], socket.socket] = _datagram_socket,
+    ) -> None:
+        address = environ.get("NOTIFY_SOCKET", "")
+        # "@name" stands for a socket in the abstract namespace, whose address starts with a zero byte.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._make_socket = make_socket
+        self.watchdog_period_s = _watchdog_period_s(environ)
+
+    def ready(self) -> None:
+        """Say that starting, or a reload, has finished."""
+        self._send("READY=1")
+
+    def reloading(self) -> None:
+        """Say that a reload has begun; ``ready`` ends it, also when the new configuration was refused."""
+        self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def stopping(self) -> None:
+        """Say that a clean stop has begun."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """Set the line that ``systemctl status`` shows."""
+        self._send("STATUS=" + " ".join(text.split()))  # a newline would start another assignment
+
+    def watchdog(self) -> None:
+        """Say that the service works; call it after finished work only."""
+        if self.watchdog_period_s is not None:
+            self._send("WATCHDOG=1")
+
+    def _send(self, message: str) -> None:
+        if not self._address:
+            return
+        try:
+            with self._make_socket() as channel:
+                channel.settimeout(1.0)  # a stuck manager must not stop the tick
+                channel.connect(self._address)
+                channel.sendall(message.encode())
+        except OSError as error:
+            log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
+
+
+def _watchdog_period_s(environ: Mapping[str, str]) -> float | None:
+    """Time within which systemd wants a ping (s); None if it wants none, or wants it from another process."""
+    try:
+        period_s = int(environ["WATCHDOG_USEC"]) / 1e6
+        for_us = int(environ.get("WATCHDOG_PID", os.getpid())) == os.getpid()
+    except (KeyError, ValueError):
+        return None
+    return period_s if for_us and period_s > 0 else None

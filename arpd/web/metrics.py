@@ -1,0 +1,341 @@
+"""Prometheus metrics, every one read from the last snapshot: a scrape never sees half a tick."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from typing import TYPE_CHECKING
+
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
+from prometheus_client.registry import Collector
+
+from arpd.model import NANOSECONDS_PER_SECOND, AllocationStatus, Binding, CapacityKind, LinkState
+from arpd.settings import Backend
+from arpd.swap import SwapResult
+from arpd.version import VERSION
+from arpd.web.status import topic_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from enum import StrEnum
+
+    from prometheus_client.metrics_core import Metric
+
+    from arpd.model import LinkCounters, PublisherState, TopicAllocation, TopicPlan
+    from arpd.snapshot import Snapshot, Totals
+    from arpd.web.status import TopicRow
+
+_TOPIC_LABELS = ("topic", "node", "direction")
+
+# Label values that are known beforehand start at zero, so that rate() sees their first increase.
+_CAUSES = ("demand", "down", "reload", "start", "topics", "up")
+_REASONS = ("budget", "dwell")
+_APPLIED = ("ok", "refused", "timeout", "unreachable")
+_RELOADED = ("failed", "ok")
+
+
+def _deadline_s(deadline_ns: int) -> float:
+    return deadline_ns / NANOSECONDS_PER_SECOND if deadline_ns else math.inf
+
+
+_GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
+    (
+        "arpd_link_capacity_bytes_per_second",
+        "Wire bytes per second the link is believed to carry.",
+        lambda s: s.link.capacity_bytes_per_second,
+    ),
+    (
+        "arpd_link_queue_delay_seconds",
+        "One-way delay above its minimum of the last 10 seconds.",
+        lambda s: s.link.queue_delay_s,
+    ),
+    (
+        "arpd_link_delivery_rate_bytes_per_second",
+        "What the peer received over the last 300 ms.",
+        lambda s: s.link.delivery_rate_bytes_per_second,
+    ),
+    ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
+    ("arpd_link_app_limited", "1 when traffic alone says nothing about the capacity.", lambda s: s.link.is_app_limited),
+    ("arpd_memory_total_bytes", "Memory of the robot computer.", lambda s: s.observation.memory.total_bytes),
+    (
+        "arpd_memory_available_bytes",
+        "Memory of the robot computer that new work could use.",
+        lambda s: s.observation.memory.available_bytes,
+    ),
+    ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
+    (
+        "arpd_level_bytes_per_second",
+        "Capacity the plan in force was made for.",
+        lambda s: s.decision.plan.level_bytes_per_second,
+    ),
+    (
+        "arpd_plan_generation",
+        "Generation of the plan in force; 0 before the first.",
+        lambda s: s.decision.plan.generation,
+    ),
+    ("arpd_plan_topics", "Topics the plan in force covers.", lambda s: len(s.decision.plan.topics)),
+    (
+        "arpd_publishers_managed",
+        "Live publishers the plan in force covers.",
+        lambda s: sum(row.planned is not None for row in topic_rows(s)),
+    ),
+    (
+        "arpd_publishers_confirmed",
+        "Managed publishers that announce the settings of the plan in force.",
+        lambda s: s.confirmed,
+    ),
+    (
+        "arpd_allocation_capacity_bytes_per_second",
+        "Capacity the program was last solved for, after headroom and foreign traffic.",
+        lambda s: s.allocation.capacity_bytes_per_second,
+    ),
+    ("arpd_solve_duration_seconds", "Time the last solve took.", lambda s: s.allocation.solve_s),
+    ("arpd_tick_duration_seconds", "Time the last finished tick took.", lambda s: s.tick_s),
+    (
+        "arpd_config_last_reload_successful",
+        "0 while the last reload was refused and an older configuration is in force.",
+        lambda s: not s.config_error,
+    ),
+)
+
+_COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
+    ("arpd_ticks", "Ticks that finished.", lambda t: t.ticks),
+    ("arpd_ticks_failed", "Ticks that raised.", lambda t: t.ticks_failed),
+    ("arpd_ticks_late", "Ticks that started more than half a period late.", lambda t: t.ticks_late),
+    (
+        "arpd_cross_check_disagreements",
+        "Answers of the solver that the exact one contradicted.",
+        lambda t: t.cross_check_disagreements,
+    ),
+    ("arpd_probes", "Probe trains and pings put on the link.", lambda t: t.probes),
+    ("arpd_probe_bytes", "Wire bytes of the probes.", lambda t: t.probe_bytes),
+    ("arpd_peer_reports", "Receiver reports that arrived.", lambda t: t.reports),
+)
+
+_COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Mapping[str, int]]], ...] = (
+    ("arpd_levels", "New plans.", "cause", _CAUSES, lambda t: t.levels_by_cause),
+    ("arpd_refusals", "Plan changes wanted but refused.", "reason", _REASONS, lambda t: t.refusals_by_reason),
+    ("arpd_applies", "Parameter calls to publishers.", "result", _APPLIED, lambda t: t.applies_by_result),
+    ("arpd_config_reloads", "Configuration reloads.", "result", _RELOADED, lambda t: t.reloads_by_result),
+)
+
+_STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
+    ("arpd_link_capacity_kind", "How the capacity was estimated.", "kind", CapacityKind, lambda s: s.link.kind),
+    ("arpd_link_state", "What the link is doing.", "state", LinkState, lambda s: s.link.state),
+    (
+        "arpd_allocation_status",
+        "Whether the program could keep all constraints.",
+        "status",
+        AllocationStatus,
+        lambda s: s.allocation.status,
+    ),
+    ("arpd_allocation_binding", "Binding constraint in all.", "binding", Binding, lambda s: s.allocation.binding),
+    ("arpd_allocation_backend", "Solver that answered last.", "backend", Backend, lambda s: s.allocation.backend),
+)
+
+_INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
+    ("arpd_interface_receive_bytes", "Bytes the link interface received.", lambda c: c.rx_bytes),
+    ("arpd_interface_transmit_bytes", "Bytes the link interface sent.", lambda c: c.tx_bytes),
+    ("arpd_interface_receive_packets", "Packets the link interface received.", lambda c: c.rx_packets),
+    ("arpd_interface_transmit_packets", "Packets the link interface sent.", lambda c: c.tx_packets),
+    ("arpd_interface_transmit_dropped_packets", "Packets dropped on the way out.", lambda c: c.tx_dropped),
+)
+
+_ALLOCATION_GAUGES: tuple[tuple[str, str, Callable[[TopicAllocation], float]], ...] = (
+    (
+        "arpd_topic_max_rate_hertz",
+        "Rmax: the rate the topic would reach with the link to itself.",
+        lambda a: a.max_rate_hz,
+    ),
+    ("arpd_topic_share_ratio", "Share of link time the program gives the topic.", lambda a: a.share),
+)
+
+_PLAN_GAUGES: tuple[tuple[str, str, Callable[[TopicPlan], float]], ...] = (
+    ("arpd_topic_planned_rate_hertz", "Publish rate of the plan; +Inf is unpaced.", lambda p: p.rate_hz),
+    ("arpd_topic_planned_min_rate_hertz", "Rate below which the gate does not push.", lambda p: p.min_rate_hz),
+    ("arpd_topic_planned_depth_samples", "DEPTH of the plan.", lambda p: p.depth),
+    (
+        "arpd_topic_planned_deadline_seconds",
+        "Offered DEADLINE period of the plan; +Inf is none.",
+        lambda p: _deadline_s(p.deadline_ns),
+    ),
+)
+
+_PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
+    ("arpd_topic_confirmed_rate_hertz", "Publish rate announced; +Inf is unpaced.", lambda p: p.rate_hz),
+    ("arpd_topic_confirmed_depth_samples", "DEPTH announced.", lambda p: p.depth),
+    (
+        "arpd_topic_confirmed_deadline_seconds",
+        "DEADLINE period announced; +Inf is none.",
+        lambda p: _deadline_s(p.deadline_ns),
+    ),
+    (
+        "arpd_topic_confirmed_generation",
+        "Plan generation the announced settings came from; 0 is the application's own.",
+        lambda p: p.generation,
+    ),
+    ("arpd_topic_source_rate_hertz", "Rate at which the application publishes.", lambda p: p.source_rate_hz),
+    ("arpd_topic_payload_bytes", "Mean serialized size of recent messages.", lambda p: p.payload_bytes),
+    ("arpd_topic_queued_messages", "Messages waiting in the pacing queue.", lambda p: p.queued),
+    ("arpd_topic_remote_readers", "Off-host participants that read the topic.", lambda p: p.remote_readers),
+    ("arpd_topic_refused", "1 while the last request stands refused.", lambda p: bool(p.refusal)),
+    ("arpd_topic_announcement_age_seconds", "Time since the publisher's announcement.", lambda p: p.age_s),
+)
+
+_PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
+    ("arpd_topic_offered_messages", "Messages the application gave.", lambda p: p.offered),
+    ("arpd_topic_published_messages", "Messages written to the link.", lambda p: p.published),
+    ("arpd_topic_withheld_messages", "Messages pacing chose not to send.", lambda p: p.withheld),
+    ("arpd_topic_publish_blocked_seconds", "Time spent in the middleware's publish().", lambda p: p.blocked_s),
+)
+
+_BINDINGS: tuple[tuple[str, str, Callable[[TopicAllocation], Binding]], ...] = (
+    ("arpd_topic_rate_binding", "Constraint that stopped the rate.", lambda a: a.binding),
+    ("arpd_topic_depth_binding", "Constraint that stopped the depth.", lambda a: a.depth_binding),
+)
+
+
+class SnapshotCollector(Collector):
+    """Makes the metric families of the snapshot that is current when Prometheus asks.
+
+    Parameters
+    ----------
+    snapshot : returns the last snapshot, None before the first tick finished
+    clock : monotonic clock the snapshot was stamped with (s)
+    version, python : labels of ``arpd_build_info``
+    """
+
+    def __init__(
+        self,
+        snapshot: Callable[[], Snapshot | None],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        version: str = VERSION,
+        python: str = platform.python_version(),
+    ) -> None:
+        self._snapshot = snapshot
+        self._clock = clock
+        self._build = {"version": version, "python": python}
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the families in a fixed order, their series sorted by label."""
+        snapshot = self._snapshot()
+        yield InfoMetricFamily("arpd_build", "Version of arpd and of Python.", value=self._build)
+        yield _gauge("arpd_ready", "1 once the first tick has finished.", snapshot is not None)
+        if snapshot is None:
+            return
+        age_s = max(0.0, self._clock() - snapshot.finished_at_s)
+        yield _gauge("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
+        yield from _of_daemon(snapshot)
+        yield from _of_totals(snapshot.totals)
+        yield from _of_interface(snapshot)
+        yield from _of_topics(topic_rows(snapshot))
+
+
+def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:
+    """Return a registry with arpd's metrics and the usual ``process_*`` and ``python_info``."""
+    registry = CollectorRegistry()
+    registry.register(SnapshotCollector(snapshot))
+    ProcessCollector(registry=registry)
+    PlatformCollector(registry=registry)
+    return registry
+
+
+def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
+    for name, text, read in _GAUGES:
+        yield _gauge(name, text, read(snapshot))
+    for name, text, label, states, current in _STATE_SETS:
+        family = GaugeMetricFamily(name, f"{text} 1 marks what holds.", labels=(label,))
+        for state in sorted({*states, current(snapshot)}):
+            family.add_metric((state,), state == current(snapshot))
+        yield family
+    topics = GaugeMetricFamily(
+        "arpd_graph_topics", "Topics that cross the link, managed or not.", labels=("direction",)
+    )
+    topics.add_metric(("actuation",), snapshot.observation.actuation_topics)
+    topics.add_metric(("sensing",), snapshot.observation.sensing_topics)
+    yield topics
+
+
+def _of_totals(totals: Totals) -> Iterator[Metric]:
+    for name, text, read in _COUNTERS:
+        yield CounterMetricFamily(name, text, value=read(totals))
+    for name, text, label, known, read_by in _COUNTERS_BY:
+        yield _counter_by(name, text, (label,), (((), known, read_by(totals)),))
+    solves = CounterMetricFamily("arpd_solves", "Solves of the program.", labels=("backend", "outcome"))
+    for (backend, outcome), count in sorted(totals.solves_by_outcome.items()):
+        solves.add_metric((backend, outcome), count)
+    yield solves
+
+
+def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:
+    counters = snapshot.observation.counters
+    up = GaugeMetricFamily("arpd_interface_up", "1 while the link interface is up and readable.", labels=("interface",))
+    up.add_metric((snapshot.interface,), counters is not None and counters.is_up)
+    yield up
+    if counters is None:
+        return
+    for name, text, read in _INTERFACE_COUNTERS:
+        family = CounterMetricFamily(name, text, labels=("interface",))
+        family.add_metric((snapshot.interface,), read(counters))
+        yield family
+
+
+def _of_topics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
+    publishers = [(_labels(row), row.publisher) for row in rows]
+    planned = [(_labels(row), row.planned) for row in rows if row.planned is not None]
+    allocated = [(_labels(row), row.allocation) for row in rows if row.allocation is not None]
+    for name, text, read_row in _ALLOCATION_GAUGES:
+        yield _topic_gauge(name, text, ((labels, read_row(a)) for labels, a in allocated))
+    for name, text, read_plan in _PLAN_GAUGES:
+        yield _topic_gauge(name, text, ((labels, read_plan(p)) for labels, p in planned))
+    for name, text, read_state in _PUBLISHER_GAUGES:
+        yield _topic_gauge(name, text, ((labels, read_state(p)) for labels, p in publishers))
+    for name, text, read_total in _PUBLISHER_COUNTERS:
+        counter = CounterMetricFamily(name, text, labels=_TOPIC_LABELS)
+        for labels, publisher in publishers:
+            counter.add_metric(labels, read_total(publisher))
+        yield counter
+    for name, text, binding_of in _BINDINGS:
+        family = GaugeMetricFamily(name, f"{text} 1 marks what holds.", labels=(*_TOPIC_LABELS, "binding"))
+        for labels, allocation in allocated:
+            for binding in sorted(Binding):
+                family.add_metric((*labels, binding), binding is binding_of(allocation))
+        yield family
+    yield _counter_by(
+        "arpd_topic_swaps",
+        "QoS swaps of the publisher.",
+        (*_TOPIC_LABELS, "result"),
+        ((labels, tuple(SwapResult), publisher.swaps_by_result) for labels, publisher in publishers),
+    )
+
+
+def _labels(row: TopicRow) -> tuple[str, ...]:
+    return row.publisher.topic, row.publisher.node, row.publisher.direction
+
+
+def _gauge(name: str, text: str, value: float) -> GaugeMetricFamily:
+    return GaugeMetricFamily(name, text, value=float(value))
+
+
+def _topic_gauge(name: str, text: str, series: Iterable[tuple[tuple[str, ...], float]]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, text, labels=_TOPIC_LABELS)
+    for labels, value in series:
+        family.add_metric(labels, value)
+    return family
+
+
+def _counter_by(
+    name: str,
+    text: str,
+    labels: tuple[str, ...],
+    series: Iterable[tuple[tuple[str, ...], Iterable[str], Mapping[str, int]]],
+) -> CounterMetricFamily:
+    """Counter over (outer labels, known values of the last label, counts); known values without a count read 0."""
+    family = CounterMetricFamily(name, text, labels=labels)
+    for outer, known, counts in series:
+        for value in sorted({*known, *counts}):
+            family.add_metric((*outer, value), counts.get(value, 0))
+    return family

@@ -1,0 +1,197 @@
+"""The status document of ``/api/v1/status``: the last snapshot as JSON.
+
+Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite),
+in ``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan
+covers, in ``interface_counters`` an interface that cannot be read. Keys are only ever added within ``v1``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.model import LinkCounters, PublisherState, TopicAllocation, TopicPlan
+    from arpd.snapshot import Snapshot, Totals
+
+API_VERSION = "v1"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicRow:
+    """One live publisher, with its row of the plan and of the program where it has one.
+
+    Parameters
+    ----------
+    publisher : what it announced last
+    planned : what the plan in force wants of it
+    allocation : what the program answered in this tick
+    """
+
+    publisher: PublisherState
+    planned: TopicPlan | None
+    allocation: TopicAllocation | None
+
+
+def topic_rows(snapshot: Snapshot) -> tuple[TopicRow, ...]:
+    """Return a row per live publisher, sorted by topic and node; a pair announced twice counts once."""
+    by_identity = {(p.topic, p.node): p for p in snapshot.observation.publishers}
+    by_topic = {row.name: row for row in snapshot.allocation.topics}
+    plan = snapshot.decision.plan.topics
+    return tuple(
+        TopicRow(publisher=publisher, planned=plan.get(topic), allocation=by_topic.get(topic))
+        for (topic, _node), publisher in sorted(by_identity.items())
+    )
+
+
+def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
+    """Return the whole snapshot as a JSON-safe document.
+
+    Parameters
+    ----------
+    is_ready : whether the daemon governs
+    now_s : monotonic clock (s), to say how old the snapshot is; None leaves the age out as null
+    """
+    decision, allocation, rows = snapshot.decision, snapshot.allocation, topic_rows(snapshot)
+    return {
+        "api_version": API_VERSION,
+        "version": snapshot.version,
+        "ready": is_ready,
+        "unix_time_seconds": _finite(snapshot.unix_time_s),
+        "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
+        "tick_seconds": _finite(snapshot.tick_s),
+        "interface": snapshot.interface,
+        "interface_counters": _counters(snapshot.observation.counters),
+        "link": _link(snapshot),
+        "memory": {
+            "total_bytes": snapshot.observation.memory.total_bytes,
+            "available_bytes": snapshot.observation.memory.available_bytes,
+        },
+        "graph": {
+            "sensing_topics": snapshot.observation.sensing_topics,
+            "actuation_topics": snapshot.observation.actuation_topics,
+        },
+        "gate": _finite(decision.gate),
+        "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
+        "plan": {
+            "generation": decision.plan.generation,
+            "reason": decision.reason,
+            "refusals": list(decision.refusals),
+            "topics": len(decision.plan.topics),
+            "publishers": sum(row.planned is not None for row in rows),
+            "confirmed": snapshot.confirmed,
+        },
+        "allocation": {
+            "status": str(allocation.status),
+            "binding": str(allocation.binding),
+            "capacity_bytes_per_second": _finite(allocation.capacity_bytes_per_second),
+            "degradation": allocation.degradation,
+            "backend": allocation.backend,
+            "solve_seconds": _finite(allocation.solve_s),
+        },
+        "topics": [_topic(row) for row in rows],
+        "totals": _totals(snapshot.totals),
+        "config": {"path": snapshot.config_path, "error": snapshot.config_error},
+    }
+
+
+def _link(snapshot: Snapshot) -> dict[str, Any]:
+    link = snapshot.link
+    return {
+        "capacity_bytes_per_second": _finite(link.capacity_bytes_per_second),
+        "kind": str(link.kind),
+        "state": str(link.state),
+        "app_limited": link.is_app_limited,
+        "queue_delay_seconds": _finite(link.queue_delay_s),
+        "delivery_rate_bytes_per_second": _finite(link.delivery_rate_bytes_per_second),
+        "age_seconds": _finite(link.age_s),
+        "evidence": link.evidence,
+    }
+
+
+def _counters(counters: LinkCounters | None) -> dict[str, Any] | None:
+    if counters is None:
+        return None
+    return {
+        "interface": counters.interface,
+        "up": counters.is_up,
+        "receive_bytes": counters.rx_bytes,
+        "transmit_bytes": counters.tx_bytes,
+        "receive_packets": counters.rx_packets,
+        "transmit_packets": counters.tx_packets,
+        "transmit_dropped_packets": counters.tx_dropped,
+    }
+
+
+def _topic(row: TopicRow) -> dict[str, Any]:
+    publisher, planned, allocation = row.publisher, row.planned, row.allocation
+    return {
+        "topic": publisher.topic,
+        "node": publisher.node,
+        "type": publisher.type_name,
+        "direction": str(publisher.direction),
+        "planned": planned
+        and {
+            "rate_hz": _finite(planned.rate_hz),
+            "min_rate_hz": _finite(planned.min_rate_hz),
+            "depth": planned.depth,
+            "deadline_ns": planned.deadline_ns or None,
+        },
+        "confirmed": {
+            "rate_hz": _finite(publisher.rate_hz),
+            "depth": publisher.depth,
+            "deadline_ns": publisher.deadline_ns or None,
+            "generation": publisher.generation,
+        },
+        "baseline": {"depth": publisher.baseline_depth, "deadline_ns": publisher.baseline_deadline_ns or None},
+        "max_rate_hz": allocation and _finite(allocation.max_rate_hz),
+        "optimal_rate_hz": allocation and _finite(allocation.rate_hz),
+        "optimal_depth": allocation and _finite(allocation.depth),
+        "share": allocation and _finite(allocation.share),
+        "binding": allocation and str(allocation.binding),
+        "depth_binding": allocation and str(allocation.depth_binding),
+        "source_rate_hz": _finite(publisher.source_rate_hz),
+        "payload_bytes": _finite(publisher.payload_bytes),
+        "offered": publisher.offered,
+        "published": publisher.published,
+        "withheld": publisher.withheld,
+        "queued": publisher.queued,
+        "blocked_seconds": _finite(publisher.blocked_s),
+        "remote_readers": publisher.remote_readers,
+        "requested_deadline_ns": publisher.requested_deadline_ns or None,
+        "swaps": _sorted(publisher.swaps_by_result),
+        "refusal": publisher.refusal,
+        "age_seconds": _finite(publisher.age_s),
+    }
+
+
+def _totals(totals: Totals) -> dict[str, Any]:
+    solves: dict[str, dict[str, int]] = {}
+    for (backend, outcome), count in sorted(totals.solves_by_outcome.items()):
+        solves.setdefault(backend, {})[outcome] = count
+    return {
+        "ticks": totals.ticks,
+        "ticks_failed": totals.ticks_failed,
+        "ticks_late": totals.ticks_late,
+        "solves": solves,
+        "cross_check_disagreements": totals.cross_check_disagreements,
+        "levels": _sorted(totals.levels_by_cause),
+        "refusals": _sorted(totals.refusals_by_reason),
+        "applies": _sorted(totals.applies_by_result),
+        "probes": totals.probes,
+        "probe_bytes": totals.probe_bytes,
+        "reports": totals.reports,
+        "reloads": _sorted(totals.reloads_by_result),
+    }
+
+
+def _sorted(counts: Mapping[str, int]) -> dict[str, int]:
+    return dict(sorted(counts.items()))
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity; what an infinite value means is in the module's docstring."""
+    return value if math.isfinite(value) else None

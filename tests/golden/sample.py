@@ -1,0 +1,228 @@
+"""A snapshot made by hand: three managed topics both ways, one unpaced, one refused, and one local publisher."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+
+from arpd.model import (
+    Allocation,
+    AllocationStatus,
+    Binding,
+    CapacityKind,
+    Decision,
+    Direction,
+    LinkCounters,
+    LinkEstimate,
+    LinkState,
+    MemoryState,
+    Observation,
+    PeerReport,
+    PublisherState,
+    QosPlan,
+    TopicAllocation,
+    TopicPlan,
+)
+from arpd.snapshot import Snapshot, Totals
+
+FINISHED_AT_S = 1000.0
+
+_IMAGE = PublisherState(
+    node="/camera",
+    topic="/camera/image",
+    type_name="sensor_msgs/msg/CompressedImage",
+    direction=Direction.SENSING,
+    payload_bytes=20000.0,
+    source_rate_hz=30.0,
+    offered=3000,
+    published=1200,
+    withheld=1799,
+    queued=1,
+    blocked_s=0.25,
+    rate_hz=12.5,
+    depth=10,
+    deadline_ns=100_000_000,
+    baseline_depth=10,
+    baseline_deadline_ns=0,
+    generation=3,
+    swaps_by_result=MappingProxyType({"ok": 2, "reorder_possible": 1}),
+    remote_readers=1,
+    requested_deadline_ns=200_000_000,
+    age_s=0.5,
+)
+_IMU = PublisherState(
+    node="/imu_driver",
+    topic="/imu",
+    type_name="sensor_msgs/msg/Imu",
+    direction=Direction.SENSING,
+    payload_bytes=328.0,
+    source_rate_hz=100.0,
+    offered=10000,
+    published=10000,
+    withheld=0,
+    queued=0,
+    blocked_s=0.0625,
+    rate_hz=math.inf,
+    depth=100,
+    deadline_ns=0,
+    baseline_depth=100,
+    baseline_deadline_ns=0,
+    generation=3,
+    remote_readers=2,
+    age_s=0.75,
+)
+_COMMAND = PublisherState(
+    node="/planner",
+    topic="/cmd_vel",
+    type_name="geometry_msgs/msg/Twist",
+    direction=Direction.ACTUATION,
+    payload_bytes=52.0,
+    source_rate_hz=20.0,
+    offered=2000,
+    published=2000,
+    withheld=0,
+    queued=0,
+    blocked_s=0.0,
+    rate_hz=math.inf,
+    depth=1,
+    deadline_ns=0,
+    baseline_depth=1,
+    baseline_deadline_ns=0,
+    generation=0,
+    swaps_by_result=MappingProxyType({"unmatched": 1}),
+    refusal="depth 16: /robot/base did not match the new writer in 5 s",
+    remote_readers=1,
+    age_s=0.125,
+)
+_DIAGNOSTICS = PublisherState(
+    node="/camera",
+    topic="/diagnostics",
+    type_name="diagnostic_msgs/msg/DiagnosticArray",
+    direction=Direction.LOCAL,
+    payload_bytes=1024.0,
+    source_rate_hz=1.0,
+    offered=100,
+    published=100,
+    withheld=0,
+    queued=0,
+    blocked_s=0.0,
+    rate_hz=math.inf,
+    depth=10,
+    deadline_ns=0,
+    baseline_depth=10,
+    baseline_deadline_ns=0,
+    generation=0,
+    age_s=0.25,
+)
+
+_ALLOCATION = Allocation(
+    topics=(
+        TopicAllocation(
+            name="/camera/image",
+            share=0.5,
+            max_rate_hz=25.0,
+            rate_hz=12.5,
+            depth=12.5,
+            deadline_ns=80_000_000,
+            depth_applied=10,
+            binding=Binding.LINK,
+            depth_binding=Binding.LATENCY_BUDGET,
+        ),
+        TopicAllocation(
+            name="/imu",
+            share=0.125,
+            max_rate_hz=800.0,
+            rate_hz=100.0,
+            depth=100.0,
+            deadline_ns=10_000_000,
+            depth_applied=100,
+            binding=Binding.DESIRED_RATE,
+            depth_binding=Binding.MEMORY,
+        ),
+        TopicAllocation(
+            name="/cmd_vel",
+            share=0.0625,
+            max_rate_hz=320.0,
+            rate_hz=20.0,
+            depth=16.0,
+            deadline_ns=50_000_000,
+            depth_applied=16,
+            binding=Binding.DESIRED_RATE,
+            depth_binding=Binding.LATENCY_BUDGET,
+        ),
+    ),
+    status=AllocationStatus.OPTIMAL,
+    binding=Binding.LINK,
+    capacity_bytes_per_second=425000.0,
+    backend="osqp",
+    solve_s=0.000125,
+)
+_PLAN = QosPlan(
+    generation=3,
+    topics=MappingProxyType(
+        {
+            "/camera/image": TopicPlan(rate_hz=12.5, min_rate_hz=2.0, deadline_ns=100_000_000, depth=10),
+            "/imu": TopicPlan(rate_hz=math.inf, min_rate_hz=10.0, deadline_ns=0, depth=100),
+            "/cmd_vel": TopicPlan(rate_hz=22.0, min_rate_hz=20.0, deadline_ns=62_500_000, depth=16),
+        }
+    ),
+    level_bytes_per_second=437500.0,
+)
+
+
+def make_snapshot() -> Snapshot:
+    """Return the snapshot, the same at every call; its publishers stand out of order on purpose."""
+    return Snapshot(
+        version="1.2.3",
+        interface="wlan0",
+        finished_at_s=FINISHED_AT_S,
+        unix_time_s=1_700_000_000.0,
+        tick_s=0.0078125,
+        observation=Observation(
+            now_s=999.75,
+            counters=LinkCounters(
+                interface="wlan0",
+                rx_bytes=1_000_000,
+                tx_bytes=50_000_000,
+                rx_packets=10_000,
+                tx_packets=60_000,
+                tx_dropped=7,
+                is_up=True,
+            ),
+            reports=(PeerReport(peer="ceddp", received_at_s=999.5, interval_s=0.1, rx_bytes=48_000, rx_packets=40),),
+            publishers=(_IMU, _DIAGNOSTICS, _COMMAND, _IMAGE),
+            memory=MemoryState(total_bytes=4 * 2**30, available_bytes=3 * 2**30),
+            sensing_topics=11,
+            actuation_topics=1,
+        ),
+        link=LinkEstimate(
+            capacity_bytes_per_second=500_000.0,
+            kind=CapacityKind.PEER,
+            state=LinkState.STEADY,
+            queue_delay_s=0.0125,
+            delivery_rate_bytes_per_second=300_000.0,
+            age_s=1.5,
+            evidence="3 trains, median 500 kB/s",
+        ),
+        allocation=_ALLOCATION,
+        decision=Decision(gate=0.75, plan=_PLAN, level_changed=False, reason="", refusals=("dwell",)),
+        totals=Totals(
+            ticks=9000,
+            ticks_failed=1,
+            ticks_late=12,
+            solves_by_outcome=MappingProxyType(
+                {("osqp", "solved"): 8990, ("exact", "solved"): 10, ("osqp", "failed"): 9}
+            ),
+            cross_check_disagreements=1,
+            levels_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
+            refusals_by_reason=MappingProxyType({"dwell": 40}),
+            applies_by_result=MappingProxyType({"ok": 6, "refused": 1}),
+            probes=120,
+            probe_bytes=1_440_000,
+            reports=8900,
+            reloads_by_result=MappingProxyType({"ok": 2}),
+        ),
+        config_path="/etc/arpd/arpd.yaml",
+        config_error="",
+        confirmed=2,
+    )

@@ -1,0 +1,51 @@
+"""The whole exposition against a file; ``ARPD_REGENERATE_GOLDEN=1`` writes the file anew."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from golden.sample import FINISHED_AT_S
+from prometheus_client import CollectorRegistry, generate_latest
+
+from arpd.web.metrics import SnapshotCollector
+
+GOLDEN = Path(__file__).with_name("exposition.txt")
+GET_PROMTOOL = Path(__file__).parents[2] / "scripts" / "get-promtool"
+
+
+def exposition(snapshot) -> str:
+    registry = CollectorRegistry()
+    registry.register(
+        SnapshotCollector(lambda: snapshot, clock=lambda: FINISHED_AT_S + 0.25, version="1.2.3", python="3.11.0")
+    )
+    return generate_latest(registry).decode()
+
+
+def test_the_exposition_is_the_golden_file(sample_snapshot):
+    """One snapshot gives exactly the text in the golden file."""
+    got = exposition(sample_snapshot)
+    if os.environ.get("ARPD_REGENERATE_GOLDEN") == "1":
+        GOLDEN.write_text(got)
+    wanted = GOLDEN.read_text()
+    diff = difflib.unified_diff(wanted.splitlines(), got.splitlines(), "golden", "got", lineterm="")
+    assert got == wanted, "\n".join(diff)
+
+
+@pytest.mark.parametrize("is_started", [False, True])
+def test_promtool_finds_nothing_to_complain_about(sample_snapshot, is_started):
+    """Prometheus's own linter accepts the exposition before and after the first tick."""
+    found = subprocess.run([GET_PROMTOOL], capture_output=True, text=True, check=False)
+    if found.returncode != 0:
+        pytest.skip(f"no promtool: {found.stderr.strip()}")
+    checked = subprocess.run(
+        [found.stdout.strip(), "check", "metrics"],
+        input=exposition(sample_snapshot if is_started else None),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")

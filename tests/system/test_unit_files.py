@@ -1,0 +1,128 @@
+"""The unit files as systemd reads them, and the launcher as it runs."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+UNITS = sorted(path.name for path in SYSTEMD.glob("*.service"))
+LAUNCHER = SYSTEMD / "arpd-launch"
+
+
+def settings(unit):
+    lines = (SYSTEMD / unit).read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
+def test_systemd_finds_nothing_to_complain_about(tmp_path):
+    """systemd-analyze verify is silent on all units, with the launcher where the units look for it."""
+    shutil.copy(LAUNCHER, tmp_path)
+    for unit in UNITS:
+        text = (SYSTEMD / unit).read_text()
+        (tmp_path / unit).write_text(text.replace("/usr/lib/arpd/", f"{tmp_path}/"))
+    checked = subprocess.run(
+        ["systemd-analyze", "verify", *(tmp_path / unit for unit in UNITS)], capture_output=True, text=True, check=False
+    )
+    assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_unit_keeps_the_notify_protocol_and_the_exit_codes(unit):
+    """Every unit speaks notify from its main process, and does not retry a bad configuration or command line."""
+    assert settings(unit)["Type"] == "notify"
+    assert settings(unit)["NotifyAccess"] == "main"
+    assert settings(unit)["RestartPreventExitStatus"].split() == ["78", "2"]
+    assert settings(unit)["ExecStart"].startswith("/usr/lib/arpd/arpd-launch ")
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_hardening_leaves_dds_its_network_and_its_shared_memory(unit):
+    """No sandbox setting cuts a unit off from DDS or deletes shared memory of other nodes."""
+    assert set(settings(unit)["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
+    assert settings(unit)["RemoveIPC"] == "no"
+    assert not {"PrivateIPC", "PrivateNetwork", "PrivateUsers", "DynamicUser", "ProcSubset"} & set(settings(unit))
+
+
+def test_all_units_are_hardened_alike():
+    """The sandbox is one text in three files."""
+    blocks = {(SYSTEMD / unit).read_text().partition("\nRemoveIPC=no\n")[2] for unit in UNITS}
+    assert len(blocks) == 1
+    assert "CapabilityBoundingSet=\n" in blocks.pop()
+
+
+def test_the_environment_file_is_all_comments_with_settings_that_parse():
+    """/etc/default/arpd changes nothing until a line is uncommented, and every such line is an assignment."""
+    lines = (SYSTEMD / "arpd.default").read_text().splitlines()
+    assert all(line.startswith("#") for line in lines if line)
+    offered = [line[1:] for line in lines if re.match(r"#[A-Z]", line)]
+    assert {"ARPD_ROS_SETUP", "ARPD_BIN", "ARPD_PEER_ARGS", "ROS_DOMAIN_ID"} <= {
+        line.partition("=")[0] for line in offered
+    }
+    assert all(re.fullmatch(r'[A-Z_]+=("[^"]*"|\S*)', line) for line in offered)
+
+
+# -- the launcher
+
+
+@pytest.fixture
+def launch(tmp_path):
+    """Start the launcher with a stand-in for arpd that prints what it was given."""
+    arpd = tmp_path / "arpd"
+    arpd.write_text('#!/bin/sh\necho "pid=$$"\necho "layers=$LAYERS"\nfor a; do echo "arg=$a"; done\nexit 69\n')
+    arpd.chmod(0o755)
+
+    def run(*arguments, **environ):
+        clean = {name: text for name, text in os.environ.items() if not name.startswith("ARPD_")}
+        process = subprocess.Popen(
+            [LAUNCHER, *arguments],
+            env={**clean, "ARPD_BIN": str(arpd), **environ},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        output, errors = process.communicate(timeout=10.0)
+        return process, output.splitlines(), errors
+
+    return run
+
+
+def setup_file(path, layer):
+    # Reads an unset variable and its positional parameters, and ends with a failure, as ROS's own files may.
+    path.write_text(f'export LAYERS="$LAYERS${{NEVER_SET}}{layer}$1"\nfalse\n')
+    return str(path)
+
+
+def test_the_launcher_becomes_arpd(tmp_path, launch):
+    """The process id stays, the environment of every setup file arrives in order, and the exit code is arpd's."""
+    under, over = setup_file(tmp_path / "under.bash", "a"), setup_file(tmp_path / "over.bash", "b")
+    process, output, _ = launch("run", "--config", "a b*.yaml", ARPD_ROS_SETUP=f"{under} {over}")
+    assert output == [f"pid={process.pid}", "layers=ab", "arg=run", "arg=--config", "arg=a b*.yaml"]
+    assert process.returncode == 69
+
+
+def test_an_empty_setup_sources_nothing(launch):
+    """ARPD_ROS_SETUP= is a choice: ROS from PyPI needs no setup file."""
+    _, output, errors = launch("check", ARPD_ROS_SETUP="", LAYERS="")
+    assert (output[1:], errors) == (["layers=", "arg=check"], "")
+
+
+def test_a_missing_setup_file_is_a_configuration_error(tmp_path, launch):
+    """A setup file that is not there ends with 78 and its name; arpd is not started."""
+    process, output, errors = launch("run", ARPD_ROS_SETUP=str(tmp_path / "gone.bash"))
+    assert (process.returncode, output) == (78, [])
+    assert "gone.bash" in errors
+    assert "/etc/default/arpd" in errors
+
+
+def test_a_missing_arpd_is_a_configuration_error(tmp_path, launch):
+    """An arpd that is not installed ends with 78 and what to do."""
+    process, _, errors = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(tmp_path / "nowhere"))
+    assert process.returncode == 78
+    assert "install.sh" in errors

@@ -1,0 +1,97 @@
+"""The notify protocol against a real datagram socket."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+import uuid
+
+import pytest
+
+from arpd.systemd import Notifier
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request, tmp_path):
+    """Stand in for systemd: the environment it gives, and what it then hears."""
+    name = str(tmp_path / "notify") if request.param == "path" else f"@arpd-test-{uuid.uuid4()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(name.replace("@", "\0", 1) if request.param == "abstract" else name)
+        channel.settimeout(5.0)
+        yield {"NOTIFY_SOCKET": name}, lambda: channel.recv(4096).decode()
+
+
+def test_each_message_is_one_datagram(manager):
+    """READY, STOPPING, STATUS and WATCHDOG reach systemd's socket as the protocol spells them."""
+    environ, heard = manager
+    notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
+    notifier.ready()
+    notifier.status("plan 3: 11 of 12")
+    notifier.watchdog()
+    notifier.stopping()
+    assert [heard() for _ in range(4)] == ["READY=1", "STATUS=plan 3: 11 of 12", "WATCHDOG=1", "STOPPING=1"]
+
+
+def test_a_reload_carries_the_monotonic_clock(manager):
+    """RELOADING comes with the microseconds of the monotonic clock, between the moments around the call."""
+    environ, heard = manager
+    before_us = time.monotonic_ns() // 1000
+    Notifier(environ).reloading()
+    first, second = heard().split("\n")
+    key, value = second.split("=")
+    assert (first, key) == ("RELOADING=1", "MONOTONIC_USEC")
+    assert before_us <= int(value) <= time.monotonic_ns() // 1000
+
+
+def test_a_status_cannot_smuggle_in_another_message(manager):
+    """A newline in the status text becomes a space."""
+    environ, heard = manager
+    Notifier(environ).status("reload refused: line 3\nREADY=1")
+    assert heard() == "STATUS=reload refused: line 3 READY=1"
+
+
+def test_outside_systemd_nothing_is_opened():
+    """Without NOTIFY_SOCKET no socket is made."""
+
+    def refuse() -> socket.socket:
+        raise AssertionError("a socket was opened")
+
+    notifier = Notifier({}, make_socket=refuse)
+    notifier.ready()
+    notifier.reloading()
+    notifier.status("x")
+    notifier.watchdog()
+    notifier.stopping()
+    assert notifier.watchdog_period_s is None
+
+
+def test_a_socket_that_is_gone_does_not_stop_the_daemon(tmp_path, caplog):
+    """A notification that cannot be sent is logged and swallowed."""
+    Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
+    assert "READY=1" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("environ", "period_s"),
+    [
+        ({}, None),
+        ({"WATCHDOG_USEC": "10000000"}, 10.0),
+        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid())}, 0.5),
+        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid() + 1)}, None),
+        ({"WATCHDOG_USEC": "0"}, None),
+        ({"WATCHDOG_USEC": "soon"}, None),
+    ],
+)
+def test_the_watchdog_period_is_ours_or_nobodys(environ, period_s):
+    """The period is read from the environment, and only if it is meant for this process."""
+    assert Notifier(environ).watchdog_period_s == period_s
+
+
+def test_no_ping_is_sent_when_no_watchdog_listens(manager):
+    """Without a watchdog, watchdog() stays silent."""
+    environ, heard = manager
+    notifier = Notifier(environ)
+    notifier.watchdog()
+    notifier.ready()
+    assert heard() == "READY=1"

@@ -1,0 +1,339 @@
+"""Metrics, status document and the HTTP server, over loopback."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from http.client import HTTPConnection
+from types import SimpleNamespace
+
+import pytest
+from prometheus_client import CollectorRegistry
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
+
+from arpd.model import AllocationStatus
+from arpd.web.metrics import SnapshotCollector, make_registry
+from arpd.web.server import HEALTHY_S, HttpAddressError, HttpServer
+from arpd.web.status import status_document
+
+
+@dataclass
+class World:
+    """What the tests turn: the snapshot, readiness and the clock."""
+
+    snapshot: object = None
+    is_ready: bool = True
+    now_s: float = 1000.25
+    server: HttpServer = field(init=False)
+
+    def get(self, path, method="GET", **headers):
+        connection = HTTPConnection("127.0.0.1", self.server.port, timeout=5.0)
+        try:
+            connection.request(method, path, headers=headers)
+            answer = connection.getresponse()
+            return SimpleNamespace(status=answer.status, headers=answer.headers, text=answer.read().decode())
+        finally:
+            connection.close()
+
+
+@contextmanager
+def serving(world, collector=None):
+    registry = CollectorRegistry()
+    registry.register(collector or SnapshotCollector(lambda: world.snapshot, clock=lambda: world.now_s))
+    world.server = HttpServer(
+        "127.0.0.1",
+        0,
+        snapshot=lambda: world.snapshot,
+        registry=registry,
+        is_ready=lambda: world.is_ready,
+        clock=lambda: world.now_s,
+    )
+    world.server.start()
+    try:
+        yield world
+    finally:
+        world.server.stop()
+
+
+@pytest.fixture
+def world(sample_snapshot):
+    with serving(World(snapshot=sample_snapshot)) as running:
+        yield running
+
+
+def families(snapshot):
+    collector = SnapshotCollector(lambda: snapshot, clock=lambda: 1000.25)
+    return {family.name: family for family in collector.collect()}
+
+
+def value(snapshot, name, **labels):
+    registry = CollectorRegistry()
+    registry.register(SnapshotCollector(lambda: snapshot, clock=lambda: 1000.25))
+    return registry.get_sample_value(name, labels)
+
+
+def observe(snapshot, **changes):
+    return replace(snapshot, observation=replace(snapshot.observation, **changes))
+
+
+# -- metrics
+
+
+def test_before_the_first_tick_only_the_build_and_readiness_are_exposed():
+    """Without a snapshot there are two families, and the daemon is not ready."""
+    assert set(families(None)) == {"arpd_build", "arpd_ready"}
+    assert value(None, "arpd_ready") == 0
+
+
+def test_a_topic_that_vanishes_leaves_no_series(sample_snapshot):
+    """A publisher that is gone from the observation is gone from every family."""
+    kept = tuple(p for p in sample_snapshot.observation.publishers if p.topic != "/imu")
+    exposed = families(observe(sample_snapshot, publishers=kept)).values()
+    assert not [sample for family in exposed for sample in family.samples if sample.labels.get("topic") == "/imu"]
+
+
+def test_a_publisher_announced_twice_does_not_break_the_scrape(sample_snapshot):
+    """Two announcements of one publisher give one series."""
+    doubled = sample_snapshot.observation.publishers * 2
+    samples = families(observe(sample_snapshot, publishers=doubled))["arpd_topic_source_rate_hertz"].samples
+    assert len(samples) == len({tuple(sample.labels.items()) for sample in samples}) == 4
+
+
+def test_unpaced_and_without_deadline_read_infinite(sample_snapshot):
+    """An unpaced rate and a missing deadline are +Inf, so that a threshold on them means what it says."""
+    labels = {"topic": "/imu", "node": "/imu_driver", "direction": "sensing"}
+    assert value(sample_snapshot, "arpd_topic_planned_rate_hertz", **labels) == math.inf
+    assert value(sample_snapshot, "arpd_topic_planned_deadline_seconds", **labels) == math.inf
+
+
+def test_an_unreadable_interface_is_down_and_has_no_counters(sample_snapshot):
+    """A counter that cannot be read is absent, never zero: zero would look like a reset."""
+    gone = observe(sample_snapshot, counters=None)
+    assert value(gone, "arpd_interface_up", interface="wlan0") == 0
+    assert "arpd_interface_receive_bytes" not in families(gone)
+
+
+def test_exactly_one_state_of_every_set_holds(sample_snapshot):
+    """State sets sum to one, also for a solver this version does not know."""
+    odd = replace(
+        sample_snapshot,
+        allocation=replace(sample_snapshot.allocation, backend="other", status=AllocationStatus.DEGRADED),
+    )
+    exposed = families(odd)
+    for name in ("link_state", "link_capacity_kind", "allocation_status", "allocation_binding", "allocation_backend"):
+        assert sum(sample.value for sample in exposed[f"arpd_{name}"].samples) == 1
+    assert value(odd, "arpd_allocation_backend", backend="other") == 1
+
+
+def test_a_refused_reload_shows(sample_snapshot):
+    """While a reload stands refused the success gauge is 0."""
+    assert value(sample_snapshot, "arpd_config_last_reload_successful") == 1
+    assert value(replace(sample_snapshot, config_error="line 3"), "arpd_config_last_reload_successful") == 0
+
+
+def test_the_full_registry_adds_process_and_python():
+    """The registry of the daemon also holds process_* and python_info."""
+    names = {family.name for family in make_registry(lambda: None).collect()}
+    assert {"arpd_build", "process_cpu_seconds", "python_info"} <= names
+
+
+# -- the status document
+
+
+def test_the_status_document_says_infinite_as_null(sample_snapshot):
+    """The document is strict JSON; unpaced rates and infinite deadlines are null."""
+    document = json.loads(json.dumps(status_document(sample_snapshot), allow_nan=False))
+    topics = {topic["topic"]: topic for topic in document["topics"]}
+    assert list(topics) == ["/camera/image", "/cmd_vel", "/diagnostics", "/imu"]
+    assert topics["/imu"]["planned"] == {"rate_hz": None, "min_rate_hz": 10.0, "depth": 100, "deadline_ns": None}
+    assert topics["/camera/image"]["planned"]["rate_hz"] == 12.5
+    assert topics["/camera/image"]["binding"] == "link"
+    assert topics["/cmd_vel"]["refusal"].startswith("depth 16")
+    assert (topics["/diagnostics"]["planned"], topics["/diagnostics"]["share"]) == (None, None)
+    assert (document["plan"]["publishers"], document["plan"]["confirmed"]) == (3, 2)
+    assert document["totals"]["solves"] == {"exact": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
+
+
+def test_a_value_that_is_not_finite_anywhere_still_gives_json(sample_snapshot):
+    """Infinity and NaN from the estimator do not break the document."""
+    link = replace(sample_snapshot.link, age_s=math.inf, queue_delay_s=math.nan)
+    document = status_document(replace(sample_snapshot, link=link), now_s=1001.0)
+    assert (document["link"]["age_seconds"], document["link"]["queue_delay_seconds"]) == (None, None)
+    assert document["age_seconds"] == 1.0
+    json.dumps(document, allow_nan=False)
+
+
+# -- the server
+
+
+def test_metrics_are_served_in_the_format_asked_for(world):
+    """Plain text by default, OpenMetrics when the scraper asks for it."""
+    plain = world.get("/metrics?x=1")
+    assert plain.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+    assert "\narpd_gate_ratio 0.75\n" in plain.text
+    negotiated = world.get("/metrics", Accept="application/openmetrics-text; version=1.0.0")
+    assert negotiated.headers["Content-Type"].startswith("application/openmetrics-text; version=1.0.0")
+    assert "arpd_gate_ratio" in {family.name for family in text_string_to_metric_families(negotiated.text)}
+
+
+def test_status_is_served_as_json(world):
+    """The status document carries readiness and its own age."""
+    document = json.loads(world.get("/api/v1/status").text)
+    assert (document["api_version"], document["ready"], document["age_seconds"]) == ("v1", True, 0.25)
+
+
+def test_nothing_is_promised_before_the_first_tick(world):
+    """Before the first snapshot: healthy, not ready, status 503, and a page all the same."""
+    world.snapshot = None
+    assert world.get("/-/healthy").status == 200
+    assert world.get("/-/ready").text == "not ready: no tick has finished yet\n"
+    assert world.get("/api/v1/status").status == 503
+    assert world.get("/").status == 200
+
+
+def test_ready_needs_a_daemon_that_governs(world):
+    """Ready follows is_ready once a snapshot exists."""
+    assert world.get("/-/ready").status == 200
+    world.is_ready = False
+    assert world.get("/-/ready").status == 503
+
+
+@pytest.mark.parametrize("has_snapshot", [False, True])
+def test_a_hung_tick_is_unhealthy(world, has_snapshot):
+    """When no tick finished for the limit, health fails and says since when."""
+    if not has_snapshot:
+        world.snapshot = None
+    world.now_s += HEALTHY_S
+    answer = world.get("/-/healthy")
+    assert answer.status == 503
+    assert "10 s" in answer.text
+
+
+def test_the_page_escapes_what_others_named(world):
+    """Names and reasons from the network cannot become markup, and the page fetches and runs nothing."""
+    first, *others = world.snapshot.observation.publishers
+    evil = replace(first, node="/<script>alert(1)</script>", refusal='"><img src=x>')
+    world.snapshot = replace(observe(world.snapshot, publishers=(evil, *others)), config_error="<b>bad</b>")
+    page = world.get("/")
+    assert "<script" not in page.text
+    assert "<img" not in page.text
+    assert "&lt;b&gt;bad&lt;/b&gt;" in page.text
+    assert '<meta http-equiv="refresh" content="2">' in page.text
+    assert page.headers["Content-Security-Policy"].startswith("default-src 'none'")
+
+
+def test_head_gives_headers_only(world):
+    """HEAD answers like GET without a body."""
+    head, full = world.get("/metrics", method="HEAD"), world.get("/metrics")
+    assert (head.status, head.text) == (200, "")
+    assert head.headers["Content-Length"] == str(len(full.text.encode()))
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "/../etc/passwd", "/metrics/", "/<script>"])
+def test_an_unknown_path_is_a_bare_404(world, path):
+    """Nothing else is there, and the answer repeats nothing of the request."""
+    answer = world.get(path)
+    assert (answer.status, answer.text) == (404, "404 Not Found\n")
+    assert answer.headers["Server"] == "arpd"
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "BREW"])
+def test_other_methods_are_not_allowed(world, method):
+    """Only GET and HEAD exist."""
+    answer = world.get("/metrics", method=method)
+    assert (answer.status, answer.headers["Allow"]) == (405, "GET, HEAD")
+    assert answer.text == "405 Method Not Allowed\n"
+
+
+def test_garbage_is_refused_and_the_server_goes_on(world):
+    """A malformed request gets a bare 400; the next one is served."""
+    with socket.create_connection(("127.0.0.1", world.server.port), timeout=5.0) as raw:
+        raw.sendall(b"GET / HTTP/x\r\n\r\n")
+        assert raw.makefile("rb").read().endswith(b"400 Bad Request\n")
+    assert world.get("/").status == 200
+
+
+def test_a_fault_while_answering_leaks_nothing_and_is_logged(sample_snapshot, caplog):
+    """An answer that raises ends that connection only, without a traceback in it."""
+
+    class Broken:
+        def collect(self):
+            raise RuntimeError("secret")
+
+    with serving(World(snapshot=sample_snapshot), collector=_Late(Broken())) as world:
+        with socket.create_connection(("127.0.0.1", world.server.port), timeout=5.0) as raw:
+            raw.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert b"secret" not in raw.makefile("rb").read()
+        assert world.get("/-/ready").status == 200
+    assert "secret" in caplog.text
+
+
+def test_more_clients_than_slots_are_turned_away_and_then_served_again(world):
+    """Idle connections cannot use up the daemon's threads: the surplus gets 503 at once."""
+    address = ("127.0.0.1", world.server.port)
+    threads = threading.active_count()
+    idle = [socket.create_connection(address, timeout=5.0) for _ in range(40)]
+    try:
+        idle[-1].sendall(b"")
+        assert idle[-1].makefile("rb").read().startswith(b"HTTP/1.0 503 ")
+        assert threading.active_count() <= threads + 16
+    finally:
+        for connection in idle:
+            connection.close()
+    until_s = time.monotonic() + 10.0
+    while _status(world) != 200 and time.monotonic() < until_s:
+        time.sleep(0.02)
+    assert _status(world) == 200
+
+
+def test_a_taken_port_is_named_with_the_way_out(world):
+    """Listening where somebody else does fails with the address and the keys to change."""
+    second = HttpServer("127.0.0.1", world.server.port, snapshot=lambda: None, registry=CollectorRegistry())
+    with pytest.raises(
+        HttpAddressError, match=rf"127\.0\.0\.1:{world.server.port}: Address already in use.*http\.port"
+    ):
+        second.start()
+
+
+@pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
+def test_an_address_of_another_machine_is_refused_clearly(host):
+    """A host that is not this machine's gives our error, not the library's."""
+    server = HttpServer(host, 0, snapshot=lambda: None, registry=CollectorRegistry())
+    with pytest.raises(HttpAddressError, match=r"http\.host"):
+        server.start()
+
+
+def test_a_stopped_server_does_not_answer(sample_snapshot):
+    """After stop() the port is closed, and a second stop() does no harm."""
+    with serving(World(snapshot=sample_snapshot)) as world:
+        url = world.server.url
+        world.server.stop()
+        with pytest.raises(urllib.error.URLError):
+            urllib.request.urlopen(url, timeout=5.0)
+
+
+class _Late:
+    """Register without being asked to collect: a broken collector must be found by a scrape only."""
+
+    def __init__(self, inner):
+        self._inner = inner
+
+    def describe(self):
+        return []
+
+    def collect(self):
+        return self._inner.collect()
+
+
+def _status(world):
+    try:
+        return world.get("/-/ready").status
+    except OSError:
+        return None
