@@ -83,6 +83,9 @@ class Estimator:
         self._queue_delay_s = 0.0
         self._burst_s = 0.0  # link time of the largest message, which is no queue
         self._high_reports = 0
+        self._probes = 0
+        self._under_way: deque[tuple[int, float]] = deque(maxlen=100)  # probes nobody has reported: number, sent s
+        self._round_trips: deque[tuple[float, float]] = deque()  # when reported s, how long after sending s
         self._next_ping_s = -math.inf
         self._next_train_s = -math.inf
         self._blocked: tuple[float, float, int, int] | None = None  # when, blocked s, tx bytes, tx dropped
@@ -129,13 +132,18 @@ class Estimator:
         probes = []
         if now_s >= self._next_ping_s:
             self._next_ping_s = now_s + (t.outage_ping_interval_s if outage else 0.9 * t.ping_interval_s)
-            probes.append(ProbeRequest(packets=1, packet_bytes=t.outage_ping_bytes if outage else t.ping_bytes))
+            probes.append(self._request(1, t.outage_ping_bytes if outage else t.ping_bytes, now_s))
         if not outage and now_s >= self._next_train_s and self._queue_delay_s < self._queue_low_s:
             size = max(t.train_bytes, t.train_s * self._capacity)
             packets = 1 + math.ceil(size / t.train_packet_bytes)
-            probes.append(ProbeRequest(packets=packets, packet_bytes=t.train_packet_bytes))
+            probes.append(self._request(packets, t.train_packet_bytes, now_s))
             self._next_train_s = now_s + self._train_interval_s(size)
         return tuple(probes)
+
+    def _request(self, packets: int, packet_bytes: int, now_s: float) -> ProbeRequest:
+        self._probes += 1
+        self._under_way.append((self._probes, now_s))
+        return ProbeRequest(packets=packets, packet_bytes=packet_bytes, number=self._probes)
 
     # -- evidence
 
@@ -148,14 +156,7 @@ class Estimator:
         self._deliveries.append((now_s, report.interval_s, report.rx_bytes))
         while now_s - self._deliveries[0][0] > t.delivery_window_s - report.interval_s / 2:
             self._deliveries.popleft()
-        if report.delays_s:
-            # The smallest of a report: a late wake-up of the receiver can only add delay.
-            delay_s = min(report.delays_s)
-            self._delays.append((now_s, delay_s))
-            while now_s - self._delays[0][0] > t.delay_window_s:
-                self._delays.popleft()
-            self._queue_delay_s = delay_s - min(delay for _, delay in self._delays)
-            self._high_reports = self._high_reports + 1 if self._queue_delay_s > self._queue_high_s else 0
+        self._note_delays(report, now_s)
         for train in report.trains:
             if math.isfinite(train.rate_bytes_per_second):
                 self._trains.append((now_s, train.rate_bytes_per_second))
@@ -164,15 +165,41 @@ class Estimator:
         if report.trains and self._is_surprised(self._trains[-1][1]):
             self._next_train_s = min(self._next_train_s, now_s + t.surprise_interval_s)
 
+    def _note_delays(self, report: PeerReport, now_s: float) -> None:
+        while self._under_way and self._under_way[0][0] <= report.last_probe:
+            _, sent_s = self._under_way.popleft()
+            self._round_trips.append((now_s, now_s - sent_s))
+        while self._round_trips and now_s - self._round_trips[0][0] > self._tuning.delay_window_s:
+            self._round_trips.popleft()
+        if report.delays_s:
+            # The smallest of a report: a late wake-up of the receiver can only add delay.
+            delay_s = min(report.delays_s)
+            self._delays.append((now_s, delay_s))
+            while now_s - self._delays[0][0] > self._tuning.delay_window_s:
+                self._delays.popleft()
+            self._queue_delay_s = delay_s - min(delay for _, delay in self._delays)
+            self._high_reports = self._high_reports + 1 if self._queue_delay_s > self._queue_high_s else 0
+
     def _resume(self, now_s: float, silent_s: float) -> None:
         self._delays.clear()
         self._deliveries.clear()
         self._trains.clear()
+        self._under_way.clear()
         self._queue_delay_s, self._high_reports = 0.0, 0
         if self._kind is CapacityKind.PEER:
             self._change(
                 self._tuning.resume_ratio * self._capacity, now_s, f"reports resumed after {silent_s:.1f} s of silence"
             )
+
+    def _overdue_s(self, now_s: float) -> float:
+        """How much longer than usual the oldest unreported probe is under way: the queue is at least that long.
+
+        A queue delays the very pings that measure it; what has not arrived yet is the earliest evidence there is.
+        """
+        if not self._under_way or not self._round_trips:
+            return 0.0
+        usual_s = median(round_trip_s for _, round_trip_s in self._round_trips)
+        return max(0.0, now_s - self._under_way[0][1] - usual_s)
 
     @property
     def _delivery_rate(self) -> float:
@@ -287,7 +314,7 @@ class Estimator:
             capacity_bytes_per_second=pinned if pinned is not None else self._capacity,
             kind=CapacityKind.CONFIGURED if pinned is not None else self._kind,
             state=self._state,
-            queue_delay_s=max(0.0, self._queue_delay_s),
+            queue_delay_s=max(0.0, self._queue_delay_s, self._overdue_s(now_s)),
             queue_allowance_s=self._queue_low_s,
             delivery_rate_bytes_per_second=self._delivery_rate if self._state is not LinkState.OUTAGE else 0.0,
             age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s or now_s),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from arpd.settings import Settings
 
 _GATE_CLOSED = 0.01  # floors are all that flows
-_DRAIN_S = 0.15  # a queue this far above the allowance closes the gate
+_DRAIN_S = 0.08  # a queue this far above the allowance closes the gate
 _FLAP_S = 15.0
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25

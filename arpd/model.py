@@ -115,6 +115,7 @@ class PeerReport:
     rx_bytes, rx_packets : what the peer's link interface received in that time
     delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
     trains : bursts completed in that time
+    last_probe : highest number of a probe whose first packet has arrived, 0 = none or not told
     """
 
     peer: str
@@ -124,6 +125,7 @@ class PeerReport:
     rx_packets: int
     delays_s: tuple[float, ...] = ()
     trains: tuple[Train, ...] = ()
+    last_probe: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -230,10 +232,17 @@ class LinkEstimate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeRequest:
-    """A burst the estimator wants on the link: ``packets`` of ``packet_bytes`` payload, back to back."""
+    """A burst the estimator wants on the link.
+
+    Parameters
+    ----------
+    packets, packet_bytes : that many packets of that payload, back to back; a single one is a ping
+    number : counts up from 1, so that a report can say how far the probes have come
+    """
 
     packets: int
     packet_bytes: int
+    number: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

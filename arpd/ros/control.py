@@ -64,7 +64,6 @@ class RosControl:
         self._reports: list[PeerReport] = []
         self._announced: dict[tuple[str, str], tuple[float, PublisherState]] = {}
         self._crossings: Mapping[str, Crossing] = {}
-        self._trains = 0
         self._probes = 0
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -116,10 +115,9 @@ class RosControl:
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one train (or ping) on the link, back to back."""
-        self._trains += 1
         packets = [
             wire_format.encode_probe(
-                wire_format.ProbeHeader(train=self._trains, index=index, packets=request.packets),
+                wire_format.ProbeHeader(train=request.number, index=index, packets=request.packets),
                 payload_bytes=request.packet_bytes,
             )
             for index in range(request.packets)

@@ -42,6 +42,7 @@ class Receiver:
 
     delays_s: list[float] = field(default_factory=list)
     trains: list[Train] = field(default_factory=list)
+    last_probe: int = 0
     _open: dict[int, _OpenTrain] = field(default_factory=dict)
 
     def on_probe(
@@ -50,6 +51,7 @@ class Receiver:
         """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
         if index == 0:
             self.delays_s.append((received_ns - sent_ns) / 1e9)
+            self.last_probe = train
             if packets > 1:
                 self._open = {
                     number: waiting
@@ -139,6 +141,7 @@ class Peer:
                         rx_packets=max(0, counters.rx_packets - before.rx_packets),
                         delays_s=delays_s,
                         trains=trains,
+                        last_probe=self._receiver.last_probe,
                     )
                 )
             )

@@ -13,7 +13,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.model import PeerReport, Train
 
 _PROBE = struct.Struct("<BxHHI")  # version, index in train, packets in train, train number
-_REPORT = struct.Struct("<BBBxfII32s")  # version, delays, trains, interval s, rx bytes, rx packets, peer name
+_REPORT = struct.Struct("<BBBxfIII32s")  # version, delays, trains, interval s, rx bytes, rx packets, last probe, peer
 _DELAY = struct.Struct("<d")
 _TRAIN = struct.Struct("<IfH")  # bytes after the first, duration s, packets
 _VERSION = 1
@@ -56,6 +56,7 @@ def encode_report(report: PeerReport) -> Any:
         report.interval_s,
         min(report.rx_bytes, 2**32 - 1),
         min(report.rx_packets, 2**32 - 1),
+        report.last_probe & 0xFFFFFFFF,
         report.peer.encode()[:32],
     )
     body = b"".join(_DELAY.pack(delay) for delay in delays)
@@ -74,7 +75,7 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
     data = bytes(message.data)
     if len(data) < _REPORT.size or data[0] != _VERSION:
         raise ValueError("not a peer report of this version")
-    _, delay_count, train_count, interval_s, rx_bytes, rx_packets, name = _REPORT.unpack_from(data)
+    _, delay_count, train_count, interval_s, rx_bytes, rx_packets, last_probe, name = _REPORT.unpack_from(data)
     if len(data) != _REPORT.size + delay_count * _DELAY.size + train_count * _TRAIN.size:
         raise ValueError("peer report of the wrong length")
     offset = _REPORT.size + delay_count * _DELAY.size
@@ -92,6 +93,7 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
         interval_s=interval_s,
         rx_bytes=rx_bytes,
         rx_packets=rx_packets,
+        last_probe=last_probe,
         delays_s=delays,
         trains=tuple(train for train in trains if train.duration_s > 0),
     )
