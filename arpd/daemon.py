@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.model import Decision, Observation, ProbeRequest, QosPlan, Transition
-    from arpd.settings import Settings
+    from arpd.settings import GraphSettings, Settings
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +52,9 @@ class World(Protocol):
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
 
     def results(self) -> Mapping[str, int]:
         """Count parameter calls by result."""
@@ -173,6 +176,7 @@ class Daemon:
         self._settings, self._program = fresh, program
         self._estimator.reconfigure(fresh.link)
         self._governor.reconfigure(fresh)
+        self._world.reconfigure(fresh.graph)
         self._config_error = ""
         self._reloads["ok"] = self._reloads.get("ok", 0) + 1
         return True

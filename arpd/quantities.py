@@ -128,6 +128,8 @@ def format_size(size_bytes: float) -> str:
 
 def format_duration(seconds: float) -> str:
     """Write a duration (s) for a reader: `12.5 ms`."""
+    if seconds == 0:
+        return "0 s"
     return _format(seconds, {"h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
 
 

@@ -34,6 +34,10 @@ FULL = "0:20mbit,20:5mbit,50:20mbit"
 QUICK = "0:20mbit,8:5mbit,26:20mbit"
 _TAIL_S = {FULL: 20.0, QUICK: 12.0}
 _NESTED = "ARPD_DEMO_NESTED"
+_LEGEND = (
+    "loss: sent on the link and never received.  withheld: pacing chose a fresher sample instead.",
+    "stalled: never published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
+)
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
@@ -87,8 +91,8 @@ def main(argv: list[str] | None = None) -> int:
         # A pipe has no width of its own; the table must not be cut to 80 columns there.
         wide = console if console.is_terminal else Console(width=160)
         wide.print(final_table(pairs))
-        console.print(verdict(pairs)[1])
-        console.print("loss: sent on the link and never received; withheld: pacing chose a fresher sample instead.")
+        for sentence in (verdict(pairs)[1], *_LEGEND):
+            console.print(sentence, soft_wrap=True, highlight=False)
     return 0
 
 

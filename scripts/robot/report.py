@@ -62,36 +62,21 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
 
 
 def final_table(pairs: Sequence[Pair]) -> Table:
-    """Both runs side by side, per topic and in all."""
-    table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10)  │  arpd", title_justify="left", pad_edge=False)
+    """Both runs side by side, per topic and in all: every cell reads ``without → with arpd``."""
+    table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10) → arpd", title_justify="left", pad_edge=False)
     table.add_column("topic", no_wrap=True)
-    for heading in (
-        "source\nHz",
-        "stalled\n%",
-        "lat p50\nms",
-        "lat p99\nms",
-        "loss\n%",
-        "age p50\nms",
-        "age p99\nms",
-        "MB",
-    ):
+    headings = ("source\nHz", "latency p50\nms", "latency p99\nms", "loss\n%", "withheld\n%")
+    for heading in (*headings, "age p50\nms", "age p99\nms", "stalled\n%", "delivered\nMB"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for heading in (
-        "│stalled\n%",
-        "lat p50\nms",
-        "lat p99\nms",
-        "loss\n%",
-        "withheld\n%",
-        "age p50\nms",
-        "age p99\nms",
-        "MB",
-    ):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for pair in sorted(pairs, key=lambda pair: -pair.without.delivered_bytes):
-        style = "bold" if pair.is_overloaded else ""
-        table.add_row(pair.without.topic, *_plain_cells(pair.without), *_managed_cells(pair.with_arpd), style=style)
+    for pair in sorted(pairs, key=lambda pair: -pair.with_arpd.delivered_bytes):
+        table.add_row(
+            pair.without.topic,
+            f"{pair.without.source_rate_hz:g}",
+            *map(_arrow, _cells(pair.without), _cells(pair.with_arpd)),
+            style="bold" if pair.is_overloaded else "",
+        )
     table.add_section()
-    table.add_row("all", *_total_cells([p.without for p in pairs]), *_total_managed([p.with_arpd for p in pairs]))
+    table.add_row("all", "", *map(_arrow, _totals([p.without for p in pairs]), _totals([p.with_arpd for p in pairs])))
     return table
 
 
@@ -180,49 +165,46 @@ def _ms(value: float | None) -> str:
     return "never" if value is None else f"{value * 1e3:.0f}"
 
 
-def _plain_cells(result: TopicResult) -> list[str]:
-    return [f"{result.source_rate_hz:g}", *_latency_cells(result), *_age_cells(result)]
+def _arrow(without: str, with_arpd: str) -> str:
+    return f"{without} → {with_arpd}" if without or with_arpd else ""
 
 
-def _managed_cells(result: TopicResult) -> list[str]:
-    return [*_latency_cells(result), f"{result.withheld_ratio:.1%}".rstrip("%"), *_age_cells(result)]
-
-
-def _latency_cells(result: TopicResult) -> list[str]:
+def _cells(result: TopicResult) -> list[str]:
     return [
-        f"{result.stalled_ratio * 100:.1f}",
         _ms(result.latency_p50_s),
         _ms(result.latency_p99_s),
-        f"{result.loss_ratio * 100:.2f}",
+        _percent(result.loss_ratio),
+        _percent(result.withheld_ratio),
+        _ms(result.age_p50_s),
+        _ms(result.age_p99_s),
+        _percent(result.stalled_ratio),
+        f"{result.delivered_bytes / 1e6:.2f}",
     ]
 
 
-def _age_cells(result: TopicResult) -> list[str]:
-    return [_ms(result.age_p50_s), _ms(result.age_p99_s), f"{result.delivered_bytes / 1e6:.2f}"]
-
-
-def _total_cells(results: Sequence[TopicResult]) -> list[str]:
-    sent = sum(result.sent for result in results)
-    lost = sum(result.lost for result in results)
-    worst_latency = max((result.latency_p99_s or math.inf for result in results), default=0.0)
-    worst_age = max((result.age_p99_s or math.inf for result in results), default=0.0)
-    total = sum(result.delivered_bytes for result in results) / 1e6
-    loss = lost / sent if sent else 0.0
-    stalled = 1 - sum(result.offered for result in results) / max(1, sum(result.expected for result in results))
+def _totals(results: Sequence[TopicResult]) -> list[str]:
+    """Ratios over all samples; the worst topic's p99, because a mean of percentiles means nothing."""
+    offered, expected = sum(r.offered for r in results), sum(r.expected for r in results)
     return [
         "",
-        f"{max(0.0, stalled) * 100:.1f}",
+        "≤" + _ms(_worst([r.latency_p99_s for r in results])),
+        _percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
+        _percent(_ratio(sum(r.withheld for r in results), offered)),
         "",
-        f"≤{worst_latency * 1e3:.0f}",
-        f"{loss * 100:.2f}",
-        "",
-        f"≤{worst_age * 1e3:.0f}",
-        f"{total:.2f}",
+        "≤" + _ms(_worst([r.age_p99_s for r in results])),
+        _percent(max(0.0, _ratio(expected - offered, expected))),
+        f"{sum(r.delivered_bytes for r in results) / 1e6:.2f}",
     ]
 
 
-def _total_managed(results: Sequence[TopicResult]) -> list[str]:
-    offered = sum(result.offered for result in results)
-    withheld = sum(result.withheld for result in results)
-    _, stalled, p50, p99, loss, *ages = _total_cells(results)
-    return [stalled, p50, p99, loss, f"{withheld / offered * 100 if offered else 0.0:.1f}", *ages]
+def _worst(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) if len(known) == len(values) and known else None
+
+
+def _ratio(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
+
+
+def _percent(ratio: float) -> str:
+    return f"{ratio * 100:.1f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -60,6 +61,21 @@ class Side:
     processes: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     arrivals: dict[str, Any] = field(default_factory=dict)
     url: str = ""
+
+    @property
+    def config(self) -> Path:
+        """The run's own copy of the configuration."""
+        return self.workdir / "arpd.yaml"
+
+    def start_daemon(self) -> None:
+        """Start `arpd run` on the robot."""
+        self.start("run", "robot", "arpd", "run", "--config", str(self.config))
+
+    def result(self, name: str) -> dict[str, Any]:
+        """Return what a source or the planner wrote about its run when it was stopped."""
+        document = json.loads((self.workdir / f"{name}.json").read_text())
+        assert isinstance(document, dict)
+        return document
 
     def start(self, name: str, host: HostName, *argv: str, env: dict[str, str] | None = None) -> None:
         """Start one process; its stderr goes to a log in the work folder."""
@@ -133,8 +149,9 @@ def robot(link: SimLink, workdir: Path, *, is_managed: bool, listen_port: int = 
         )
         if is_managed:
             side.start("peer", "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
-            side.start("run", "robot", "arpd", "run", "--config", str(CONFIG))
-            side.start("relay", "robot", "arpd", "relay", "--config", str(CONFIG))
+            shutil.copyfile(CONFIG, side.config)
+            side.start_daemon()
+            side.start("relay", "robot", "arpd", "relay", "--config", str(side.config))
             side.url = stack.enter_context(window(link.robot, HTTP_PORT, listen_port=listen_port))
         for topic in (*SENSORS, BASE_DRIVER):
             name = _process_name(topic)
@@ -209,7 +226,7 @@ def _check_alive(side: Side) -> None:
 
 
 def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> list[TopicResult]:
-    files = [json.loads((side.workdir / f"{name}.json").read_text()) for name in _sources()]
+    files = [side.result(name) for name in _sources()]
     offered = {topic: count for file in files for topic, count in file["offered"].items()}
     received = {topic: summary for file in files for topic, summary in file.get("received", {}).items()}
     by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}

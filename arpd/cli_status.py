@@ -1,0 +1,190 @@
+"""`arpd status`: one screen of what the daemon sees and does, read from its HTTP status."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import urllib.error
+import urllib.request
+from http.client import HTTPException
+from typing import Any
+
+from arpd.config_source import printable
+from arpd.errors import ArpdError, DaemonUnreachableError, UsageError
+from arpd.quantities import format_duration, format_rate, format_size
+from arpd.settings import HttpSettings
+
+_TIMEOUT_S = 3.0
+_MAX_BYTES = 16 * 2**20
+_LONGEST_LINE = 400
+_DEFAULT = HttpSettings()
+
+
+def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "status",
+        help="show what the daemon sees and does",
+        description="""\
+Ask a running daemon for its last tick: what it believes of the link, how far the gate is open, which plan is in force,
+and for every publisher the planned and the confirmed rate, DEPTH and DEADLINE.
+Exits 69 when no daemon answers, 1 when it answers but is not ready.""",
+        epilog="""\
+examples:
+  arpd status
+  arpd status --url http://robot.local:9464
+  arpd status --json | jq '.topics[] | {topic, planned, confirmed}'
+  watch -n 1 arpd status""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--url", default=f"http://{_DEFAULT.host}:{_DEFAULT.port}", help="base URL of the daemon (default %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the daemon's JSON")
+    parser.set_defaults(handler=_status)
+
+
+def _status(options: argparse.Namespace) -> int:
+    status = fetch_status(options.url)
+    if options.json:
+        print(json.dumps(status, indent=2))
+    elif "link" in status:
+        try:
+            print(screen(status))
+        except (KeyError, TypeError) as error:
+            raise ArpdError(f"the daemon at {options.url} speaks another version of arpd; use --json") from error
+    if not status.get("ready"):
+        print("arpd: the daemon is not ready; it has not finished a tick or does not govern yet", file=sys.stderr)
+        return 1
+    return 0
+
+
+def fetch_status(url: str) -> dict[str, Any]:
+    """Ask the daemon at a base URL for its status document (`arpd.web.status`).
+
+    Raises
+    ------
+    UsageError
+        If the URL is none.
+    DaemonUnreachableError
+        If nothing answers there, or something that is not arpd.
+    """
+    if not url.startswith(("http://", "https://")):
+        raise UsageError(f"--url {url!r} is not an HTTP address; write it like http://127.0.0.1:9464")
+    address = f"{url.rstrip('/')}/api/v1/status"
+    try:
+        body = _get(address)
+    except (OSError, HTTPException) as error:
+        reason = getattr(error, "reason", None) or error
+        raise DaemonUnreachableError(
+            f"no daemon answers at {url} ({reason}); is it running (systemctl status arpd), and is http.port the same?"
+        ) from None
+    except ValueError as error:
+        raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
+    try:
+        status = json.loads(body)
+    except (ValueError, RecursionError):
+        status = None
+    if not isinstance(status, dict) or "api_version" not in status:
+        raise DaemonUnreachableError(f"what answers at {url} is not arpd; name the daemon's address with --url")
+    return status
+
+
+def _get(address: str) -> bytes:
+    # The daemon is a neighbour: a proxy from the environment would only be in the way.
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    try:
+        with opener.open(address, timeout=_TIMEOUT_S) as response:
+            body: bytes = response.read(_MAX_BYTES)
+    except urllib.error.HTTPError as error:
+        # A daemon that is not ready says so in the body of its 503.
+        body = error.read(_MAX_BYTES)
+    return body
+
+
+def screen(status: dict[str, Any]) -> str:
+    """Lay a status document out for a terminal."""
+    link, plan, allocation, memory = status["link"], status["plan"], status["allocation"], status["memory"]
+    estimate = (
+        f"{_rate(link['capacity_bytes_per_second'])} ({link['kind']}, {link['state']}), "
+        f"delivering {_rate(link['delivery_rate_bytes_per_second'])}, queueing {_duration(link['queue_delay_seconds'])}"
+    )
+    in_force = (
+        f"{plan['generation']} for {_rate(status['level_bytes_per_second'])}: "
+        f"{plan['confirmed']} of {plan['publishers']} publishers confirmed"
+    )
+    solved = f"bound by {allocation['binding']}, solved by {allocation['backend']} in"
+    lines = [
+        f"arpd {status['version']} on {status['interface']}, {_age(status['age_seconds'])}",
+        "",
+        f"link     {estimate}",
+        f"         {link['evidence']}",
+        f"gate     {_number(status['gate'])}",
+        f"plan     {in_force}",
+        *([f"         {plan['reason']}"] if plan["reason"] else []),
+        *(f"         refused: {refusal}" for refusal in plan["refusals"]),
+        f"program  {allocation['status']}, {solved} {_duration(allocation['solve_seconds'])}",
+        *([f"         given up: {allocation['degradation']}"] if allocation["degradation"] else []),
+        f"memory   {format_size(memory['available_bytes'])} of {format_size(memory['total_bytes'])} available",
+    ]
+    if error := status["config"]["error"]:
+        lines.append(f"config   the last reload was refused: {error}")
+    lines.append("")
+    lines += _topics(status["topics"])
+    # Names and reasons come from other hosts; none of them may steer the terminal.
+    return "\n".join(printable(line, longest=_LONGEST_LINE) for line in lines)
+
+
+def _topics(topics: list[dict[str, Any]]) -> list[str]:
+    if not topics:
+        return ["no publisher announces itself; use arpd.AdaptivePublisher, or name topics under relay.topics"]
+    head = ("TOPIC", "RATE Hz", "planned", "source", "DEPTH", "planned", "DEADLINE", "planned", "WITHHELD", "BOUND BY")
+    rows = [head, *(_row(topic) for topic in topics)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    lines = []
+    for row in rows:
+        numbers = (text.rjust(width) for text, width in zip(row[1:-1], widths[1:-1], strict=True))
+        lines.append("  ".join((row[0].ljust(widths[0]), *numbers, row[-1])).rstrip())
+    return lines
+
+
+def _row(topic: dict[str, Any]) -> tuple[str, ...]:
+    now, planned = topic["confirmed"], topic["planned"]
+    offered = topic["offered"]
+    return (
+        topic["topic"],
+        _paced(now["rate_hz"]),
+        _paced(planned["rate_hz"]) if planned else "-",
+        _number(topic["source_rate_hz"]),
+        str(now["depth"]),
+        str(planned["depth"]) if planned else "-",
+        _deadline(now["deadline_ns"]),
+        _deadline(planned["deadline_ns"]) if planned else "-",
+        f"{topic['withheld']} ({topic['withheld'] / offered:.0%})" if offered else str(topic["withheld"]),
+        topic["refusal"] or topic["binding"] or "-",
+    )
+
+
+def _paced(rate_hz: float | None) -> str:
+    return "unpaced" if rate_hz is None else _number(rate_hz)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _rate(bytes_per_second: float | None) -> str:
+    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
+
+
+def _duration(seconds: float | None) -> str:
+    return "-" if seconds is None else format_duration(seconds)
+
+
+def _deadline(period_ns: int | None) -> str:
+    return "none" if period_ns is None else format_duration(period_ns * 1e-9)
+
+
+def _age(seconds: float | None) -> str:
+    return "age unknown" if seconds is None else f"{format_duration(seconds)} ago"

@@ -1,0 +1,184 @@
+"""A reliable DDS writer and its reader in virtual time, and the books of what arrived."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING
+
+from arpd.wire import ACKNACK_BYTES, wire_size
+
+if TYPE_CHECKING:
+    from arpd.sim.link import SimulatedLink, Timeline
+    from arpd.swap import WriterQos
+
+SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
+_HEARTBEAT_BYTES = ACKNACK_BYTES  # the two submessages differ by less than their headers weigh
+# Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
+# and never of a sample that is on its way; so the robot without arpd looks better here than it is.
+_RESEND_S = 0.1
+
+
+@dataclass(slots=True)
+class Arrivals:
+    """What reached the reader of one topic; the figures of the real demo, kept in the same way.
+
+    Latency ends where DDS stamps the arrival, age where the reader gets the sample, in its writer's order.
+    """
+
+    latencies_s: list[float] = field(default_factory=list)
+    ages_s: list[float] = field(default_factory=list)
+    sequences: set[int] = field(default_factory=set)
+    doubled: int = 0
+    reordered: int = 0
+    newest_sequence: int = -1
+    newest_stamp_s: float = 0.0
+
+    def on_arrival(self, sample: bytes, now_s: float) -> None:
+        """Note when a sample left the wire."""
+        sequence, stamp_s = SAMPLE.unpack(sample)
+        if sequence not in self.sequences:
+            self.latencies_s.append(now_s - stamp_s)
+
+    def on_sample(self, sample: bytes) -> None:
+        """Note what the reader is handed."""
+        sequence, stamp_s = SAMPLE.unpack(sample)
+        if sequence in self.sequences:
+            self.doubled += 1
+            return
+        self.sequences.add(sequence)
+        if sequence < self.newest_sequence:
+            self.reordered += 1
+        else:
+            self.newest_sequence, self.newest_stamp_s = sequence, stamp_s
+
+    def on_age(self, now_s: float) -> None:
+        """Sample the age of the newest sample."""
+        if self.newest_sequence >= 0:
+            self.ages_s.append(now_s - self.newest_stamp_s)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Route:
+    """The way from a writer to its reader, and the way back for acknowledgements."""
+
+    timeline: Timeline
+    there: SimulatedLink
+    back: SimulatedLink
+
+
+class _Reader:
+    """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has."""
+
+    def __init__(self, arrivals: Arrivals, timeline: Timeline) -> None:
+        self._arrivals = arrivals
+        self._timeline = timeline
+        self._held: dict[int, bytes] = {}
+        self._highest = 0
+        self.next = 1
+
+    def on_data(self, number: int, sample: bytes) -> None:
+        if number >= self.next and number not in self._held:
+            self._held[number] = sample
+            self._arrivals.on_arrival(sample, self._timeline.now_s)
+
+    def on_heartbeat(self, first: int, last: int) -> list[int]:
+        """Hand over what is in order now, and return the numbers to ask for again."""
+        self._highest = max(self._highest, last)
+        for number in sorted(number for number in self._held if number < first):
+            self._arrivals.on_sample(self._held.pop(number))
+        self.next = max(self.next, first)
+        while (sample := self._held.pop(self.next, None)) is not None:
+            self._arrivals.on_sample(sample)
+            self.next += 1
+        return [number for number in range(self.next, self._highest + 1) if number not in self._held]
+
+
+class SimulatedWriter:
+    """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
+
+    Every sample carries a heartbeat, as in Fast DDS once a history is full; a periodic one serves the last sample.
+    It is a `arpd.swap.Writer`.
+
+    Parameters
+    ----------
+    qos : depth (samples); the deadline is a contract and changes nothing here
+    heartbeat_s : period of the heartbeat while something is unacknowledged (s)
+    """
+
+    def __init__(
+        self, route: Route, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
+    ) -> None:
+        self._route = route
+        self._depth = qos.depth
+        self._heartbeat_s = heartbeat_s
+        self._reader = _Reader(arrivals, route.timeline)
+        self._history: dict[int, bytes] = {}
+        self._settled_at_s: dict[int, float] = {}
+        self._last = 0
+        self._acknowledged = 0
+        self._is_alive = True
+        self._is_beating = False
+        wire_bytes, self._packets = wire_size(payload_bytes)
+        self._wire_bytes = wire_bytes - ACKNACK_BYTES  # the acknowledgement crosses on its own, the other way
+
+    def publish(self, sample: bytes) -> None:
+        """Write one sample; the oldest leaves a full history, acknowledged or not."""
+        self._last += 1
+        self._history[self._last] = sample
+        while len(self._history) > self._depth:
+            gone = next(iter(self._history))
+            del self._history[gone], self._settled_at_s[gone]
+        self._send(self._last)
+        if not self._is_beating:
+            self._is_beating = True
+            self._route.timeline.at(self._route.timeline.now_s + self._heartbeat_s, self._beat)
+
+    def matched(self) -> int:
+        """One reader, known at once: a new writer's endpoint data travels ahead of its samples."""
+        return 1
+
+    def is_acknowledged(self) -> bool:
+        """Whether the reader has everything, in order."""
+        return self._acknowledged >= self._last
+
+    def destroy(self) -> None:
+        """Stop resending; what is on the link still arrives."""
+        self._is_alive = False
+        self._history.clear()
+        self._settled_at_s.clear()
+
+    @property
+    def _first(self) -> int:
+        return next(iter(self._history), self._last + 1)
+
+    def _send(self, number: int) -> None:
+        deliver = partial(self._arrive, number, self._history[number], self._first, self._last)
+        self._settled_at_s[number] = self._route.there.send(self._wire_bytes, self._packets, deliver)
+
+    def _beat(self) -> None:
+        if not self._is_alive or self.is_acknowledged():
+            self._is_beating = False
+            return
+        self._route.there.send(_HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
+        self._route.timeline.at(self._route.timeline.now_s + self._heartbeat_s, self._beat)
+
+    # -- at the reader
+
+    def _arrive(self, number: int, sample: bytes, first: int, last: int) -> None:
+        self._reader.on_data(number, sample)
+        self._acknowledge(first, last)
+
+    def _acknowledge(self, first: int, last: int) -> None:
+        missing = self._reader.on_heartbeat(first, last)
+        self._route.back.send(ACKNACK_BYTES, 1, partial(self._on_acknack, self._reader.next - 1, missing))
+
+    # -- back at the writer
+
+    def _on_acknack(self, acknowledged: int, missing: list[int]) -> None:
+        self._acknowledged = max(self._acknowledged, acknowledged)
+        now_s = self._route.timeline.now_s
+        for number in missing:
+            if number in self._history and now_s - self._settled_at_s[number] >= _RESEND_S:
+                self._send(number)

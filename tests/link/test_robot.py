@@ -1,0 +1,153 @@
+"""The whole of arpd on a real link: real rclpy and Fast DDS in two network namespaces joined by a shaped veth."""
+
+import os
+import signal
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.sim.simlink import SimLink, available
+from scripts.robot.run import COMMAND_TOPIC, PREFIX, robot
+from scripts.robot.sensors import SENSORS
+
+CAN, WHY = available()
+pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
+
+FAST, SLOW = 20e6 / 8, 5e6 / 8
+# What 5 Mbit/s cannot carry at the source's rate; the others keep theirs, so their QoS need not change again.
+HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
+SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), "base_driver")
+
+
+@pytest.fixture
+def side(tmp_path):
+    with (
+        SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link,
+        robot(link, tmp_path, is_managed=True) as side,
+    ):
+        side.signal(signal.SIGUSR1, *SOURCES)
+        yield side
+
+
+def topics(side):
+    status = side.status()
+    return {topic["topic"]: topic for topic in status["topics"]} if status else {}
+
+
+def eventually(condition, timeout_s=30.0):
+    until_s = time.monotonic() + timeout_s
+    while time.monotonic() < until_s:
+        if condition():
+            return
+        time.sleep(0.2)
+    assert condition(), "did not happen in time"
+
+
+def is_confirmed(side):
+    """Every topic is planned and runs what is planned."""
+    status = side.status()
+    return (
+        status is not None
+        and len(status["topics"]) == 12
+        and status["plan"]["topics"] == 12
+        and status["plan"]["confirmed"] == 12
+    )
+
+
+def qos(topic):
+    confirmed = topic["confirmed"]
+    return confirmed["rate_hz"], confirmed["depth"], confirmed["deadline_ns"]
+
+
+def received(side, name):
+    """How often a topic arrived in the planner's last second."""
+    return side.arrivals.get(name, {}).get("rate_hz", 0)
+
+
+def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(side):
+    """A drop from 20 to 5 Mbit/s is measured, planned and confirmed on live publishers, and no command is lost."""
+    eventually(lambda: is_confirmed(side))
+    before = topics(side)
+    pids = {name: process.pid for name, process in side.processes.items()}
+    for topic in before.values():
+        assert topic["confirmed"]["depth"] != topic["baseline"]["depth"] or topic["confirmed"]["deadline_ns"], topic
+        assert sum(topic["swaps"].values()) >= 1, topic
+
+    side.link.set_rate(SLOW)
+
+    def has_settled():
+        now = topics(side)
+        return is_confirmed(side) and all(qos(now[name]) != qos(before[name]) for name in HEAVY)
+
+    eventually(has_settled)
+    after = topics(side)
+    for name in HEAVY:
+        assert after[name]["confirmed"]["rate_hz"] < before[name]["confirmed"]["rate_hz"], name
+        assert after[name]["confirmed"]["generation"] > before[name]["confirmed"]["generation"], name
+        assert after[name]["swaps"] != before[name]["swaps"], name
+    estimate = side.status()["link"]["capacity_bytes_per_second"]
+    assert 0.75 * SLOW < estimate < 1.25 * SLOW
+    # The application went on: same processes, counters that never started over.
+    assert all(process.poll() is None and process.pid == pids[name] for name, process in side.processes.items())
+    assert all(after[name]["offered"] > before[name]["offered"] for name in HEAVY)
+
+    time.sleep(2.0)
+    side.signal(signal.SIGUSR2, *SOURCES)
+    time.sleep(3.0)
+    published = topics(side)[COMMAND_TOPIC]["published"]
+    side.stop("base_driver")
+    commands = side.result("base_driver")["received"][COMMAND_TOPIC]
+    assert commands["received"] == published
+    assert commands["doubled"] == 0
+
+
+def test_the_daemon_may_die_and_return(side):
+    """After kill -9 data flows on under the last plan; a new daemon takes over, and a clean stop restores."""
+    eventually(lambda: is_confirmed(side))
+    side.link.set_rate(SLOW)
+    eventually(lambda: side.status()["link"]["capacity_bytes_per_second"] < 1.5 * SLOW)
+    eventually(lambda: is_confirmed(side))
+    before = topics(side)
+    generation = max(topic["confirmed"]["generation"] for topic in before.values())
+    baseline = {name: topic["baseline"] for name, topic in before.items()}
+
+    side.processes["run"].kill()
+    side.processes.pop("run").wait()
+    assert side.status() is None
+    time.sleep(3.0)
+    assert all(received(side, topic) > 0 for topic in ("/scan/front", "/imu", "/odom"))
+
+    side.start_daemon()
+    eventually(lambda: is_confirmed(side))
+    after = topics(side)
+    assert set(after) == set(before)
+    assert all(topic["confirmed"]["generation"] > generation for topic in after.values() if topic["topic"] in HEAVY)
+    assert all(after[name]["offered"] > before[name]["offered"] for name in before)  # the same publishers
+    assert {name: topic["baseline"] for name, topic in after.items()} == baseline
+
+    side.stop("run")
+    assert side.processes.pop("run").returncode == 0
+    assert "every publisher has its original QoS back" in (side.workdir / "run.log").read_text()
+
+
+def test_a_bad_reload_keeps_the_running_plan(side):
+    """SIGHUP with a broken file keeps plan and process; the fault is in the status, and a good file clears it."""
+    eventually(lambda: is_confirmed(side))
+    good = side.config.read_text()
+    before = side.status()["plan"]["generation"]
+    side.config.write_text(good + "\nlink:\n  headrom: 0.5\n")
+    side.signal(signal.SIGHUP, "run")
+    eventually(lambda: "headrom" in side.status()["config"]["error"])
+    assert "arpd.yaml:" in side.status()["config"]["error"]
+    assert side.status()["plan"]["generation"] == before
+    assert side.status()["totals"]["reloads"]["failed"] == 1
+
+    side.config.write_text(good + "\nlink:\n  headroom: 0.4\n")
+    side.signal(signal.SIGHUP, "run")
+    eventually(lambda: not side.status()["config"]["error"])
+    eventually(lambda: side.status()["plan"]["generation"] > before and is_confirmed(side))
+    status = side.status()
+    assert status["totals"]["reloads"]["ok"] == 1
+    assert status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"]

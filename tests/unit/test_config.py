@@ -1,0 +1,452 @@
+"""The configuration file: what it may say, and one clear line for each thing it may not."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from arpd.config import describe_change, load_settings, needs_restart, restart_only_changes
+from arpd.config_schema import SECTIONS, flatten
+from arpd.errors import ConfigError
+from arpd.settings import (
+    Backend,
+    GovernorSettings,
+    GraphSettings,
+    HttpSettings,
+    LinkSettings,
+    OnStop,
+    Overflow,
+    ProgramSettings,
+    RelaySettings,
+    Settings,
+    TopicSettings,
+)
+
+SHIPPED = Path(__file__).parents[2] / "etc" / "arpd" / "arpd.yaml"
+FAULT = re.compile(
+    r"(?P<file>.+?):(?P<line>[1-9]\d*):(?P<column>[1-9]\d*): (?P<key>[^ ].*?): (?P<wrong>.+); (?P<right>.+)"
+)
+FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture
+def load(tmp_path):
+    path = tmp_path / "arpd.yaml"
+
+    def load(text, interfaces=("lo", "eth0", "wlan0")):
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return load_settings(path, interfaces=lambda: interfaces)
+
+    return load
+
+
+@pytest.fixture
+def faults(load, tmp_path):
+    def faults(text):
+        with pytest.raises(ConfigError) as refused:
+            load(text)
+        for fault in refused.value.faults:
+            assert FAULT.fullmatch(fault)
+            assert "\n" not in fault
+        return [fault.removeprefix(f"{tmp_path}/arpd.yaml:") for fault in refused.value.faults]
+
+    return faults
+
+
+def test_a_file_that_says_everything_becomes_the_settings(load):
+    """Every key lands in its own attribute, in base units."""
+    text = """
+link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
+program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
+governor: {down_ratio: 0.7, up_ratio: 1.5, hold: 1s, dwell: 3s, dwell_max: 1min, deadband: 0.2,
+           swaps_per_minute: 60, debounce: 250ms}
+http: {host: "::1", port: 9000}
+graph: {sensing_topics: 11, actuation_topics: 1}
+defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
+topics:
+  - {name: /camera, max_rate_hz: source, latency_budget: 200ms}
+  - {name: /scan, weight: 4}
+relay: {prefix: /air, topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]}
+on_stop: keep
+"""
+    default_topic = TopicSettings(
+        weight=2.0, min_rate_hz=2.0, max_rate_hz=20.0, min_depth=2, max_depth=50, latency_budget_s=None
+    )
+    assert load(text) == Settings(
+        link=LinkSettings(
+            interface="wlan0",
+            capacity_bytes_per_second=1e6,
+            initial_capacity_bytes_per_second=125e3,
+            headroom=0.5,
+            packet_overhead_s=1e-4,
+        ),
+        program=ProgramSettings(
+            backend=Backend.EXACT, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
+        ),
+        governor=GovernorSettings(
+            down_ratio=0.7,
+            up_ratio=1.5,
+            hold_s=1.0,
+            dwell_s=3.0,
+            dwell_max_s=60.0,
+            deadband=0.2,
+            swaps_per_minute=60,
+            debounce_s=0.25,
+        ),
+        http=HttpSettings(host="::1", port=9000),
+        graph=GraphSettings(sensing_topics=11, actuation_topics=1),
+        default_topic=default_topic,
+        topics={
+            "/camera": replace(default_topic, max_rate_hz=None, latency_budget_s=0.2),
+            "/scan": replace(default_topic, weight=4.0),
+        },
+        relay=RelaySettings(
+            topics=("/camera", "/scan"), prefix="/air", overflow={"/camera": Overflow.QUEUE}, depths={"/camera": 20}
+        ),
+        on_stop=OnStop.KEEP,
+    )
+
+
+@pytest.mark.parametrize("text", ["link: {interface: auto}", "{}", "on_stop: restore", "\ufefftopics: []"])
+def test_what_the_file_leaves_out_is_at_its_default(load, text):
+    """Every key is optional."""
+    assert load(text) == Settings()
+
+
+def test_the_shipped_file_is_the_defaults():
+    """Installing arpd and not touching the file changes nothing."""
+    assert load_settings(SHIPPED, interfaces=lambda: ["lo"]) == Settings()
+
+
+def test_the_shipped_file_documents_every_key():
+    """Each key stands there with its true default, range and reload behaviour in the comment above it."""
+    documented, section, comment = {}, "", ""
+    for line in SHIPPED.read_text().splitlines():
+        if match := re.fullmatch(r"( *)(\w+):.*", line):
+            section = match[2] if not match[1] else section
+            documented[f"{section}.{match[2]}" if match[1] else match[2]] = comment
+        elif line.lstrip().startswith("# default:"):
+            comment = line.strip()
+    defaults = flatten(Settings())
+    for path, model in SECTIONS.items():
+        for key, kind in model.kinds().items():
+            dotted = ".".join((*path, key))
+            if path[-1:] == ("topics",):
+                assert f"{key}:" in SHIPPED.read_text()
+                continue
+            value = defaults[dotted]
+            shown = f"{value:g}" if isinstance(value, float) else value
+            reload = "restart" if needs_restart(dotted) else "yes"
+            assert documented[dotted] == f"# default: {shown} | range: {kind.range} | reload: {reload}", dotted
+
+
+def test_the_examples_in_the_shipped_file_load(load):
+    """What the comments show may be uncommented."""
+    blocks = re.findall(r"(?m)^ *#     topics:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
+    topics, relayed = (re.sub(r"(?m)^ *#     ", "  ", block) for block in blocks)
+    assert load(topics).topics["/link/camera/image/compressed"].latency_budget_s == 0.2
+    assert load(f"relay:\n{relayed}").relay.topics == ("/camera/image/compressed",)
+
+
+ONE_FAULT = {
+    "wrong type": ("link:\n  headroom: much\n", "2:13: link.headroom: 'much' is not a number; write 0.05..1"),
+    "text for a count": ("http:\n  port: '9464'\n", "2:9: http.port: '9464' is not a whole number; write 0..65535"),
+    "bool for a count": ("http:\n  port: true\n", "2:9: http.port: true is not a whole number; write 0..65535"),
+    "bool for a number": ("link: {headroom: true}\n", "1:18: link.headroom: true is not a number; write 0.05..1"),
+    "fraction for a count": ("http: {port: 80.5}", "1:14: http.port: 80.5 is not a whole number; write 0..65535"),
+    "null": ("http: {port: }", "1:13: http.port: nothing is not a whole number; write 0..65535"),
+    "nan": ("link: {headroom: .nan}", "1:18: link.headroom: nan is not a finite number; write 0.05..1"),
+    "infinite": ("defaults: {weight: .inf}", "1:20: defaults.weight: inf is not a finite number; write 0.001..1000"),
+    "out of range": ("link: {headroom: 1.5}", "1:18: link.headroom: 1.5 is above 1; write 0.05..1"),
+    "below range": ("http: {port: -1}", "1:14: http.port: -1 is below 0; write 0..65535"),
+    "no unit": ("governor: {hold: 2}", "1:18: governor.hold: 2 has no unit; write a duration like 500ms"),
+    "unknown unit": (
+        "link: {capacity: 5parsec}",
+        "1:18: link.capacity: 'parsec' is not a unit of a rate; write it like 20mbit or 125kB/s",
+    ),
+    "quantity out of range": (
+        "link: {capacity: 1bit}",
+        "1:18: link.capacity: 1bit is out of range; write 8kbit..100gbit or auto",
+    ),
+    "unknown choice": ("on_stop: explode", "1:10: on_stop: 'explode' is not one of the choices; write restore or keep"),
+    "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
+    "near section": ("\nlinks: {}\n", "2:1: links: is not a key arpd knows; did you mean link?"),
+    "misplaced key": ("port: 80\n", "1:1: port: is not a key arpd knows; did you mean http.port?"),
+    "far key": ("http: {zzz: 1}", "1:8: http.zzz: is not a key arpd knows; known here: host, port"),
+    "key without a name": ("http: {'': 2}", "1:8: http.'': is not a key arpd knows; known here: host, port"),
+    "number for a key": ("http: {1: 2}", "1:8: http: has a number for a key; write a name"),
+    "empty section": (
+        "http:\n",
+        "1:6: http: has no value; give it keys (host, port) or leave it out",
+    ),
+    "list for a section": (
+        "http: [1]",
+        "1:7: http: a list is not a mapping; give it keys (host, port) or leave it out",
+    ),
+    "mapping for a list": (
+        "topics: {name: /a}",
+        "1:9: topics: a mapping is not a list; write items with `- name:`, or [] for none",
+    ),
+    "duplicate key": (
+        "on_stop: keep\nlink: {}\non_stop: keep\n",
+        "3:1: on_stop: is already given on line 1; keep one of the two",
+    ),
+    "duplicate topic": (
+        "topics:\n  - name: /a\n  - name: /b\n  - name: /a\n",
+        "4:11: topics[2].name: '/a' is already given on line 2; keep one of the two",
+    ),
+    "duplicate relayed topic": (
+        "relay:\n  topics:\n  - name: /a\n  - name: /a\n",
+        "4:11: relay.topics[1].name: '/a' is already given on line 3; keep one of the two",
+    ),
+    "nameless topic": ("topics:\n  - weight: 1\n", "2:5: topics[0].name: is missing; every item needs one"),
+    "relative name": (
+        "topics:\n  - name: camera/image\n",
+        "2:11: topics[0].name: 'camera/image' is not an absolute ROS name; write /camera/image",
+    ),
+    "bad name": (
+        "topics: [{name: /1a}]",
+        "1:17: topics[0].name: '/1a' is not an absolute ROS name; write an absolute ROS name such as /camera/image",
+    ),
+    "minimum above maximum": (
+        "topics:\n    - name: /a\n      max_rate_hz: 20.0\n      min_rate_hz: 50.0\n",
+        "4:20: topics[0].min_rate_hz: 50.0 is above max_rate_hz 20.0; lower it or raise max_rate_hz",
+    ),
+    "minimum above the default's maximum": (
+        "defaults: {max_rate_hz: 20}\ntopics:\n- {name: /a, min_rate_hz: 50}",
+        "3:27: topics[0].min_rate_hz: 50.0 is above max_rate_hz 20.0 (the default); lower it or raise max_rate_hz",
+    ),
+    "maximum below the default minimum": (
+        "topics:\n- {name: /a, max_rate_hz: 0.5}",
+        "2:27: topics[0].max_rate_hz: 0.5 is below min_rate_hz 1.0 (the default); raise it or lower min_rate_hz",
+    ),
+    "depths crossed": (
+        "defaults: {min_depth: 9, max_depth: 3}",
+        "1:23: defaults.min_depth: 9 is above max_depth 3; lower it or raise max_depth",
+    ),
+    "dwell crossed": (
+        "governor: {dwell: 50s}",
+        "1:19: governor.dwell: 50s is above dwell_max 40s (the default); lower it or raise dwell_max",
+    ),
+    "no such interface": (
+        "link:\n  interface: wlan9\n",
+        "2:14: link.interface: 'wlan9' does not exist on this host; write auto or one of eth0, lo, wlan0",
+    ),
+    "empty": ("", "1:1: file: is empty; a minimal one is `link: {interface: auto}`"),
+    "only comments": ("# nothing\n---\n", "1:1: file: is empty; a minimal one is `link: {interface: auto}`"),
+    "a list": ("- a", "1:1: file: is a list, not a mapping of keys; a minimal one is `link: {interface: auto}`"),
+    "two documents": ("link: {}\n---\nhttp: {}\n", "2:1: yaml: holds a second YAML document; keep one"),
+    "broken": ("link: [1\n", "2:1: yaml: expected ',' or ']', but got '<stream end>'; correct the YAML here"),
+    "control character": ("a: b\nc: \x07", "2:4: yaml: a control character is not allowed here; remove it"),
+    "not UTF-8": (b"link: {}\non_stop: \xff", "2:10: file: byte 0xff is not UTF-8; save it as UTF-8"),
+    "anchor": ("link: &a {}\n", "1:7: yaml: anchor &a is not allowed; remove it"),
+    "alias": ("link: {}\nhttp: *a\n", "2:7: yaml: alias *a is not allowed; write the value out"),
+    "tag": ("link: !!python/none x\n", "1:7: yaml: tag tag:yaml.org,2002:python/none is not allowed; remove it"),
+    "deep": ("link: " + "[" * 50_000, "1:26: yaml: is nested more than 20 deep; no key of arpd is"),
+    "too large": ("#" * (2**20 + 1), "1:1: file: is larger than 1 MiB; no configuration needs that much"),
+    "escape out of range": ('on_stop: "\\UFFFFFFFF"', "1:13: yaml: a number is out of range; correct the YAML here"),
+    "lone surrogate": (
+        'on_stop: "\\uD800"',
+        "1:10: on_stop: '\\ud800' is not one of the choices; write restore or keep",
+    ),
+    "huge number": (
+        "http: {port: " + "9" * 5000 + "}",
+        "1:14: http.port: inf is not a whole number; write 0..65535",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "fault"), ONE_FAULT.values(), ids=ONE_FAULT)
+def test_each_fault_is_one_line_with_its_place_and_the_way_out(faults, text, fault):
+    """A fault says where it is, what is wrong and what would be right."""
+    assert faults(text) == [fault]
+
+
+def test_an_alias_bomb_is_refused_before_it_expands(faults):
+    """The first anchor ends the reading."""
+    bomb = "a: &a [x]\n" + "".join(
+        f"{chr(98 + n)}: &{chr(98 + n)} [{', '.join(['*' + chr(97 + n)] * 9)}]\n" for n in range(20)
+    )
+    assert faults(bomb) == ["1:4: yaml: anchor &a is not allowed; remove it"]
+
+
+def test_all_faults_are_reported_at_once_in_the_order_of_the_file(faults):
+    """One run of `arpd check` shows everything, and a faulty value hides no other rule."""
+    text = """\
+link: {interface: wlan9, headroom: much}
+topics:
+  - {name: /a, min_rate_hz: x, max_rate_hz: 0.1}
+  - {name: /a, bogus: 1}
+link: {}
+defaults: {min_depth: 5, max_depth: 2}
+"""
+    assert [fault.split(": ")[:2] for fault in faults(text)] == [
+        ["1:19", "link.interface"],
+        ["1:36", "link.headroom"],
+        ["3:29", "topics[0].min_rate_hz"],
+        ["4:12", "topics[1].name"],
+        ["4:16", "topics[1].bogus"],
+        ["5:1", "link"],
+        ["6:23", "defaults.min_depth"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "wrong"),
+    [
+        ("missing.yaml", "does not exist"),
+        (".", "is a directory"),
+        ("arpd.yaml/x", "cannot be read"),
+        ("a\0b", "cannot be read"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path, path, wrong):
+    """No path is answered with a traceback."""
+    (tmp_path / "arpd.yaml").write_text("{}")
+    with pytest.raises(ConfigError) as refused:
+        load_settings(tmp_path / path, interfaces=None)
+    assert len(refused.value.faults) == 1
+    assert wrong in refused.value.faults[0]
+    assert "\n" not in refused.value.faults[0]
+
+
+def test_interfaces_are_not_checked_where_they_are_not_known(tmp_path):
+    """A robot's file can be checked on another computer."""
+    (tmp_path / "arpd.yaml").write_text("link: {interface: wlan9}")
+    assert load_settings(tmp_path / "arpd.yaml", interfaces=None).link.interface == "wlan9"
+
+
+def test_names_that_grow_too_long_with_the_relay_prefix_are_refused(faults):
+    """ROS would refuse the publisher only at run time."""
+    name = "/" + "a" * 244
+    fault = f"1:25: relay.topics[0].name: with its prefix is {len(name) + 5} characters long; ROS allows 247"
+    assert faults(f"relay: {{topics: [{{name: {name}}}]}}") == [fault]
+
+
+@pytest.mark.parametrize("text", ["defaults: {weight: 010}", "defaults: {weight: 1e1}", "defaults: {weight: 10.}"])
+def test_numbers_are_those_of_yaml_1_2(load, text):
+    """No octal, and an exponent needs no point."""
+    assert load(text).default_topic.weight == 10.0
+
+
+def test_a_change_is_described_in_the_words_of_the_file():
+    """A reload logs what it changed, and what waits for a restart."""
+    old = Settings(topics={"/a": TopicSettings()})
+    new = replace(
+        old,
+        link=replace(old.link, capacity_bytes_per_second=1e6, interface="wlan0"),
+        http=replace(old.http, port=1),
+        relay=RelaySettings(topics=("/scan",)),
+        topics={"/a": TopicSettings(latency_budget_s=None)},
+        on_stop=OnStop.KEEP,
+    )
+    assert describe_change(old, new) == [
+        "link.interface: auto -> wlan0",
+        "link.capacity: auto -> 8mbit",
+        "http.port: 9464 -> 1",
+        "topics[/a].latency_budget: 1s -> none",
+        "on_stop: restore -> keep",
+        "relay.topics[/scan].overflow: absent -> latest",
+        "relay.topics[/scan].depth: absent -> 10",
+    ]
+    assert restart_only_changes(old, new) == [
+        "link.interface",
+        "http.port",
+        "relay.topics[/scan].overflow",
+        "relay.topics[/scan].depth",
+    ]
+    assert describe_change(new, new) == []
+
+
+def _check_any(load, text):
+    faults = ["a.yaml:1:1: none: was found; that is right"]
+    try:
+        assert isinstance(load(text), Settings)
+    except ConfigError as error:
+        faults = error.faults
+    assert faults
+    assert all(FAULT.fullmatch(fault) for fault in faults)
+
+
+@FUZZ
+@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
+@example(b'"\\xFFFF": &')
+@example(b"? [a]\n: b")
+@example(b"%YAML 1." + b"9" * 5000 + b"\n---\na: 1")
+def test_any_bytes_are_settings_or_faults(load, raw):
+    """Nothing but ConfigError comes out of a bad file."""
+    _check_any(load, raw)
+
+
+_YAML_BITS = st.sampled_from(
+    [
+        *"[]{}'\"|>#?~\t\n\x85é-",
+        *("link", "topics", "name", ": ", ":\n", "  ", "- ", ", ", "&a", "*a", "!!str ", "---\n"),
+        *("...\n", "%TAG ! x\n", '"\\U99999999"', "/a", "20mbit", "1e400", "<<"),
+    ]
+)
+
+
+@FUZZ
+@given(st.lists(_YAML_BITS, max_size=40).map("".join))
+def test_any_heap_of_yaml_is_settings_or_faults(load, text):
+    """The parser's own errors all become faults."""
+    _check_any(load, text)
+
+
+_KEYS = st.sampled_from(sorted({key for model in SECTIONS.values() for key in model.model_fields})) | st.text(
+    max_size=5
+)
+_LEAVES = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=10)
+    | st.sampled_from(
+        ["auto", "source", "none", "20mbit", "64MiB", "5s", "/a", "/a/b", "osqp", "keep", "latest", 1, 0.5, 10]
+    )
+)
+_TREES = st.recursive(
+    _LEAVES, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(_KEYS, inner, max_size=6), max_leaves=25
+)
+
+
+@FUZZ
+@given(st.dictionaries(_KEYS, _TREES, max_size=6) | _TREES)
+def test_any_structure_is_settings_or_faults(load, tree):
+    """Values of any shape at any key are refused in words."""
+    _check_any(load, yaml.safe_dump(tree, allow_unicode=True))
+
+
+_VALID = st.fixed_dictionaries(
+    {},
+    optional={
+        "link": st.fixed_dictionaries({}, optional={"headroom": st.floats(0.05, 1), "capacity": st.just("20mbit")}),
+        "program": st.fixed_dictionaries({}, optional={"backend": st.sampled_from(["osqp", "exact"])}),
+        "topics": st.lists(
+            st.fixed_dictionaries(
+                {"name": st.from_regex(r"(/[a-z]{1,4}){1,2}", fullmatch=True)},
+                optional={"weight": st.floats(0.001, 1000), "max_depth": st.integers(1, 5000)},
+            ),
+            max_size=4,
+            unique_by=lambda topic: topic["name"],
+        ),
+    },
+)
+
+
+@FUZZ
+@given(_VALID)
+def test_what_is_within_the_ranges_loads_and_keeps_its_values(load, tree):
+    """No valid file is refused."""
+    loaded = load(yaml.safe_dump(tree))
+    assert list(loaded.topics) == [topic["name"] for topic in tree.get("topics", [])]
+    for topic in tree.get("topics", []):
+        assert loaded.topics[topic["name"]].weight == topic.get("weight", 1.0)

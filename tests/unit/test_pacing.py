@@ -1,0 +1,166 @@
+"""The pacer: it bounds what leaves, loses count of nothing, and is in nobody's way when it need not be."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.pacing import Pacer
+from arpd.settings import Overflow
+
+GAPS = st.lists(st.floats(0.0, 0.5), min_size=1, max_size=60)
+RATES = st.floats(0.5, 500.0)
+OVERFLOWS = st.sampled_from(Overflow)
+
+
+def make(overflow=Overflow.LATEST, depth=10):
+    withheld: list[int] = []
+    return Pacer(overflow=overflow, depth=depth, on_withheld=withheld.append), withheld
+
+
+def name(number):
+    return number.to_bytes(4, "big")
+
+
+def drain(pacer, now_s):
+    taken = []
+    while (sample := pacer.take(now_s)) is not None:
+        taken.append(sample)
+    return taken
+
+
+@settings(deadline=None)
+@given(GAPS, st.lists(RATES, min_size=1, max_size=8), OVERFLOWS)
+def test_no_window_carries_more_than_its_rate_and_a_half_sample_more(gaps, rates, overflow):
+    """Between any two departures at most ∫rate + 1.5 samples leave, however often the rate is changed."""
+    pacer, _ = make(overflow, depth=100)
+    now_s, allowed, departures = 100.0, 0.0, []
+    for number, gap_s in enumerate(gaps):
+        rate_hz = rates[number % len(rates)]
+        pacer.retune(rate_hz=rate_hz, depth=100, now_s=now_s)
+        pacer.offer(name(number))
+        departures += [allowed] * len(drain(pacer, now_s))
+        now_s += gap_s
+        allowed += rate_hz * gap_s
+    for first, start in enumerate(departures):
+        for last in range(first, len(departures)):
+            assert last - first + 1 <= departures[last] - start + 1.5 + 1e-6
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 0.3), st.booleans(), RATES, st.integers(1, 5)), max_size=60), OVERFLOWS)
+def test_every_sample_is_taken_withheld_or_waiting(steps, overflow):
+    """Whatever happens, offered = taken + withheld + waiting, and samples leave in the order they came."""
+    pacer, withheld = make(overflow)
+    now_s, offered, taken = 100.0, 0, []
+    for gap_s, publishes, rate_hz, depth in steps:
+        now_s += gap_s
+        if publishes:
+            pacer.offer(name(offered))
+            offered += 1
+        else:
+            pacer.retune(rate_hz=rate_hz, depth=depth, now_s=now_s)
+        taken += drain(pacer, now_s)
+    assert offered == len(taken) + sum(withheld) + len(pacer)
+    assert all(before < after for before, after in pairwise(taken))
+
+
+@settings(deadline=None)
+@given(RATES, st.lists(st.floats(0.0, 0.49), min_size=2, max_size=50))
+def test_a_source_at_its_rate_is_never_delayed(rate_hz, earliness):
+    """A source at exactly the paced rate that is early by less than half a period passes at once."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=rate_hz, depth=10, now_s=0.0)
+    for number, early in enumerate(earliness):
+        now_s = (number + 1.0 - early) / rate_hz
+        pacer.offer(name(number))
+        assert pacer.take(now_s + 1e-9) == name(number)
+
+
+@settings(deadline=None)
+@given(RATES, st.integers(2, 20))
+def test_due_is_the_first_moment_a_sample_may_leave(rate_hz, samples):
+    """Just before `due_s` nothing leaves, at `due_s` one sample does."""
+    pacer, _ = make(Overflow.QUEUE, depth=100)
+    pacer.retune(rate_hz=rate_hz, depth=100, now_s=0.0)
+    for number in range(samples):
+        pacer.offer(name(number))
+    now_s = 0.0
+    for number in range(samples):
+        due_s = pacer.due_s(now_s)
+        if due_s > now_s:
+            assert pacer.take(now_s + 0.99 * (due_s - now_s)) is None
+        assert pacer.take(due_s + 1e-9) == name(number)
+        now_s = due_s + 1e-9
+    assert pacer.due_s(now_s) == math.inf
+
+
+def test_latest_keeps_only_the_newest():
+    """While paced, a newer sample replaces the one that waits, and the older one is counted."""
+    pacer, withheld = make(Overflow.LATEST)
+    pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)
+    for number in range(5):
+        pacer.offer(name(number))
+    assert len(pacer) == 1
+    assert sum(withheld) == 4
+    assert pacer.take(0.0) == name(4)
+
+
+def test_queue_drops_its_oldest_beyond_the_depth():
+    """A full queue loses its oldest sample, and a smaller depth sheds at once."""
+    pacer, withheld = make(Overflow.QUEUE, depth=3)
+    for number in range(5):
+        pacer.offer(name(number))
+    assert sum(withheld) == 2
+    pacer.retune(rate_hz=10.0, depth=1, now_s=0.0)
+    assert sum(withheld) == 4
+    assert pacer.take(0.0) == name(4)
+
+
+@pytest.mark.parametrize("overflow", Overflow)
+def test_unpaced_samples_leave_at_once_and_held_ones_are_kept(overflow):
+    """Without a rate nothing waits on its own, and what a swap holds back is kept up to the depth."""
+    pacer, withheld = make(overflow, depth=4)
+    for number in range(4):
+        pacer.offer(name(number))
+    assert not withheld
+    assert drain(pacer, 0.0) == [name(number) for number in range(4)]
+
+
+def test_a_paused_topic_waits_without_end_and_resumes():
+    """At rate 0 nothing is ever due; with a rate again the sample leaves within one period."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=0.0, depth=10, now_s=0.0)
+    pacer.offer(name(0))
+    assert pacer.due_s(0.0) == math.inf
+    assert pacer.take(1e6) is None
+    pacer.retune(rate_hz=2.0, depth=10, now_s=1e6)
+    assert pacer.due_s(1e6) <= 1e6 + 0.5
+
+
+def test_a_gate_that_moves_does_not_restart_the_schedule():
+    """Retuning to the same rate ten times a second neither releases early nor keeps a sample back."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)
+    pacer.offer(name(0))
+    drain(pacer, 0.0)
+    departures = []
+    for tick in range(100):
+        now_s = tick / 10
+        pacer.retune(rate_hz=1.0, depth=10, now_s=now_s)
+        pacer.offer(name(tick))
+        departures += [now_s] * len(drain(pacer, now_s))
+    assert len(departures) in (9, 10)
+
+
+def test_clear_counts_what_it_gives_up():
+    """What waited at the end is withheld, not forgotten."""
+    pacer, withheld = make(Overflow.QUEUE)
+    pacer.offer(name(0))
+    pacer.offer(name(1))
+    pacer.clear()
+    pacer.clear()
+    assert withheld == [2]
+    assert not len(pacer)

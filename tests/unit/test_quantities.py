@@ -1,0 +1,142 @@
+"""Quantities as people write them."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.quantities import (
+    format_duration,
+    format_rate,
+    format_size,
+    parse_duration,
+    parse_rate,
+    parse_size,
+    spell_duration,
+    spell_rate,
+    spell_size,
+)
+
+FINITE = st.floats(min_value=0, max_value=1e15)
+
+
+@pytest.mark.parametrize(
+    ("text", "bytes_per_second"),
+    [
+        ("8bit", 1.0),
+        ("5mbit", 625_000.0),
+        ("0.5gbit", 62.5e6),
+        ("500 KBit", 62_500.0),
+        ("5.00 Mbit/s", 625_000.0),
+        ("125kB/s", 125_000.0),
+        ("1MiB/s", 2.0**20),
+        ("1e3bit", 125.0),
+        ("0mbit", 0.0),
+    ],
+)
+def test_a_rate_is_read_in_the_units_of_tc_and_in_bytes(text, bytes_per_second):
+    """Bit units are decimal and any case; byte units say so with a slash."""
+    assert parse_rate(text) == bytes_per_second
+
+
+@pytest.mark.parametrize(
+    ("text", "size_bytes"), [("64MiB", 64 * 2**20), ("64MB", 64e6), ("500kB", 5e5), ("500KB", 5e5), ("7B", 7)]
+)
+def test_a_size_is_decimal_or_binary_as_written(text, size_bytes):
+    """MB is not MiB."""
+    assert parse_size(text) == size_bytes
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("500ms", 0.5), ("1.1ms", 0.0011), ("5us", 5e-6), ("5µs", 5e-6), ("5μs", 5e-6), ("2min", 120.0), ("1h", 3600.0)],
+)
+def test_a_duration_is_the_nearest_float(text, seconds):
+    """Nothing is lost between the decimal text and the float."""
+    assert parse_duration(text) == seconds
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "message"),
+    [
+        (parse_rate, "5", "'5' has no unit; write a rate like 20mbit"),
+        (parse_rate, "", "'' is not a rate"),
+        (parse_rate, "fast", "'fast' is not a rate"),
+        (parse_rate, "-5mbit", "is not a rate"),
+        (parse_rate, "nanmbit", "is not a rate"),
+        (parse_rate, "5mbps", "means bits to some and bytes to tc"),
+        (parse_rate, "5Mb", "'Mb' is not a unit of a rate"),
+        (parse_rate, "5kB", "'kB' is not a unit of a rate"),
+        (parse_rate, "1e999gbit", "too large"),
+        (parse_rate, "9" * 5000 + "bit", "…' is not a rate"),
+        (parse_rate, "1e99999999bit", "is not a rate"),
+        (parse_size, "64Mi", "'Mi' is not a unit of a size"),
+        (parse_size, "5mbit", "'mbit' is not a unit of a size"),
+        (parse_duration, "2", "has no unit"),
+        (parse_duration, "2 fortnights", "'fortnights' is not a unit of a duration"),
+        (parse_duration, "٣s", "is not a duration"),
+    ],
+)
+def test_what_is_no_quantity_is_refused_with_the_way_out(parse, text, message):
+    """The message quotes what was written and shows what would be right."""
+    with pytest.raises(ValueError, match="; write ") as refused:
+        parse(text)
+    assert message in str(refused.value)
+
+
+@given(FINITE)
+def test_a_spelled_quantity_reads_back_exactly(value):
+    """Spelling loses nothing."""
+    assert parse_rate(spell_rate(value)) == value
+    assert parse_size(spell_size(value)) == value
+    assert parse_duration(spell_duration(value)) == value
+
+
+def test_a_spelled_quantity_is_short():
+    """Spelling takes the unit a person would."""
+    assert [spell_rate(2.5e6), spell_size(64 * 2**20), spell_duration(0.25), spell_duration(40.0), spell_rate(0)] == [
+        "20mbit",
+        "64MiB",
+        "250ms",
+        "40s",
+        "0bit",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("formatted", "text"),
+    [
+        (format_rate(625_000), "5.00 Mbit/s"),
+        (format_rate(0), "0 bit/s"),
+        (format_rate(124_999.9999), "1.00 Mbit/s"),
+        (format_rate(12.5e6), "100 Mbit/s"),
+        (format_rate(float("inf")), "unlimited"),
+        (format_rate(float("nan")), "unknown"),
+        (format_size(64 * 2**20), "64.0 MiB"),
+        (format_duration(0.0125), "12.5 ms"),
+        (format_duration(0), "0 s"),
+        (format_duration(7e-10), "0.70 ns"),
+    ],
+)
+def test_a_formatted_quantity_has_three_digits(formatted, text):
+    """Readers get three significant digits and the unit that fits."""
+    assert formatted == text
+
+
+@given(FINITE)
+def test_a_formatted_quantity_reads_back_to_three_digits(value):
+    """What is printed may be pasted into the configuration."""
+    assert parse_rate(format_rate(value)) == pytest.approx(value, rel=0.006, abs=0.001)
+    assert parse_size(format_size(value)) == pytest.approx(value, rel=0.006, abs=0.005)
+    assert parse_duration(format_duration(value)) == pytest.approx(value, rel=0.006, abs=1e-11)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_quantity_or_refused(text):
+    """No text does more than raise ValueError."""
+    for parse in (parse_rate, parse_size, parse_duration):
+        with contextlib.suppress(ValueError):
+            assert parse(text) >= 0
