@@ -117,7 +117,7 @@ class Estimator:
         silence_s = now_s - self._report_at_s
         if silence_s <= self._tuning.outage_s:
             self._state = self._judge(now_s, elapsed_s)
-        elif silence_s <= self._tuning.peer_lost_s:
+        elif silence_s <= self._tuning.peer_lost_s and observation.peers != 0:
             self._state = LinkState.OUTAGE
         else:
             self._state = self._judge_alone(observation, elapsed_s)

@@ -38,6 +38,7 @@ class Governor:
         self._above_since_s: float | None = None
         self._demand_since_s: float | None = None
         self._topics: frozenset[str] = frozenset()
+        self._planned_hz: dict[str, float] = {}
         self._seen: frozenset[str] = frozenset()
         self._seen_since_s = -math.inf
         self._changed_at_s = -math.inf
@@ -89,6 +90,7 @@ class Governor:
                 cause = ""
             else:
                 self._adopt(plan, cause, swaps, now_s)
+                self._planned_hz = {row.name: row.rate_hz for row in allocation.topics}
         self._refusals.update(refusals)
         self._calm(now_s)
         return Decision(
@@ -115,7 +117,7 @@ class Governor:
             return "reload", ""
         if link.state is LinkState.OUTAGE:
             return "", ""  # the gate holds; a plan for a link that is gone would be a guess
-        return self._level_cause(now_s, allocation, topics)
+        return self._level_cause(now_s, allocation)
 
     def _topics_cause(self, now_s: float, names: frozenset[str]) -> str:
         """Debounce topics that come and go, so that a node that brings ten of them costs one plan."""
@@ -125,11 +127,11 @@ class Governor:
             return ""
         return "start" if self._plan.generation == 0 else "topics"
 
-    def _level_cause(self, now_s: float, allocation: Allocation, topics: Sequence[Topic]) -> tuple[str, str]:
+    def _level_cause(self, now_s: float, allocation: Allocation) -> tuple[str, str]:
         g = self._settings.governor
         level, capacity = self._plan.level_bytes_per_second, allocation.capacity_bytes_per_second
         below, above = capacity < g.down_ratio * level, capacity > g.up_ratio * level
-        moved = not below and not above and self._demand_moved(allocation, topics)
+        moved = not below and not above and self._demand_moved(allocation)
         self._below_since_s = _since(below, self._below_since_s, now_s)
         self._above_since_s = _since(above, self._above_since_s, now_s)
         self._demand_since_s = _since(moved, self._demand_since_s, now_s)
@@ -144,15 +146,13 @@ class Governor:
                 return (cause, "") if now_s - self._changed_at_s >= dwell_s else ("", "dwell")
         return "", ""
 
-    def _demand_moved(self, allocation: Allocation, topics: Sequence[Topic]) -> bool:
-        """Whether a source now wants something else than the plan gives, at the same capacity."""
-        for row, topic in zip(allocation.topics, topics, strict=True):
-            planned = self._plan.topics.get(topic.name)
-            if planned is not None and abs(planned.rate_hz - row.rate_hz) > _DEMAND_CHANGE * max(
-                planned.rate_hz, row.rate_hz
-            ):
-                return True
-        return False
+    def _demand_moved(self, allocation: Allocation) -> bool:
+        """Whether sources now want something else than when the plan was made, at the same capacity."""
+        return any(
+            abs(planned_hz - row.rate_hz) > _DEMAND_CHANGE * max(planned_hz, row.rate_hz)
+            for row in allocation.topics
+            if (planned_hz := self._planned_hz.get(row.name)) is not None
+        )
 
     def _next_plan(
         self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState]
@@ -165,8 +165,7 @@ class Governor:
             publishers,
             previous=self._plan,
             generation=max(known, self._plan.generation) + 1,
-            deadline_slack=self._settings.program.deadline_slack,
-            deadband=self._settings.governor.deadband,
+            settings=self._settings,
         )
 
     def _is_over_budget(self, now_s: float, swaps: int) -> bool:

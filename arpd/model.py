@@ -188,6 +188,7 @@ class Observation:
     publishers : live AdaptivePublishers
     memory : memory of the robot computer
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
+    peers : peers in the graph, None = not known; with none left, silence is no outage
     """
 
     now_s: float
@@ -197,6 +198,7 @@ class Observation:
     memory: MemoryState
     sensing_topics: int
     actuation_topics: int
+    peers: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.model import Binding, Direction, QosPlan, TopicPlan, Transition
@@ -11,33 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from arpd.model import Allocation, PublisherState, Topic, TopicAllocation
+    from arpd.settings import Settings
 
-# A topic that gets all it wants is paced a little above its source, so that jitter is not throttled.
-_SOURCE_MARGIN = 1.1
-
-
-def plan_row(
-    row: TopicAllocation, topic: Topic, *, deadline_slack: float, requested_deadline_ns: int, is_capped: bool
-) -> TopicPlan:
-    """QoS of one topic under an allocation.
-
-    Parameters
-    ----------
-    deadline_slack : offered period = slack / R, so that jitter is not a missed deadline
-    requested_deadline_ns : tightest deadline a reader requests, 0 = none; a longer offer would disconnect it
-    is_capped : whether the desired rate is the operator's cap rather than the source's own rate
-    """
-    gets_all = row.binding is Binding.DESIRED_RATE and not is_capped
-    rate_hz = row.rate_hz * _SOURCE_MARGIN if gets_all else row.rate_hz
-    deadline_ns = math.ceil(row.deadline_ns * deadline_slack)
-    if requested_deadline_ns and (deadline_ns == 0 or deadline_ns > requested_deadline_ns):
-        deadline_ns = requested_deadline_ns
-    return TopicPlan(
-        rate_hz=rate_hz,
-        min_rate_hz=min(topic.min_rate_hz, rate_hz),
-        deadline_ns=deadline_ns,
-        depth=row.depth_applied,
-    )
+# A topic that gets all it wants is paced above its source, so that jitter and a little growth are not throttled;
+# more growth than that is a change of demand, and a matter for the next plan.
+_SOURCE_MARGIN = 1.25
 
 
 def make_plan(
@@ -47,30 +26,46 @@ def make_plan(
     *,
     previous: QosPlan,
     generation: int,
-    deadline_slack: float,
-    deadband: float,
+    settings: Settings,
 ) -> QosPlan:
     """Plan for all topics; a row that changes less than the deadband keeps its QoS, so that it is not swapped.
 
-    Parameters
-    ----------
-    deadband : relative change of rate and of depth below which a row stays as it was
+    A source that has fallen silent keeps its row: it costs nothing now, and must find its QoS when it returns.
     """
     publishers = tuple(publishers)
     requested = _tightest_requests(publishers)
-    source_hz = {p.topic: p.source_rate_hz for p in publishers}
+    silent = {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
     rows: dict[str, TopicPlan] = {}
     for row, topic in zip(allocation.topics, topics, strict=True):
-        fresh = plan_row(
-            row,
-            topic,
-            deadline_slack=deadline_slack,
-            requested_deadline_ns=requested.get(topic.name, 0),
-            is_capped=topic.desired_rate_hz < source_hz.get(topic.name, 0.0),
-        )
+        fresh = _row(row, topic, requested.get(topic.name, 0), settings)
+        if topic.name in silent:
+            # Nobody knows its period: a deadline would be a promise without a basis.
+            fresh = replace(fresh, deadline_ns=requested.get(topic.name, 0))
         kept = previous.topics.get(topic.name)
-        rows[topic.name] = kept if kept is not None and _within(kept, fresh, deadband) else fresh
+        keeps = kept is not None and (topic.name in silent or _within(kept, fresh, settings.governor.deadband))
+        rows[topic.name] = kept if keeps and kept is not None else fresh
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
+
+
+def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, settings: Settings) -> TopicPlan:
+    """QoS of one topic under an allocation.
+
+    The offered period is slack / R, so that jitter is not a missed deadline, and never longer than what a reader
+    requests: such a reader would silently disconnect (DESIGN §2).
+    """
+    rate_hz = row.rate_hz
+    if row.binding is Binding.DESIRED_RATE:
+        most_hz = settings.topic(topic.name).max_rate_hz
+        rate_hz = min(_SOURCE_MARGIN * row.rate_hz, math.inf if most_hz is None else most_hz)
+    deadline_ns = math.ceil(row.deadline_ns * settings.program.deadline_slack)
+    if requested_deadline_ns and (deadline_ns == 0 or deadline_ns > requested_deadline_ns):
+        deadline_ns = requested_deadline_ns
+    return TopicPlan(
+        rate_hz=rate_hz,
+        min_rate_hz=min(topic.min_rate_hz, rate_hz),
+        deadline_ns=deadline_ns,
+        depth=row.depth_applied,
+    )
 
 
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:

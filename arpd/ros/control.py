@@ -64,6 +64,7 @@ class RosControl:
         self._reports: list[PeerReport] = []
         self._announced: dict[tuple[str, str], tuple[float, PublisherState]] = {}
         self._crossings: Mapping[str, Crossing] = {}
+        self._peers: int | None = None
         self._probes = 0
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -101,6 +102,7 @@ class RosControl:
             memory=read_memory(),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
+            peers=self._peers,
         )
 
     # -- act
@@ -163,6 +165,7 @@ class RosControl:
 
     def _read_graph(self) -> None:
         self._crossings = read_crossings(self._node)
+        self._peers = self._node.count_publishers(REPORT_TOPIC)
 
 
 def _join(state: PublisherState, age_s: float, crossings: Mapping[str, Crossing]) -> PublisherState:

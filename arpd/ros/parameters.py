@@ -30,6 +30,7 @@ class _Node:
     generation: int = -1
     future: Any = None
     sent_at_s: float = 0.0
+    next_at_s: float = 0.0
     backoff_s: float = _FIRST_BACKOFF_S
 
 
@@ -58,15 +59,15 @@ class ParameterApplier:
         """Send what is new or due again; returns at once."""
         for transition in transitions:
             node = self._nodes.get(transition.node) or self._add(transition.node)
+            if transition.generation > node.generation:
+                # Whatever an older call may still answer, the newest plan goes out now.
+                node.generation, node.future = transition.generation, None
+                node.next_at_s, node.backoff_s = now_s, _FIRST_BACKOFF_S
             self._expire(transition.node, node, now_s)
-            is_newer = transition.generation > node.generation
-            if node.future is not None and not is_newer:
-                continue
-            if not is_newer and now_s - node.sent_at_s < node.backoff_s:
-                continue
-            node.backoff_s = _FIRST_BACKOFF_S if is_newer else min(2 * node.backoff_s, _MAX_BACKOFF_S)
-            node.generation, node.sent_at_s = transition.generation, now_s
-            self._send(transition, node)
+            if node.future is None and now_s >= node.next_at_s:
+                node.sent_at_s, node.next_at_s = now_s, now_s + node.backoff_s
+                node.backoff_s = min(2 * node.backoff_s, _MAX_BACKOFF_S)
+                self._send(transition, node)
 
     def _add(self, name: str) -> _Node:
         client = self._ros.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
@@ -76,7 +77,6 @@ class ParameterApplier:
     def _send(self, transition: Transition, node: _Node) -> None:
         if not node.client.service_is_ready():
             self._results["unreachable"] += 1
-            node.generation = -1 if node.backoff_s == _FIRST_BACKOFF_S else node.generation
             log.info("%s does not offer its parameter service yet", transition.node)
             return
         parameters = [

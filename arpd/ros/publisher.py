@@ -317,8 +317,12 @@ class AdaptivePublisher:
             self._published += 1
 
     def _apply_rate(self, now_s: float) -> None:
-        gated_hz = max(self._plan.rate_hz * self._gate, min(self._plan.min_rate_hz, self._plan.rate_hz))
-        self._pacer.retune(rate_hz=gated_hz, depth=self._plan.depth, now_s=now_s)
+        rate_hz, source_hz = self._plan.rate_hz, self._source_rate_hz(now_s)
+        if self._gate < 1.0:
+            # The gate scales what really flows: a rate planned with room to spare would swallow the first part of it.
+            flowing_hz = min(rate_hz, source_hz) if source_hz > 0 else rate_hz
+            rate_hz = max(flowing_hz * self._gate, min(self._plan.min_rate_hz, rate_hz))
+        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s)
 
     def _count_offered(self, now_s: float) -> None:
         self._offered += 1
@@ -328,13 +332,13 @@ class AdaptivePublisher:
         self._last_offered_s = now_s
 
     def _source_rate_hz(self, now_s: float) -> float:
-        """Rate between the first and the last sample of the window, so that a slow source is not underrated."""
+        """Rate between the first and the last sample of the window, 0 for a silent source or one not yet known (Hz)."""
         if not self._offered_at or self._offered == self._offered_at[0][1]:
             return 0.0
         since_s, count = self._offered_at[0]
         samples, span_s = self._offered - count, self._last_offered_s - since_s
         if now_s - self._last_offered_s > _SILENT_PERIODS * span_s / samples + _RATE_SETTLE_S:
-            span_s = now_s - since_s  # it fell silent
+            return 0.0  # it fell silent
         return samples / span_s if span_s > 0 and now_s - since_s >= _RATE_SETTLE_S else 0.0
 
     def _tightest_request_ns(self) -> int:

@@ -1,16 +1,19 @@
 """The whole of arpd on a real link: real rclpy and Fast DDS in two network namespaces joined by a shaped veth."""
 
+import json
 import os
 import signal
+import subprocess
 import time
+import urllib.request
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.sim.simlink import SimLink, available
-from scripts.robot.run import COMMAND_TOPIC, PREFIX, robot
-from scripts.robot.sensors import SENSORS
+from scripts.robot.run import PREFIX, REPO, robot
+from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
 
 CAN, WHY = available()
 pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
@@ -151,3 +154,41 @@ def test_a_bad_reload_keeps_the_running_plan(side):
     status = side.status()
     assert status["totals"]["reloads"]["ok"] == 1
     assert status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"]
+
+
+def test_metrics_of_a_live_robot_are_clean(side):
+    """What a live daemon exposes passes promtool, and names every managed topic."""
+    promtool = subprocess.run([REPO / "scripts/get-promtool"], capture_output=True, text=True, check=False)
+    if promtool.returncode != 0:
+        pytest.skip(f"no promtool: {promtool.stderr.strip()}")
+    eventually(lambda: is_confirmed(side))
+    with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
+        exposition = answer.read()
+    checked = subprocess.run(
+        [promtool.stdout.strip(), "check", "metrics"], input=exposition, capture_output=True, check=False
+    )
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    text = exposition.decode()
+    for topic in (*(PREFIX + name for name in SENSORS), COMMAND_TOPIC):
+        assert f'topic="{topic}"' in text
+    for path in ("/-/healthy", "/-/ready"):
+        with urllib.request.urlopen(side.url + path, timeout=5) as answer:
+            assert answer.status == 200
+
+
+def test_the_demo_keeps_its_promise():
+    """`scripts/demo --quick` shows arpd better on every topic the link cannot carry, and commands that never wait."""
+    demo = subprocess.run(
+        [REPO / "scripts/demo", "--quick", "--json"], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert demo.returncode == 0, demo.stderr
+    document = json.loads(demo.stdout)
+    rows = {topic["topic"]: topic for topic in document["topics"]}
+    assert document["verdict"]["is_better"], document
+    assert sum(topic["is_overloaded"] for topic in rows.values()) >= 4
+    camera, command = rows["/camera/image/compressed"], rows[COMMAND_TOPIC]
+    assert camera["with"]["loss_ratio"] < camera["without"]["loss_ratio"]
+    assert camera["with"]["age_p99_s"] < camera["without"]["age_p99_s"] / 5
+    # A command that waited behind an image would be as late as the image.
+    assert command["with"]["latency_p99_s"] < camera["with"]["latency_p99_s"] / 2
+    assert command["with"]["loss_ratio"] == 0
