@@ -90,7 +90,6 @@ class SimulatedWorld:
         self._random = random
         self._reports: list[PeerReport] = []
         self._results: Counter[str] = Counter()
-        self._trains = 0
         self._probes = 0
         self._probe_bytes = 0
         self._peer = _Peer(at_s=self._timeline.now_s)
@@ -164,14 +163,17 @@ class SimulatedWorld:
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one train (or ping) on the link."""
-        self._trains += 1
         self._probes += 1
         wire_bytes = probe_wire_bytes(request.packet_bytes)
         self._probe_bytes += request.packets * wire_bytes
         for index in range(request.packets):
             sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
-            arrive = partial(self._on_probe, self._trains, index, request, sent_s)
+            arrive = partial(self._on_probe, request, index, sent_s)
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+        self._graph = graph
 
     def results(self) -> Mapping[str, int]:
         """Count parameter calls by result."""
@@ -221,10 +223,10 @@ class SimulatedWorld:
 
     # -- on the peer
 
-    def _on_probe(self, train: int, index: int, request: ProbeRequest, sent_s: float) -> None:
+    def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
         received_s = self._timeline.now_s + _PEER_CLOCK_S + self._random.expovariate(1.0 / _STAMP_JITTER_S)
         self._peer.receiver.on_probe(
-            train=train,
+            train=request.number,
             index=index,
             packets=request.packets,
             payload_bytes=request.packet_bytes,
@@ -247,6 +249,7 @@ class SimulatedWorld:
             rx_packets=up.received_packets - peer.rx_packets,
             delays_s=delays_s,
             trains=trains,
+            last_probe=peer.receiver.last_probe,
         )
         peer.rx_bytes, peer.rx_packets, peer.at_s = rx_bytes, up.received_packets, self._timeline.now_s
         self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report))

@@ -23,7 +23,7 @@ def make(topic, capacity=CAPACITY, overhead=0, reserve=1):
 @settings(deadline=None)
 @given(SIZES, RATES, RATES)
 def test_floor_ceiling_and_link_are_in_order(wire_bytes, desired_hz, min_hz):
-    """The floor is at most the ceiling, and the ceiling at most what the link carries, unless the floor alone is more."""
+    """The floor is at most the ceiling, and the ceiling at most what the link carries, unless the floor is more."""
     made = make(replace(TOPIC, wire_bytes=wire_bytes, desired_rate_hz=desired_hz, min_rate_hz=min_hz))
     assert made.ceiling is not None
     assert 0 <= made.floor <= made.ceiling

@@ -1,0 +1,205 @@
+"""From allocation to plan and from plan to steps: safe in any order of failure, and never a step too many."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.model import Direction, PublisherState, QosPlan, Topic, TopicPlan
+from arpd.planner import is_confirmed, make_plan, plan_transitions, restore_plan
+from arpd.program import Program
+from arpd.settings import Backend, ProgramSettings, Settings, TopicSettings
+
+PUBLISHER = PublisherState(
+    node="/n",
+    topic="/t",
+    type_name="t",
+    direction=Direction.SENSING,
+    payload_bytes=1000.0,
+    source_rate_hz=20.0,
+    offered=1,
+    published=1,
+    withheld=0,
+    queued=0,
+    blocked_s=0.0,
+    rate_hz=math.inf,
+    depth=10,
+    deadline_ns=0,
+    baseline_depth=10,
+    baseline_deadline_ns=0,
+    generation=0,
+)
+TOPIC = Topic(name="/t", wire_bytes=1200.0, packets=1, desired_rate_hz=20.0, min_rate_hz=2.0)
+PROGRAM = Program(settings=ProgramSettings(backend=Backend.EXACT), headroom=0.85)
+EMPTY = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
+PLANS = st.builds(
+    TopicPlan,
+    rate_hz=st.floats(0.0, 1000.0),
+    min_rate_hz=st.just(0.0),
+    deadline_ns=st.integers(0, 10**10),
+    depth=st.integers(1, 5000),
+)
+
+
+def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPTY, settings=None):
+    return make_plan(
+        PROGRAM.solve(capacity, topics, 2.0**26),
+        topics,
+        publishers,
+        previous=previous,
+        generation=previous.generation + 1,
+        settings=settings or Settings(),
+    )
+
+
+def plan(rows, generation=2):
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=1e6)
+
+
+def applied(publishers, transition):
+    """Return what the publishers announce after one step."""
+    return [
+        replace(p, rate_hz=r.rate_hz, depth=r.depth, deadline_ns=r.deadline_ns, generation=transition.generation)
+        if p.node == transition.node and (r := transition.topics.get(p.topic))
+        else p
+        for p in publishers
+    ]
+
+
+def load(publishers):
+    return sum(min(p.rate_hz, p.source_rate_hz) * p.payload_bytes for p in publishers)
+
+
+@pytest.mark.parametrize("capacity", [1e5, 1e6, 1e8])
+def test_a_topic_that_gets_all_it_wants_may_grow(capacity):
+    """A source that is not held back is paced above its own rate, so that neither jitter nor a spurt is throttled."""
+    assert planned(capacity).topics["/t"].rate_hz >= 1.1 * TOPIC.desired_rate_hz
+
+
+def test_a_topic_the_link_holds_back_is_paced_at_its_share():
+    """Where the link binds, the paced rate is the program's."""
+    plan_row = planned(1e4).topics["/t"]
+    assert plan_row.rate_hz == pytest.approx(0.85 * 1e4 / TOPIC.wire_bytes)
+
+
+def test_an_operators_cap_is_a_cap():
+    """What the operator limits is not paced above the limit."""
+    capped = Settings(default_topic=TopicSettings(max_rate_hz=15.0))
+    topic = replace(TOPIC, desired_rate_hz=15.0)
+    assert planned(1e8, [topic], settings=capped).topics["/t"].rate_hz == 15.0
+
+
+@settings(deadline=None)
+@given(st.floats(1.0, 5.0), st.integers(1, 10**10), st.floats(5e3, 1e6))
+def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, capacity):
+    """The offer is the period with its slack, and never longer than what a reader requests."""
+    wishes = Settings(program=ProgramSettings(deadline_slack=slack))
+    free = planned(capacity, settings=wishes).topics["/t"]
+    reader = replace(PUBLISHER, requested_deadline_ns=requested_ns)
+    made = planned(capacity, publishers=[reader], settings=wishes).topics["/t"]
+    assert free.deadline_ns * min(free.rate_hz, TOPIC.desired_rate_hz) >= slack * 1e9 * (1 - 1e-9)
+    assert made.deadline_ns == min(requested_ns, free.deadline_ns)
+
+
+def test_a_paused_topic_offers_no_deadline():
+    """What does not publish promises no period, and its floor is no obstacle to the gate."""
+    row = planned(0.0).topics["/t"]
+    assert (row.rate_hz, row.min_rate_hz, row.deadline_ns) == (0.0, 0.0, 0)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.floats(1e4, 1e8), st.floats(0.9, 1.1))
+def test_a_change_inside_the_deadband_swaps_nothing(capacity, factor):
+    """A row of which rate, depth and period change less than the deadband is the very row in force."""
+    topics = [replace(TOPIC, name=f"/t{i}", wire_bytes=900.0 * (i + 1)) for i in range(4)]
+    publishers = [replace(PUBLISHER, topic=topic.name) for topic in topics]
+    before = planned(capacity, topics, publishers)
+    after = planned(capacity * factor, topics, publishers, previous=before)
+    for name, kept in before.topics.items():
+        fresh = after.topics[name]
+        moved = [
+            abs(getattr(fresh, field) - getattr(kept, field)) > 0.0999 * getattr(kept, field)
+            for field in ("rate_hz", "depth", "deadline_ns")
+        ]
+        assert fresh == kept or any(moved)
+
+
+def test_a_silent_source_keeps_its_row():
+    """What has paused must find its QoS when it returns."""
+    before = planned(1e6)
+    silent = replace(PUBLISHER, source_rate_hz=0.0)
+    after = planned(1e6, [replace(TOPIC, desired_rate_hz=2.0)], [silent], previous=before)
+    assert after.topics["/t"] == before.topics["/t"]
+
+
+def test_the_tightest_request_of_all_readers_counts():
+    """Of several publishers' readers the strictest one decides."""
+    publishers = [
+        replace(PUBLISHER, node="/a", requested_deadline_ns=40_000_000),
+        replace(PUBLISHER, node="/b", requested_deadline_ns=30_000_000),
+        replace(PUBLISHER, node="/c"),
+    ]
+    assert planned(1e6, publishers=publishers).topics["/t"].deadline_ns == 30_000_000
+
+
+def test_a_confirmed_publisher_needs_no_step():
+    """What announces the plan is left alone; the announced rate carries six digits."""
+    target = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
+    publisher = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)
+    assert is_confirmed(publisher, target)
+    assert plan_transitions([publisher], plan({"/t": target}), reason="") == ()
+    assert not is_confirmed(replace(publisher, depth=4), target)
+
+
+def test_topics_outside_the_plan_or_off_the_link_are_left_alone():
+    """Only what crosses the link and is planned is touched."""
+    target = plan({"/t": TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=5, depth=3)})
+    others = [replace(PUBLISHER, topic="/other"), replace(PUBLISHER, direction=Direction.LOCAL)]
+    assert plan_transitions(others, target, reason="") == ()
+
+
+PUBLISHERS = st.lists(
+    st.builds(
+        replace,
+        st.just(PUBLISHER),
+        node=st.sampled_from(["/a", "/b", "/c", "/d"]),
+        topic=st.sampled_from(["/t0", "/t1", "/t2"]),
+        rate_hz=st.floats(0.0, 1000.0),
+        source_rate_hz=st.floats(0.0, 1000.0),
+        payload_bytes=st.floats(1.0, 1e5),
+        depth=st.integers(1, 5000),
+    ),
+    max_size=10,
+    unique_by=lambda publisher: (publisher.node, publisher.topic),
+)
+
+
+@settings(deadline=None)
+@given(PUBLISHERS, st.dictionaries(st.sampled_from(["/t0", "/t1", "/t2"]), PLANS))
+def test_every_prefix_of_the_steps_is_safe(publishers, rows):
+    """Interrupted anywhere, each publisher is in its old or new row, and the link carries no more than at one end."""
+    target = plan(rows)
+    steps = plan_transitions(publishers, target, reason="test")
+    assert len({step.node for step in steps}) == len(steps)
+    loads, now = [load(publishers)], publishers
+    for step in steps:
+        now = applied(now, step)
+        loads.append(load(now))
+        for old, new in zip(publishers, now, strict=True):
+            assert new == old or is_confirmed(new, rows[new.topic])
+    assert max(loads) <= max(loads[0], loads[-1]) * (1 + 1e-9) + 1e-6
+    assert plan_transitions(now, target, reason="test") == ()
+
+
+@settings(deadline=None)
+@given(PUBLISHERS)
+def test_restoring_gives_back_the_applications_qos(publishers):
+    """After a clean stop nothing of arpd is left: baseline QoS, unpaced, and nothing more to do."""
+    restored = restore_plan(publishers, generation=9)
+    now = publishers
+    for step in plan_transitions(publishers, restored, reason="stop"):
+        now = applied(now, step)
+    assert all((p.depth, p.deadline_ns, p.rate_hz) == (10, 0, math.inf) for p in now)
+    assert plan_transitions(now, restored, reason="stop") == ()
