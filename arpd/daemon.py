@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from arpd.model import Decision, Observation, ProbeRequest, QosPlan, Transition
+    from arpd.model import Decision, Observation, QosPlan, Transition
+    from arpd.probing import ProbeRequest
     from arpd.settings import GraphSettings, Settings
 
 log = logging.getLogger(__name__)

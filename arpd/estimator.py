@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
-from arpd.model import CapacityKind, LinkEstimate, LinkState, ProbeRequest
+from arpd.model import CapacityKind, LinkEstimate, LinkState
+from arpd.probing import ProbeRequest
 from arpd.wire import wire_size
 
 if TYPE_CHECKING:
-    from arpd.model import Observation, PeerReport
+    from arpd.model import Observation
+    from arpd.probing import PeerReport
     from arpd.settings import LinkSettings
 
 
@@ -33,7 +35,7 @@ class EstimatorTuning:
     train_window_s: float = 4.0
     train_memory_s: float = 30.0
     up_after_down_s: float = 1.0
-    up_per_second: float = 0.25
+    climb_per_second: float = 0.5  # 0.25 in the study; trains that agree let the real link be followed faster
     outage_s: float = 0.4
     outage_forget_s: float = 1.0  # a shorter silence changes nothing of what was known
     peer_lost_s: float = 10.0
@@ -179,6 +181,9 @@ class Estimator:
                 self._delays.popleft()
             self._queue_delay_s = delay_s - min(delay for _, delay in self._delays)
             self._high_reports = self._high_reports + 1 if self._queue_delay_s > self._queue_high_s else 0
+            if self._high_reports == 1:
+                # What was delivered before the queue stood is demand, not capacity.
+                self._deliveries = deque([self._deliveries[-1]])
 
     def _resume(self, now_s: float, silent_s: float) -> None:
         self._delays.clear()
@@ -222,7 +227,7 @@ class Estimator:
         self._undo(now_s)
         trains = recent if len(recent) >= 3 else [rate for _, rate in list(self._trains)[-3:]]
         if len(trains) >= 3 and now_s - self._down_at_s >= t.up_after_down_s:
-            self._follow(median(trains), now_s, elapsed_s)
+            self._follow(trains, now_s, elapsed_s)
         busy = self._delivery_rate > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
@@ -249,13 +254,18 @@ class Estimator:
             self._change(t.undo_to * self._before_down, now_s, "trains contradict the last fall")
             self._before_down = None
 
-    def _follow(self, seen: float, now_s: float, elapsed_s: float) -> None:
-        """Move towards what trains see, at most a quarter per second either way."""
-        step = self._tuning.up_per_second * elapsed_s
-        if seen > self._capacity:
-            self._change(min(seen, self._capacity * (1 + step)), now_s, f"trains see {seen * 8e-6:.1f} Mbit/s")
-        elif seen < 0.9 * self._capacity:
-            self._change(max(seen, self._capacity * (1 - step)), now_s, f"trains see {seen * 8e-6:.1f} Mbit/s")
+    def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
+        """Move towards what trains see, by a bounded part per second either way.
+
+        A sample that lands inside a train makes it read low, never high: one low train is no evidence of a fall, so
+        the estimate follows downwards only what the best of the last three still sees.
+        """
+        step = self._tuning.climb_per_second * elapsed_s
+        middle, best = median(trains), max(trains[-3:])
+        if middle > self._capacity:
+            self._change(min(middle, self._capacity * (1 + step)), now_s, f"trains see {middle * 8e-6:.1f} Mbit/s")
+        elif best < 0.9 * self._capacity:
+            self._change(max(best, self._capacity * (1 - step)), now_s, f"trains see {best * 8e-6:.1f} Mbit/s")
 
     def _judge_alone(self, observation: Observation, elapsed_s: float) -> LinkState:
         """Without a peer: what leaves while the local queue pushes back is the capacity; else nothing is learnt."""
@@ -280,7 +290,7 @@ class Estimator:
         if self._kind is not CapacityKind.CONFIGURED:
             self._kind = CapacityKind.LOCAL
             ceiling = max(self._settings.initial_capacity_bytes_per_second, self._capacity)
-            grown = self._capacity * (1 + 0.1 * self._tuning.up_per_second * max(elapsed_s, span_s))
+            grown = self._capacity * (1 + 0.05 * self._tuning.climb_per_second * max(elapsed_s, span_s))
             self._change(min(ceiling, grown), now_s, "no peer reports; probing upwards slowly")
         return LinkState.APP_LIMITED
 
@@ -308,6 +318,7 @@ class Estimator:
         return max(1.0, size / (self._tuning.train_share * self._capacity))
 
     def _estimate(self, now_s: float) -> LinkEstimate:
+        assert self._started_at_s is not None
         pinned = self._settings.capacity_bytes_per_second
         newest = max(self._changed_at_s, self._trains[-1][0] if self._trains else -math.inf)
         return LinkEstimate(
@@ -317,6 +328,6 @@ class Estimator:
             queue_delay_s=max(0.0, self._queue_delay_s, self._overdue_s(now_s)),
             queue_allowance_s=self._queue_low_s,
             delivery_rate_bytes_per_second=self._delivery_rate if self._state is not LinkState.OUTAGE else 0.0,
-            age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s or now_s),
+            age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s),
             evidence="pinned by the configuration" if pinned is not None else self._evidence,
         )

@@ -42,12 +42,14 @@ class Governor:
         self._seen: frozenset[str] = frozenset()
         self._seen_since_s = -math.inf
         self._changed_at_s = -math.inf
+        self._calmed_at_s = -math.inf
         self._up_at_s = -math.inf
         self._dwell_s = settings.governor.dwell_s
         self._reload_pending = False
         self._swapped: deque[tuple[float, int]] = deque()
         self._levels: Counter[str] = Counter()
         self._refusals: Counter[str] = Counter()
+        self._refused: frozenset[str] = frozenset()  # at the last tick: a refusal that lasts counts once
 
     @property
     def plan(self) -> QosPlan:
@@ -91,7 +93,8 @@ class Governor:
             else:
                 self._adopt(plan, cause, swaps, now_s)
                 self._planned_hz = {row.name: row.rate_hz for row in allocation.topics}
-        self._refusals.update(refusals)
+        self._refusals.update(reason for reason in refusals if reason not in self._refused)
+        self._refused = frozenset(refusals)
         self._calm(now_s)
         return Decision(
             gate=self._gate(link, topics),
@@ -109,14 +112,15 @@ class Governor:
         """Return why a new plan is due (or empty) and why a wanted one is refused (or empty)."""
         if allocation.status is AllocationStatus.EMPTY:
             return "", ""
+        if link.state is LinkState.OUTAGE and self._plan.generation > 0:
+            # The gate holds; a plan for a link that is gone would be a guess, and what is beyond it is only silent.
+            return "", ""
         names = frozenset(topic.name for topic in topics)
         if names != self._topics:
             return self._topics_cause(now_s, names), ""
         self._seen = names
         if self._reload_pending:
             return "reload", ""
-        if link.state is LinkState.OUTAGE:
-            return "", ""  # the gate holds; a plan for a link that is gone would be a guess
         return self._level_cause(now_s, allocation)
 
     def _topics_cause(self, now_s: float, names: frozenset[str]) -> str:
@@ -190,9 +194,9 @@ class Governor:
 
     def _calm(self, now_s: float) -> None:
         dwell_s = self._settings.governor.dwell_s
-        if self._dwell_s > dwell_s and now_s - self._changed_at_s >= _CALM_S:
+        if self._dwell_s > dwell_s and now_s - max(self._changed_at_s, self._calmed_at_s) >= _CALM_S:
             self._dwell_s = max(dwell_s, self._dwell_s / 2)
-            self._changed_at_s = now_s
+            self._calmed_at_s = now_s
 
     # -- the gate
 

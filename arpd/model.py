@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from arpd.probing import PeerReport
+
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
@@ -80,52 +82,6 @@ class MemoryState:
 
     total_bytes: int
     available_bytes: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Train:
-    """Dispersion of one burst of back-to-back probe packets at the receiver.
-
-    Parameters
-    ----------
-    payload_bytes : wire bytes after the first packet (bytes)
-    duration_s : arrival of the last packet minus arrival of the first (s)
-    packets : packets that arrived
-    """
-
-    payload_bytes: int
-    duration_s: float
-    packets: int
-
-    @property
-    def rate_bytes_per_second(self) -> float:
-        """Capacity this train saw: bytes after the first / (t_last - t_first), DESIGN §5."""
-        return self.payload_bytes / self.duration_s if self.duration_s > 0 else math.inf
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PeerReport:
-    """One receiver report from ``arpd peer``, with the moment it reached the daemon.
-
-    Parameters
-    ----------
-    peer : name of the reporting host
-    received_at_s : daemon's monotonic clock (s)
-    interval_s : time covered by the counters (s)
-    rx_bytes, rx_packets : what the peer's link interface received in that time
-    delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
-    trains : bursts completed in that time
-    last_probe : highest number of a probe whose first packet has arrived, 0 = none or not told
-    """
-
-    peer: str
-    received_at_s: float
-    interval_s: float
-    rx_bytes: int
-    rx_packets: int
-    delays_s: tuple[float, ...] = ()
-    trains: tuple[Train, ...] = ()
-    last_probe: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -230,21 +186,6 @@ class LinkEstimate:
     def is_app_limited(self) -> bool:
         """Whether traffic alone says nothing about capacity now."""
         return self.state is LinkState.APP_LIMITED
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ProbeRequest:
-    """A burst the estimator wants on the link.
-
-    Parameters
-    ----------
-    packets, packet_bytes : that many packets of that payload, back to back; a single one is a ping
-    number : counts up from 1, so that a report can say how far the probes have come
-    """
-
-    packets: int
-    packet_bytes: int
-    number: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,9 +11,10 @@ from arpd.settings import Overflow
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# A source at exactly its paced rate, early by up to half a period, is not delayed; no window of T seconds ever sees
-# more than rate·T + 1.5 samples.
-_MOST_CREDIT = 1.5
+# A source at its paced rate that is early by half a period, or that catches up on 50 ms of its own scheduling, is not
+# delayed; no window of T seconds ever sees more than rate·T + max(1.5, rate·50 ms) samples.
+_LEAST_BURST = 1.5
+_BURST_S = 0.05
 
 
 class Pacer:
@@ -38,7 +39,7 @@ class Pacer:
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
-        self._credit = _MOST_CREDIT
+        self._credit = _LEAST_BURST
         self._at_s = -math.inf
         self._queue: deque[bytes] = deque()
 
@@ -87,9 +88,10 @@ class Pacer:
 
     def _earn(self, now_s: float) -> None:
         if math.isinf(self._rate_hz):
-            self._credit = _MOST_CREDIT
+            self._credit = _LEAST_BURST
         elif now_s > self._at_s:
-            self._credit = min(_MOST_CREDIT, self._credit + self._rate_hz * (now_s - self._at_s))
+            most = max(_LEAST_BURST, _BURST_S * self._rate_hz)
+            self._credit = min(most, self._credit + self._rate_hz * (now_s - self._at_s))
         self._at_s = max(self._at_s, now_s)
 
     def _shed(self) -> None:

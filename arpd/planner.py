@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # A topic that gets all it wants is paced above its source, so that jitter and a little growth are not throttled;
 # more growth than that is a change of demand, and a matter for the next plan.
 _SOURCE_MARGIN = 1.25
+_SPARED_SHARE = 0.05
 
 
 def make_plan(
@@ -35,9 +36,12 @@ def make_plan(
     publishers = tuple(publishers)
     requested = _tightest_requests(publishers)
     silent = {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
+    spared = _spared(allocation)
     rows: dict[str, TopicPlan] = {}
     for row, topic in zip(allocation.topics, topics, strict=True):
         fresh = _row(row, topic, requested.get(topic.name, 0), settings)
+        if topic.name in spared:
+            fresh = replace(fresh, min_rate_hz=fresh.rate_hz)
         if topic.name in silent:
             # Nobody knows its period: a deadline would be a promise without a basis.
             fresh = replace(fresh, deadline_ns=requested.get(topic.name, 0))
@@ -66,6 +70,18 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
         deadline_ns=deadline_ns,
         depth=row.depth_applied,
     )
+
+
+def _spared(allocation: Allocation) -> frozenset[str]:
+    """Return the smallest topics, together a few per cent of the link: gating them would free nothing."""
+    spared: list[str] = []
+    together = 0.0
+    for row in sorted(allocation.topics, key=lambda row: (row.share, row.name)):
+        together += row.share
+        if together > _SPARED_SHARE or row.binding is not Binding.DESIRED_RATE:
+            break
+        spared.append(row.name)
+    return frozenset(spared)
 
 
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, UInt8MultiArray
 
 from arpd.host.counters import read_counters, read_memory
-from arpd.model import Direction, Observation, PeerReport, PublisherState
+from arpd.model import Direction, Observation, PublisherState
 from arpd.ros import report as wire_format
 from arpd.ros.announce import from_status
 from arpd.ros.graph import Crossing, read_crossings
@@ -25,7 +25,8 @@ from arpd.wire import probe_wire_bytes
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from arpd.model import ProbeRequest, Transition
+    from arpd.model import Transition
+    from arpd.probing import PeerReport, ProbeRequest
     from arpd.settings import GraphSettings
 
 log = logging.getLogger(__name__)

@@ -7,14 +7,17 @@ import platform
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from arpd.host.counters import choose_interface, read_counters
-from arpd.model import LinkCounters, PeerReport, Train
+from arpd.probing import PeerReport, Train
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
 from arpd.systemd import Notifier
 from arpd.wire import probe_wire_bytes
+
+if TYPE_CHECKING:
+    from arpd.model import LinkCounters
 
 log = logging.getLogger(__name__)
 

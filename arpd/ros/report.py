@@ -10,7 +10,7 @@ from typing import Any
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.model import PeerReport, Train
+from arpd.probing import PeerReport, Train
 
 _PROBE = struct.Struct("<BxHHI")  # version, index in train, packets in train, train number
 _REPORT = struct.Struct("<BBBxfIII32s")  # version, delays, trains, interval s, rx bytes, rx packets, last probe, peer

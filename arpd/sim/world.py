@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.model import Direction, LinkCounters, MemoryState, Observation, PeerReport, PublisherState
+from arpd.model import Direction, LinkCounters, MemoryState, Observation, PublisherState
+from arpd.probing import PeerReport
 from arpd.ros.peer import REPORT_S, Receiver
 from arpd.sim.link import Alarm
 from arpd.wire import probe_wire_bytes
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from random import Random
 
-    from arpd.model import ProbeRequest, Transition
+    from arpd.model import Transition
+    from arpd.probing import ProbeRequest
     from arpd.settings import GraphSettings
     from arpd.sim.link import SimulatedLink, Timeline
     from arpd.sim.robot import SimulatedPublisher

@@ -17,12 +17,12 @@ from arpd.model import (
     LinkState,
     MemoryState,
     Observation,
-    PeerReport,
     PublisherState,
     QosPlan,
     TopicAllocation,
     TopicPlan,
 )
+from arpd.probing import PeerReport
 from arpd.snapshot import Snapshot, Totals
 
 FINISHED_AT_S = 1000.0

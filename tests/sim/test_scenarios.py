@@ -166,7 +166,6 @@ def test_after_an_outage_traffic_and_estimate_return():
     assert result.moments[-1].confirmed == len(DEMO_TOPICS)
 
 
-@pytest.mark.xfail(strict=True, reason="the announcement of what is beyond an outage ages, and counts as a topic gone")
 def test_an_outage_is_no_reason_for_a_plan():
     """Topics that cannot be heard of are not gone: nothing is planned until the link is back."""
     result = play("0:20mbit", 30.0, outages=(OUTAGE,))

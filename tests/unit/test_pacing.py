@@ -34,7 +34,7 @@ def drain(pacer, now_s):
 @settings(deadline=None)
 @given(GAPS, st.lists(RATES, min_size=1, max_size=8), OVERFLOWS)
 def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflow):
-    """Between any two departures at most ∫rate + max(1.5, 50 ms of the highest rate) samples leave, however often the rate is changed."""
+    """Between any two departures at most ∫rate + one burst of samples leaves, however often the rate is changed."""
     pacer, _ = make(overflow, depth=100)
     now_s, allowed, departures = 100.0, 0.0, []
     for number, gap_s in enumerate(gaps):

@@ -13,6 +13,7 @@ DOMAIN = {
     "governor",
     "model",
     "pacing",
+    "probing",
     "paper",
     "planner",
     "program",
@@ -79,6 +80,8 @@ def test_every_module_has_a_ring():
     """A module that is named in no ring is a decision nobody took."""
     adapters = {
         "config",
+        "config_rules",
+        "config_values",
         "config_schema",
         "config_source",
         "host",
