@@ -16,6 +16,7 @@ from arpd.errors import ConfigError
 from arpd.estimator import Estimator
 from arpd.governor import Governor
 from arpd.host.counters import choose_interface, list_interfaces
+from arpd.logs import configure_logging
 from arpd.planner import is_confirmed, plan_transitions, restore_plan
 from arpd.program import Program
 from arpd.settings import OnStop
@@ -270,9 +271,9 @@ def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Cal
 
     A tick that raises is logged, counted and not repeated in haste.
     """
-    notifier.ready()
     next_s = time.monotonic()
     status = ""
+    is_ready = False
     while not signals.stop:
         if signals.reload:
             signals.reload = False
@@ -288,6 +289,9 @@ def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Cal
             log.exception("a tick failed; the publishers keep the plan they have")
             daemon.note_failed_tick()
         else:
+            if not is_ready:
+                is_ready = True
+                notifier.ready()  # only now: whoever waited for the start finds a daemon that has seen its world
             notifier.watchdog()
             if (line := daemon.status_line()) != status:
                 status = line
@@ -311,7 +315,7 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
     ArpdError
         If the configuration, the interface, the HTTP address or ROS cannot be used.
     """
-    logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
+    configure_logging(log_level)
 
     def load() -> Settings:
         return load_settings(config_path, interfaces=list_interfaces)

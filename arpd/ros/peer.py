@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from arpd.host.counters import choose_interface, read_counters
+from arpd.logs import configure_logging
 from arpd.probing import PeerReport, Train
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
@@ -159,7 +160,7 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     interface : link interface on this host, or ``auto``
     name : what the peer calls itself in reports; the host name by default
     """
-    logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
+    configure_logging(log_level)
     chosen = choose_interface(interface)
     stopping = threading.Event()
     stop_on_signals(stopping)

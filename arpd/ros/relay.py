@@ -9,10 +9,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
+from arpd.logs import configure_logging
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
 from arpd.systemd import Notifier
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from arpd.settings import RelaySettings
@@ -44,18 +46,31 @@ def message_class(type_name: str) -> Any:
 
 
 class Relay:
-    """Subscribes raw to each configured topic and republishes it, unchanged, under the prefix."""
+    """Subscribes raw to each configured topic and republishes it, unchanged, under the prefix.
 
-    def __init__(self, node: Any, settings: RelaySettings) -> None:
+    Parameters
+    ----------
+    node : rclpy node it lives in
+    settings : topics and prefix
+    on_change : told in words what is relayed, at the start and whenever it changes
+    """
+
+    def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
         self._node = node
         self._settings = settings
+        self._on_change = on_change
         self._waiting = list(settings.topics)
+        self._refused: list[str] = []
+        on_change(self.status_line())
         node.create_timer(_DISCOVER_S, self._discover)
 
-    @property
-    def waiting(self) -> tuple[str, ...]:
-        """Topics nobody publishes yet, or whose type is not installed."""
-        return tuple(self._waiting)
+    def status_line(self) -> str:
+        """One line a human can read, for ``systemctl status``."""
+        topics = len(self._settings.topics)
+        line = f"relaying {topics - len(self._waiting) - len(self._refused)} of {topics} topics"
+        if self._waiting:
+            line += f"; nobody publishes {', '.join(self._waiting)} yet"
+        return f"{line}; no type for {', '.join(self._refused)}" if self._refused else line
 
     def _discover(self) -> None:
         for topic in tuple(self._waiting):
@@ -66,7 +81,9 @@ class Relay:
                 self._carry(topic, writers)
             except UnknownTypeError as error:
                 log.error("cannot relay %s: %s; the other topics go on", topic, error)  # noqa: TRY400 - no traceback
+                self._refused.append(topic)
             self._waiting.remove(topic)
+            self._on_change(self.status_line())
 
     def _carry(self, topic: str, writers: list[Any]) -> None:
         from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
@@ -91,7 +108,7 @@ class Relay:
         log.info("relaying %s to %s (%s)", topic, publisher.topic_name, writers[0].topic_type)
 
 
-def best_executor() -> Any:
+def best_executor(context: Any = None) -> Any:
     """Return the executor with the lowest cost per message that works here.
 
     EventsExecutor costs a sixth of SingleThreadedExecutor's CPU per message, but it is experimental: it must deliver
@@ -103,11 +120,11 @@ def best_executor() -> Any:
     try:
         from rclpy.experimental import EventsExecutor  # noqa: PLC0415
     except ImportError:
-        return SingleThreadedExecutor()
+        return SingleThreadedExecutor(context=context)
     from std_msgs.msg import Empty  # noqa: PLC0415
 
-    executor = EventsExecutor()
-    node = rclpy.create_node("arpd_executor_check")
+    executor = EventsExecutor(context=context)
+    node = rclpy.create_node("arpd_executor_check", context=context)
     arrived = threading.Event()
     try:
         node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)
@@ -124,12 +141,12 @@ def best_executor() -> Any:
         return executor
     log.warning("EventsExecutor delivered nothing in its self-check; using SingleThreadedExecutor")
     executor.shutdown()
-    return SingleThreadedExecutor()
+    return SingleThreadedExecutor(context=context)
 
 
 def run_relay(*, config_path: Path, node_name: str, log_level: str) -> int:
     """Run the relay until SIGINT or SIGTERM."""
-    logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
+    configure_logging(log_level)
     settings = load_settings(config_path, interfaces=None)
     stopping = threading.Event()
     stop_on_signals(stopping)
@@ -137,9 +154,8 @@ def run_relay(*, config_path: Path, node_name: str, log_level: str) -> int:
     with ros_node(node_name) as node:
         executor = best_executor()
         executor.add_node(node)
-        relay = Relay(node, settings.relay)
+        Relay(node, settings.relay, on_change=notifier.status)
         notifier.ready()
-        notifier.status(f"relaying {len(settings.relay.topics)} topics; waiting for {len(relay.waiting)}")
         spin_until(executor, stopping)
         notifier.stopping()
     return 0

@@ -85,6 +85,7 @@ def test_every_module_has_a_ring():
         "config_schema",
         "config_source",
         "host",
+        "logs",
         "quantities",
         "ros",
         "sim",
