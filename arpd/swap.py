@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +32,9 @@ class Writer(Protocol):
 
     def destroy(self) -> None:
         """Destroy the writer."""
+
+
+W = TypeVar("W", bound=Writer)
 
 
 class SwapState(StrEnum):
@@ -76,7 +79,7 @@ class _Draining:
     until_s: float
 
 
-class WriterSwap:
+class WriterSwap(Generic[W]):
     """Owns the writers of one publisher and replaces them without losing a sample.
 
     IDLE → MATCHING: a request that differs from what is in force creates a new writer.
@@ -99,7 +102,7 @@ class WriterSwap:
     def __init__(
         self,
         *,
-        create: Callable[[WriterQos], Writer],
+        create: Callable[[WriterQos], W],
         on_result: Callable[[SwapResult], None],
         qos: WriterQos,
         timing: SwapTiming | None = None,
@@ -110,7 +113,7 @@ class WriterSwap:
         self._qos = qos
         self._current = create(qos)
         self._wanted: WriterQos | None = None
-        self._next: Writer | None = None
+        self._next: W | None = None
         self._next_qos = qos
         self._since_s = 0.0
         self._hold_s = 0.0
@@ -119,7 +122,7 @@ class WriterSwap:
         self.lost_at_retirement = 0
 
     @property
-    def current(self) -> Writer:
+    def current(self) -> W:
         """The writer samples leave by."""
         return self._current
 

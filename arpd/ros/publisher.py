@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
 from copy import copy
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
@@ -13,22 +13,20 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
-from arpd.model import Direction, PublisherState, TopicPlan
-from arpd.pacing import Pacer
+from arpd.flow import Flow
+from arpd.model import Direction, PublisherState
 from arpd.ros.tuning import NodeTuning
 from arpd.settings import Overflow
-from arpd.swap import SwapResult, WriterQos, WriterSwap
+from arpd.swap import SwapResult, WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
 
+    from arpd.model import TopicPlan
+
 _INFINITE_NS = 2**63 - 1
-_POLL_S = 0.005  # how often a swap looks at its writers
-_RATE_WINDOW_S = 5.0
-_RATE_SETTLE_S = 0.5  # a shorter look at a source tells no rate
-_SILENT_PERIODS = 3.0
 
 
 def offered_deadline_ns(qos: Any) -> int:
@@ -91,27 +89,14 @@ class AdaptivePublisher:
         self.topic = topic
         self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else qos_profile
         self._node = node
-        self._clock = clock
         self._callback_group = callback_group
         # Default callbacks would add a waitable to the executor at every swap only to log a warning.
         self._event_callbacks = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
         self._lock = threading.RLock()
         self._baseline = WriterQos(depth=self.qos_profile.depth, deadline_ns=offered_deadline_ns(self.qos_profile))
-        self._swaps: Counter[str] = Counter()
-        self._swap = WriterSwap(create=self._create_writer, on_result=self._on_swap_result, qos=self._baseline)
-        self._pacer = Pacer(overflow=overflow, depth=self._baseline.depth, on_withheld=self._on_withheld)
-        self._plan = TopicPlan(
-            rate_hz=float("inf"),
-            min_rate_hz=0.0,
-            deadline_ns=self._baseline.deadline_ns,
-            depth=self._baseline.depth,
+        self._flow = Flow(
+            create=self._create_writer, qos=self._baseline, overflow=overflow, clock=clock, on_swap=self._on_swap
         )
-        self._gate = 1.0
-        self._offered = self._published = self._withheld = 0
-        self._blocked_s = 0.0
-        self._payload_bytes = 0.0
-        self._offered_at: deque[tuple[float, int]] = deque()  # marks of (time, samples offered by then)
-        self._last_offered_s = float("-inf")
         self._refusal = ""
         self._type_name = _type_name(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
@@ -161,14 +146,9 @@ class AdaptivePublisher:
         else:
             raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
         with self._lock:
-            now_s = self._clock()
-            self._count_offered(now_s)
-            weight = 0.1 if self._payload_bytes else 1.0
-            self._payload_bytes += weight * (len(sample) - self._payload_bytes)
-            self._pacer.offer(sample)
-            self._release(now_s)
-            waiting = len(self._pacer) > 0
-        if waiting:
+            self._flow.publish(sample)
+            is_waiting = self._flow.is_waiting
+        if is_waiting:
             self._tuning.wake()
 
     def get_subscription_count(self) -> int:
@@ -190,15 +170,14 @@ class AdaptivePublisher:
         """Destroy the publisher and everything a swap may have in flight."""
         self._tuning.release(self)
         with self._lock:
-            self._pacer.clear()
-            self._swap.close()
+            self._flow.close()
 
     # -- what makes it adaptive
 
     @property
     def plan(self) -> TopicPlan:
         """Settings last asked for."""
-        return self._plan
+        return self._flow.plan
 
     @property
     def baseline(self) -> WriterQos:
@@ -217,27 +196,20 @@ class AdaptivePublisher:
         deadline_ns = plan.deadline_ns
         if requested_ns and (deadline_ns == 0 or deadline_ns > requested_ns):
             deadline_ns = requested_ns
+        qos = WriterQos(depth=plan.depth, deadline_ns=deadline_ns)
         with self._lock:
-            now_s = self._clock()
-            self._plan = plan
-            self._apply_rate(now_s)
-            # Two periods of what flows, so that the acknowledgement a next sample provokes can come back.
-            period_s = 1.0 / max(min(plan.rate_hz, self._source_rate_hz(now_s)), 1e-3)
-            qos = WriterQos(depth=plan.depth, deadline_ns=deadline_ns)
-            if self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL and qos != self._swap.qos:
+            if self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL and qos != self._flow.qos:
                 self._refusal = (
                     f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need"
                 )
-            else:
-                self._swap.request(qos, hold_s=2.0 * period_s)
+                qos = self._flow.qos
+            self._flow.retune(plan, qos=qos)
         self._tuning.wake()
 
     def set_gate(self, gate: float) -> None:
         """Scale the paced rate, not below its floor."""
         with self._lock:
-            if gate != self._gate:
-                self._gate = gate
-                self._apply_rate(self._clock())
+            self._flow.set_gate(gate)
 
     def service(self, now_s: float) -> float:
         """Do what is due: a step of the swap, samples whose time has come.
@@ -249,51 +221,29 @@ class AdaptivePublisher:
         if not self._lock.acquire(blocking=False):
             return now_s + 0.001  # the application is inside publish(); never queue the others behind it
         try:
-            if self._swap.is_busy:
-                self._swap.step(now_s)
-            self._release(now_s)
-            due_s = self._pacer.due_s(now_s)
-            return min(due_s, now_s + _POLL_S) if self._swap.is_busy else due_s
+            return self._flow.service(now_s)
         finally:
             self._lock.release()
 
     def state(self, *, generation: int) -> PublisherState:
         """Picture of what is in force, for the announcement."""
         with self._lock:
-            now_s = self._clock()
-            qos = self._swap.qos
-            rate_hz = self._source_rate_hz(now_s)
-            if self._offered_at and self._offered > self._offered_at[-1][1]:
-                self._offered_at.append((self._last_offered_s, self._offered))
-            while len(self._offered_at) > 2 and now_s - self._offered_at[1][0] >= _RATE_WINDOW_S:
-                self._offered_at.popleft()
-            return PublisherState(
-                node=self._node.get_fully_qualified_name(),
-                topic=self._resolved,
-                type_name=self._type_name,
-                direction=Direction.LOCAL,
-                payload_bytes=self._payload_bytes,
-                source_rate_hz=rate_hz,
-                offered=self._offered,
-                published=self._published,
-                withheld=self._withheld,
-                queued=len(self._pacer),
-                blocked_s=self._blocked_s,
-                rate_hz=self._plan.rate_hz,
-                depth=qos.depth,
-                deadline_ns=qos.deadline_ns,
-                baseline_depth=self._baseline.depth,
-                baseline_deadline_ns=self._baseline.deadline_ns,
-                generation=generation,
-                swaps_by_result=dict(self._swaps),
-                refusal=self._refusal,
-            )
+            flow, refusal = self._flow.state(), self._refusal
+        return PublisherState(
+            node=self._node.get_fully_qualified_name(),
+            topic=self._resolved,
+            type_name=self._type_name,
+            direction=Direction.LOCAL,
+            baseline_depth=self._baseline.depth,
+            baseline_deadline_ns=self._baseline.deadline_ns,
+            generation=generation,
+            refusal=refusal,
+            **{field.name: getattr(flow, field.name) for field in fields(flow)},
+        )
 
     @property
     def _writer(self) -> _RosWriter:
-        writer = self._swap.current
-        assert isinstance(writer, _RosWriter)
-        return writer
+        return self._flow.writer
 
     def _create_writer(self, qos: WriterQos) -> _RosWriter:
         profile = copy(self.qos_profile)
@@ -308,39 +258,6 @@ class AdaptivePublisher:
         )
         return _RosWriter(self._node, publisher)
 
-    def _release(self, now_s: float) -> None:
-        """Write every sample whose time has come, unless a swap holds them."""
-        while not self._swap.is_holding and (sample := self._pacer.take(now_s)) is not None:
-            before_s = self._clock()
-            self._swap.current.publish(sample)
-            self._blocked_s += self._clock() - before_s
-            self._published += 1
-
-    def _apply_rate(self, now_s: float) -> None:
-        rate_hz, source_hz = self._plan.rate_hz, self._source_rate_hz(now_s)
-        if self._gate < 1.0:
-            # The gate scales what really flows: a rate planned with room to spare would swallow the first part of it.
-            flowing_hz = min(rate_hz, source_hz) if source_hz > 0 else rate_hz
-            rate_hz = max(flowing_hz * self._gate, min(self._plan.min_rate_hz, rate_hz))
-        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s)
-
-    def _count_offered(self, now_s: float) -> None:
-        self._offered += 1
-        if now_s - self._last_offered_s > _RATE_WINDOW_S:
-            # The silence before a source starts says nothing of its rate: measure from its first sample on.
-            self._offered_at = deque([(now_s, self._offered)])
-        self._last_offered_s = now_s
-
-    def _source_rate_hz(self, now_s: float) -> float:
-        """Rate between the first and the last sample of the window, 0 for a silent source or one not yet known (Hz)."""
-        if not self._offered_at or self._offered == self._offered_at[0][1]:
-            return 0.0
-        since_s, count = self._offered_at[0]
-        samples, span_s = self._offered - count, self._last_offered_s - since_s
-        if now_s - self._last_offered_s > _SILENT_PERIODS * span_s / samples + _RATE_SETTLE_S:
-            return 0.0  # it fell silent
-        return samples / span_s if span_s > 0 and now_s - since_s >= _RATE_SETTLE_S else 0.0
-
     def _tightest_request_ns(self) -> int:
         requests = (
             offered_deadline_ns(reader.qos_profile)
@@ -348,11 +265,7 @@ class AdaptivePublisher:
         )
         return min((request for request in requests if request), default=0)
 
-    def _on_withheld(self, samples: int) -> None:
-        self._withheld += samples
-
-    def _on_swap_result(self, result: SwapResult) -> None:
-        self._swaps[result.value] += 1
+    def _on_swap(self, result: SwapResult) -> None:
         self._refusal = ""
         if result is SwapResult.UNMATCHED:
             readers = sorted(

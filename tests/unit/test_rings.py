@@ -10,6 +10,7 @@ DOMAIN = {
     "demand",
     "errors",
     "estimator",
+    "flow",
     "governor",
     "model",
     "pacing",
@@ -24,6 +25,7 @@ DOMAIN = {
     "topics",
     "wire",
     "solvers",
+    "source_rate",
 }
 ENTRY_POINTS = {"cli", "cli_solve", "cli_status", "daemon", "__main__"}
 FORBIDDEN_IN_DOMAIN = {

@@ -1,0 +1,194 @@
+"""The flow of one adaptive publisher, from the application's sample to the writer: pure, whatever the writer is."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from arpd.model import TopicPlan
+from arpd.pacing import Pacer
+from arpd.source_rate import SourceRate
+from arpd.swap import SwapResult, Writer, WriterQos, WriterSwap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from arpd.settings import Overflow
+
+_POLL_S = 0.005  # how often a swap looks at its writers
+
+W = TypeVar("W", bound=Writer)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FlowState:
+    """What a flow counts and runs with; the fields mean what they mean in `arpd.model.PublisherState`."""
+
+    payload_bytes: float
+    source_rate_hz: float
+    offered: int
+    published: int
+    withheld: int
+    queued: int
+    blocked_s: float
+    rate_hz: float
+    depth: int
+    deadline_ns: int
+    swaps_by_result: Mapping[str, int]
+
+
+class Flow(Generic[W]):
+    """Paces samples into the current writer, and swaps that writer when its QoS shall change.
+
+    Until somebody retunes it, it behaves as a plain publisher: unpaced, with the QoS it was made with.
+
+    Parameters
+    ----------
+    create : makes a writer with the given QoS
+    qos : what the first writer runs with
+    overflow : what gives way when samples come faster than they may leave
+    clock : monotonic clock (s)
+    on_swap : told how every swap ended
+
+    Notes
+    -----
+    Not thread-safe: its owner calls it from one thread at a time.
+    """
+
+    def __init__(
+        self,
+        *,
+        create: Callable[[WriterQos], W],
+        qos: WriterQos,
+        overflow: Overflow,
+        clock: Callable[[], float],
+        on_swap: Callable[[SwapResult], None] = lambda _result: None,
+    ) -> None:
+        self._clock = clock
+        self._on_swap = on_swap
+        self._swaps: Counter[str] = Counter()
+        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos)
+        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
+        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        self._gate = 1.0
+        self._source = SourceRate()
+        self._published = self._withheld = 0
+        self._blocked_s = 0.0
+        self._payload_bytes = 0.0
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings last asked for."""
+        return self._plan
+
+    @property
+    def qos(self) -> WriterQos:
+        """QoS of the writer samples leave by."""
+        return self._swap.qos
+
+    @property
+    def writer(self) -> W:
+        """Writer samples leave by."""
+        return self._swap.current
+
+    @property
+    def offered(self) -> int:
+        """Samples the application gave so far."""
+        return self._source.samples
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether samples wait in the pacing queue."""
+        return len(self._pacer) > 0
+
+    def publish(self, sample: bytes) -> None:
+        """Send a sample, now or when pacing lets it."""
+        now_s = self._clock()
+        self._source.count(now_s)
+        weight = 0.1 if self._payload_bytes else 1.0
+        self._payload_bytes += weight * (len(sample) - self._payload_bytes)
+        self._pacer.offer(sample)
+        self._release(now_s)
+
+    def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
+        """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
+
+        Parameters
+        ----------
+        plan : what was asked for
+        qos : what the writer shall really run with, after clamps and refusals
+        """
+        now_s = self._clock()
+        self._plan = plan
+        self._pace(now_s)
+        # Two periods of what flows, so that the acknowledgement a next sample provokes can come back.
+        period_s = 1.0 / max(min(plan.rate_hz, self._source.rate_hz(now_s)), 1e-3)
+        self._swap.request(qos, hold_s=2.0 * period_s)
+
+    def set_gate(self, gate: float) -> None:
+        """Scale the paced rate, not below its floor."""
+        if gate != self._gate:
+            self._gate = gate
+            self._pace(self._clock())
+
+    def service(self, now_s: float) -> float:
+        """Do what is due: a step of the swap, samples whose time has come.
+
+        Returns
+        -------
+        When to be called again, ``inf`` = not before something changes (s).
+        """
+        if self._swap.is_busy:
+            self._swap.step(now_s)
+        self._release(now_s)
+        due_s = math.inf if self._swap.is_holding else self._pacer.due_s(now_s)
+        return min(due_s, now_s + _POLL_S) if self._swap.is_busy else due_s
+
+    def state(self) -> FlowState:
+        """Return what is in force and counted; called about once a second."""
+        now_s = self._clock()
+        rate_hz = self._source.rate_hz(now_s)
+        self._source.mark(now_s)
+        return FlowState(
+            payload_bytes=self._payload_bytes,
+            source_rate_hz=rate_hz,
+            offered=self.offered,
+            published=self._published,
+            withheld=self._withheld,
+            queued=len(self._pacer),
+            blocked_s=self._blocked_s,
+            rate_hz=self._plan.rate_hz,
+            depth=self.qos.depth,
+            deadline_ns=self.qos.deadline_ns,
+            swaps_by_result=dict(self._swaps),
+        )
+
+    def close(self) -> None:
+        """Give up what waits, and destroy every writer a swap may have in flight."""
+        self._pacer.clear()
+        self._swap.close()
+
+    def _release(self, now_s: float) -> None:
+        """Write every sample whose time has come, unless a swap holds them."""
+        while not self._swap.is_holding and (sample := self._pacer.take(now_s)) is not None:
+            before_s = self._clock()
+            self._swap.current.publish(sample)
+            self._blocked_s += self._clock() - before_s
+            self._published += 1
+
+    def _pace(self, now_s: float) -> None:
+        rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)
+        if self._gate < 1.0:
+            # The gate scales what really flows: a rate planned with room to spare would swallow the first part of it.
+            flowing_hz = min(rate_hz, source_hz) if source_hz > 0 else rate_hz
+            rate_hz = max(flowing_hz * self._gate, min(self._plan.min_rate_hz, rate_hz))
+        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s)
+
+    def _on_withheld(self, samples: int) -> None:
+        self._withheld += samples
+
+    def _on_result(self, result: SwapResult) -> None:
+        self._swaps[result.value] += 1
+        self._on_swap(result)
