@@ -10,15 +10,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TopicResult:
-    """One topic over one run.
+class Reception:
+    """What one reader saw of one topic.
 
     Parameters
     ----------
-    expected : samples the application would have published had the middleware never blocked it
-    offered : samples the application published
-    withheld : samples pacing chose not to send; never called loss
-    sent : samples written to the link
     received : different samples that reached the reader
     doubled : samples that reached it more than once
     reordered : samples that arrived after a younger one
@@ -27,11 +23,6 @@ class TopicResult:
     age_p50_s, age_p99_s : age of the newest sample at the reader, sampled at 20 Hz (s); None when none arrived
     """
 
-    topic: str
-    source_rate_hz: float
-    offered: int
-    withheld: int
-    sent: int
     received: int
     doubled: int
     reordered: int
@@ -41,7 +32,27 @@ class TopicResult:
     latency_max_s: float | None
     age_p50_s: float | None
     age_p99_s: float | None
-    expected: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicResult(Reception):
+    """One topic over one run, from its source to its reader.
+
+    Parameters
+    ----------
+    source_rate_hz : rate the application publishes at when nothing holds it back (Hz)
+    expected : samples the application would have published had the middleware never blocked it
+    offered : samples the application published
+    withheld : samples pacing chose not to send; never called loss
+    sent : samples written to the link
+    """
+
+    topic: str
+    source_rate_hz: float
+    expected: int
+    offered: int
+    withheld: int
+    sent: int
 
     @property
     def stalled_ratio(self) -> float:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
 from arpd.settings import Overflow
+from arpd.sim.arrivals import Arrivals
 from arpd.sim.link import Alarm
-from arpd.sim.result import TopicResult, percentile
-from arpd.sim.writer import SAMPLE, Arrivals, Route, SimulatedWriter
+from arpd.sim.result import TopicResult
+from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
 from arpd.swap import WriterQos
 
 if TYPE_CHECKING:
@@ -127,22 +128,15 @@ class SimulatedPublisher:
 
     def result(self) -> TopicResult:
         """Sum up the run."""
-        seen, flow = self.arrivals, self._flow.state()
+        flow = self._flow.state()
         return TopicResult(
             topic=self.topic.name,
             source_rate_hz=self.topic.rate_hz,
+            expected=flow.offered,
             offered=flow.offered,
             withheld=flow.withheld,
             sent=flow.published,
-            received=len(seen.sequences),
-            doubled=seen.doubled,
-            reordered=seen.reordered,
-            delivered_bytes=len(seen.sequences) * self.topic.payload_bytes,
-            latency_p50_s=percentile(seen.latencies_s, 0.5),
-            latency_p99_s=percentile(seen.latencies_s, 0.99),
-            latency_max_s=max(seen.latencies_s, default=None),
-            age_p50_s=percentile(seen.ages_s, 0.5),
-            age_p99_s=percentile(seen.ages_s, 0.99),
+            **asdict(self.arrivals.reception()),
         )
 
     def _create(self, route: Route, payload_bytes: int, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:

@@ -236,9 +236,9 @@ def available() -> tuple[bool, str]:
     -------
     Whether it works, and if not, why and what to do.
     """
-    if os.geteuid() != 0:
-        return False, f"not root; {_user_namespace_verdict()}"
     try:
+        if os.geteuid() != 0:
+            return False, f"not root; {_user_namespace_verdict()}"
         with SimLink(f"probe-{os.getpid()}-{threading.get_ident()}", loss=0.5) as link:
             link.counters()
     except LinkError as error:
@@ -250,11 +250,12 @@ def user_namespace_argv(argv: Sequence[str]) -> list[str]:
     """Return the command line that runs ``argv`` without root, as root of a user namespace of its own.
 
     The private /run holds that world's /run/netns; the pid namespace makes the kernel end everything inside with it.
+    Its own loopback starts down, and the demo reads arpd's status over it.
     """
     return [
         *(executable("unshare"), "--user", "--map-root-user", "--net", "--mount"),
         *("--pid", "--fork", "--kill-child", "--mount-proc"),
-        *("--", "sh", "-c", 'mount -t tmpfs tmpfs /run && exec "$@"', "sh"),
+        *("--", "sh", "-c", 'mount -t tmpfs tmpfs /run && "$0" link set lo up && exec "$@"', executable("ip")),
         *argv,
     ]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.wire import ACKNACK_BYTES, wire_size
 
 if TYPE_CHECKING:
+    from arpd.sim.arrivals import Arrivals
     from arpd.sim.link import SimulatedLink, Timeline
     from arpd.swap import WriterQos
 
@@ -18,45 +19,6 @@ _HEARTBEAT_BYTES = ACKNACK_BYTES  # the two submessages differ by less than thei
 # Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
 # and never of a sample that is on its way; so the robot without arpd looks better here than it is.
 _RESEND_S = 0.1
-
-
-@dataclass(slots=True)
-class Arrivals:
-    """What reached the reader of one topic; the figures of the real demo, kept in the same way.
-
-    Latency ends where DDS stamps the arrival, age where the reader gets the sample, in its writer's order.
-    """
-
-    latencies_s: list[float] = field(default_factory=list)
-    ages_s: list[float] = field(default_factory=list)
-    sequences: set[int] = field(default_factory=set)
-    doubled: int = 0
-    reordered: int = 0
-    newest_sequence: int = -1
-    newest_stamp_s: float = 0.0
-
-    def on_arrival(self, sample: bytes, now_s: float) -> None:
-        """Note when a sample left the wire."""
-        sequence, stamp_s = SAMPLE.unpack(sample)
-        if sequence not in self.sequences:
-            self.latencies_s.append(now_s - stamp_s)
-
-    def on_sample(self, sample: bytes) -> None:
-        """Note what the reader is handed."""
-        sequence, stamp_s = SAMPLE.unpack(sample)
-        if sequence in self.sequences:
-            self.doubled += 1
-            return
-        self.sequences.add(sequence)
-        if sequence < self.newest_sequence:
-            self.reordered += 1
-        else:
-            self.newest_sequence, self.newest_stamp_s = sequence, stamp_s
-
-    def on_age(self, now_s: float) -> None:
-        """Sample the age of the newest sample."""
-        if self.newest_sequence >= 0:
-            self.ages_s.append(now_s - self.newest_stamp_s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,8 +33,9 @@ class Route:
 class _Reader:
     """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has."""
 
-    def __init__(self, arrivals: Arrivals, timeline: Timeline) -> None:
+    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
         self._arrivals = arrivals
+        self._payload_bytes = payload_bytes
         self._timeline = timeline
         self._held: dict[int, bytes] = {}
         self._highest = 0
@@ -81,16 +44,21 @@ class _Reader:
     def on_data(self, number: int, sample: bytes) -> None:
         if number >= self.next and number not in self._held:
             self._held[number] = sample
-            self._arrivals.on_arrival(sample, self._timeline.now_s)
+            sequence, stamp_s = SAMPLE.unpack(sample)
+            self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+
+    def _deliver(self, sample: bytes) -> None:
+        sequence, stamp_s = SAMPLE.unpack(sample)
+        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
 
     def on_heartbeat(self, first: int, last: int) -> list[int]:
         """Hand over what is in order now, and return the numbers to ask for again."""
         self._highest = max(self._highest, last)
         for number in sorted(number for number in self._held if number < first):
-            self._arrivals.on_sample(self._held.pop(number))
+            self._deliver(self._held.pop(number))
         self.next = max(self.next, first)
         while (sample := self._held.pop(self.next, None)) is not None:
-            self._arrivals.on_sample(sample)
+            self._deliver(sample)
             self.next += 1
         return [number for number in range(self.next, self._highest + 1) if number not in self._held]
 
@@ -113,7 +81,7 @@ class SimulatedWriter:
         self._route = route
         self._depth = qos.depth
         self._heartbeat_s = heartbeat_s
-        self._reader = _Reader(arrivals, route.timeline)
+        self._reader = _Reader(arrivals, route.timeline, payload_bytes)
         self._history: dict[int, bytes] = {}
         self._settled_at_s: dict[int, float] = {}
         self._last = 0

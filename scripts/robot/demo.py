@@ -11,6 +11,7 @@ import argparse
 import json
 import math
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -24,8 +25,9 @@ from rich.live import Live
 from arpd.errors import ArpdError
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.simlink import SimLink, available, user_namespace_argv
+from scripts.robot.proxy import window
 from scripts.robot.report import Pair, as_document, final_table, live_line, live_view, pair_up, verdict
-from scripts.robot.run import HTTP_PORT, Side, play, robot, run
+from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -34,6 +36,7 @@ FULL = "0:20mbit,20:5mbit,50:20mbit"
 QUICK = "0:20mbit,8:5mbit,26:20mbit"
 _TAIL_S = {FULL: 20.0, QUICK: 12.0}
 _NESTED = "ARPD_DEMO_NESTED"
+_LISTENER = "ARPD_DEMO_LISTENER"
 _LEGEND = (
     "loss: sent on the link and never received.  withheld: pacing chose a fresher sample instead.",
     "stalled: never published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
@@ -71,20 +74,26 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     duration_s = schedule.duration_s + _TAIL_S.get(text, 15.0)
     try:
-        usable, reason = (False, "asked for") if args.simulated else _namespaces(arguments)
-        logs = args.logs or Path(tempfile.mkdtemp(prefix="arpd-demo-"))
-        if usable and args.serve:
+        usable, reason = (False, "") if args.simulated else _namespaces(arguments, is_serving=args.serve)
+        if args.serve and not usable:
+            raise DemoError(f"--serve needs the real link ({reason or 'not the simulated one'})")
+        if usable:
+            logs = args.logs or Path(tempfile.mkdtemp(prefix="arpd-demo-"))
+        if args.serve:
             serve(logs, schedule, duration_s, console)
             return 0
         if usable:
             console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
             pairs = compare_for_real(logs, schedule, duration_s, console)
         else:
-            console.print(f"no network namespaces here ({reason}): using the built-in simulated link, in virtual time")
+            why = f"no network namespaces here ({reason}): " if reason else ""
+            console.print(f"{why}using the built-in simulated link, in virtual time", highlight=False, soft_wrap=True)
             pairs = compare_simulated(schedule, duration_s)
     except ArpdError as error:
-        console.print(f"scripts/demo: {error}", style="red")
+        console.print(f"scripts/demo: {error}", style="red", highlight=False, soft_wrap=True)
         return error.exit_code
+    except KeyboardInterrupt:
+        return 130
     if args.json:
         print(json.dumps(as_document(pairs), indent=2))
     else:
@@ -113,20 +122,24 @@ def serve(logs: Path, schedule: RateSchedule, duration_s: float, console: Consol
     def rate_at(elapsed_s: float) -> float:
         return schedule.rate_at(elapsed_s % duration_s)
 
-    with suppress(KeyboardInterrupt), _robot(logs, schedule, is_managed=True, listen_port=HTTP_PORT) as side:
-        console.print(
-            f"arpd is running; metrics: {side.url}/metrics   page: {side.url}/   Ctrl-C ends it", soft_wrap=True
-        )
+    inherited = os.environ.get(_LISTENER)
+    listener = socket.socket(fileno=int(inherited)) if inherited else _listen()
+    with (
+        suppress(KeyboardInterrupt),
+        _robot(logs, schedule, is_managed=True) as side,
+        window(side.link.robot, HTTP_PORT, listener=listener) as url,
+    ):
+        console.print(f"arpd is running; metrics: {url}/metrics   page: {url}/   Ctrl-C ends it", soft_wrap=True)
         play(side, rate_at, math.inf, on_tick=lambda _elapsed_s: None)
 
 
 @contextmanager
-def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool, listen_port: int = 0) -> Iterator[Side]:
+def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[Side]:
     run_id = f"demo-{os.getpid()}-{int(is_managed)}"
     folder = logs / ("with" if is_managed else "without")
     with (
         SimLink(run_id, rate_bytes_per_second=schedule.rate_at(0.0)) as link,
-        robot(link, folder, is_managed=is_managed, listen_port=listen_port) as side,
+        robot(link, folder, is_managed=is_managed) as side,
     ):
         yield side
 
@@ -174,14 +187,27 @@ def _watch(
     return show
 
 
-def _namespaces(arguments: list[str]) -> tuple[bool, str]:
+def _listen() -> socket.socket:
+    try:
+        return socket.create_server(("127.0.0.1", HTTP_PORT))
+    except OSError as error:
+        raise DemoError(f"cannot listen on port {HTTP_PORT} ({error}); is another --serve running?") from error
+
+
+def _namespaces(arguments: list[str], *, is_serving: bool) -> tuple[bool, str]:
     """Whether namespaces work here; without root, this process becomes root of a user namespace first."""
     usable, reason = available()
     if usable or os.geteuid() == 0 or os.environ.get(_NESTED):
         return usable, reason
     if subprocess.run(user_namespace_argv(["true"]), capture_output=True, check=False).returncode == 0:
         command = user_namespace_argv([sys.executable, "-m", "scripts.robot.demo", *arguments])
-        os.execve(command[0], command, {**os.environ, _NESTED: "1"})
+        environment = {**os.environ, _NESTED: "1"}
+        if is_serving:
+            # A socket stays in the namespace it was made in, so this one can be reached from outside.
+            listener = _listen()
+            listener.set_inheritable(True)
+            environment[_LISTENER] = str(listener.fileno())
+        os.execve(command[0], command, environment)
     return False, reason
 
 

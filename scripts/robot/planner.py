@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from rclpy.node import Node
 
 from arpd import AdaptivePublisher
 from scripts.robot.sensors import COMMAND_TOPIC, RCLPY_DEPTH, SENSORS
-from scripts.robot.stamped import Arrivals
+from scripts.robot.stamped import StampedArrivals
 
 COMMAND_RATE_HZ = 20.0
 
@@ -30,11 +31,12 @@ class Planner(Node):
 
     def __init__(self, prefix: str, *, is_adaptive: bool) -> None:
         super().__init__("planner")
-        self.arrivals = {topic: Arrivals() for topic in SENSORS}
+        self.arrivals = {topic: StampedArrivals() for topic in SENSORS}
         self.offered = 0
         self.is_publishing = False
         for topic, (_, make) in SENSORS.items():
-            self._subscribe(prefix + topic, type(make()), self.arrivals[topic])
+            on_sample = self.arrivals[topic].on_sample
+            self.create_subscription(type(make()), prefix + topic, on_sample, RCLPY_DEPTH, raw=True)
         self.commands: Any
         if is_adaptive:
             self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
@@ -43,12 +45,6 @@ class Planner(Node):
         self.create_timer(1.0 / COMMAND_RATE_HZ, self._command)
         self.create_timer(0.05, self._sample_ages)
         self.create_timer(1.0, self._report)
-
-    def _subscribe(self, topic: str, kind: Any, arrivals: Arrivals) -> None:
-        def on_sample(sample: bytes, info: dict[str, int]) -> None:
-            arrivals.on_sample(sample, info["received_timestamp"] * 1e-9)
-
-        self.create_subscription(kind, topic, on_sample, RCLPY_DEPTH, raw=True)
 
     def _command(self) -> None:
         if not self.is_publishing:
@@ -88,7 +84,7 @@ def main() -> None:
     print("ready", flush=True)
     while running:
         executor.spin_once(timeout_sec=0.1)
-    received = {topic: arrivals.summary().as_dict() for topic, arrivals in planner.arrivals.items()}
+    received = {topic: asdict(arrivals.reception()) for topic, arrivals in planner.arrivals.items()}
     out.write_text(json.dumps({"offered": {COMMAND_TOPIC: planner.offered}, "received": received}))
 
 

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def window(host: Host, port: int, *, listen_port: int = 0) -> Iterator[str]:
-    """Forward 127.0.0.1:listen_port to the host's own 127.0.0.1:port; yields the URL on this side."""
-    listener = socket.create_server(("127.0.0.1", listen_port))
+def window(host: Host, port: int, *, listener: socket.socket | None = None) -> Iterator[str]:
+    """Forward a port of 127.0.0.1 to the host's own 127.0.0.1:port; yields the URL on this side.
+
+    Parameters
+    ----------
+    listener : where to listen, for a port of another namespace's; None = a free port of this one
+    """
+    listener = listener or socket.create_server(("127.0.0.1", 0))
 
     def connect() -> socket.socket:
         return socket.create_connection(("127.0.0.1", port), timeout=3.0)

@@ -130,7 +130,7 @@ class Side:
 
 
 @contextlib.contextmanager
-def robot(link: SimLink, workdir: Path, *, is_managed: bool, listen_port: int = 0) -> Iterator[Side]:
+def robot(link: SimLink, workdir: Path, *, is_managed: bool) -> Iterator[Side]:
     """Bring up planner, sensors and, if managed, peer, daemon and relay; end them all on leaving.
 
     Raises
@@ -152,7 +152,7 @@ def robot(link: SimLink, workdir: Path, *, is_managed: bool, listen_port: int = 
             shutil.copyfile(CONFIG, side.config)
             side.start_daemon()
             side.start("relay", "robot", "arpd", "relay", "--config", str(side.config))
-            side.url = stack.enter_context(window(link.robot, HTTP_PORT, listen_port=listen_port))
+            side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
             name = _process_name(topic)
             side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"))

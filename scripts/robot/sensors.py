@@ -12,6 +12,7 @@ import array
 import json
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ from sensor_msgs.msg import (
     Temperature,
 )
 
-from scripts.robot.stamped import Arrivals
+from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,17 +112,14 @@ class BaseDriver(Node):
 
     def __init__(self) -> None:
         super().__init__(BASE_DRIVER)
-        self.commands = Arrivals()
+        self.commands = StampedArrivals()
         self.is_publishing = False  # what the signals call the time in which the run is measured
-        self.create_subscription(TwistStamped, COMMAND_TOPIC, self._on_command, RCLPY_DEPTH, raw=True)
+        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, RCLPY_DEPTH, raw=True)
         self.create_timer(0.05, self._sample_age)
 
     def _sample_age(self) -> None:
         if self.is_publishing:
             self.commands.on_age(float(self.get_clock().now().nanoseconds) * 1e-9)
-
-    def _on_command(self, sample: bytes, info: dict[str, int]) -> None:
-        self.commands.on_sample(sample, info["received_timestamp"] * 1e-9)
 
 
 def main() -> None:
@@ -147,7 +145,7 @@ def main() -> None:
     if isinstance(node, Sensor):
         out.write_text(json.dumps({"offered": {node.topic: node.offered}}))
     else:
-        out.write_text(json.dumps({"offered": {}, "received": {COMMAND_TOPIC: node.commands.summary().as_dict()}}))
+        out.write_text(json.dumps({"offered": {}, "received": {COMMAND_TOPIC: asdict(node.commands.reception())}}))
 
 
 if __name__ == "__main__":
