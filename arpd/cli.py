@@ -112,9 +112,7 @@ examples:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_config(parser)
-    parser.add_argument(
-        "--node-name", default="arpd_relay", metavar="NAME", help="name of the ROS node (default %(default)s)"
-    )
+    parser.add_argument("--node-name", metavar="NAME", help="name of the ROS node (default arpd_relay_HOST)")
     _add_log_level(parser)
     parser.set_defaults(handler=_relay)
 

@@ -194,17 +194,14 @@ class Daemon:
         -------
         Number of publishers that did not confirm in time.
         """
-        if self.snapshot is None:
-            return 0
         until_s = self._clock() + _RESTORE_S
-        managed = set(self.snapshot.decision.plan.topics)
-        missing = 0
+        generation = self._governor.plan.generation + 1
         while True:
             now_s = self._clock()
             observation = self._world.observe(now_s)
-            publishers = [p for p in observation.publishers if p.topic in managed]
-            known = max((p.generation for p in publishers), default=0)
-            generation = max(known, self.snapshot.decision.plan.generation + 1)
+            # Whatever carries a plan, be it a predecessor's, or of a topic whose far reader has left.
+            publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
+            generation = max([generation, *(publisher.generation for publisher in publishers)])
             plan = restore_plan(publishers, generation=generation)
             transitions = plan_transitions(publishers, plan, reason="stop")
             missing = sum(len(transition.topics) for transition in transitions)
@@ -222,9 +219,14 @@ class Daemon:
         line = (
             f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}), "
             f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
-            f"{self.snapshot.confirmed} of {len(decision.plan.topics)} topics confirmed"
+            f"{self.snapshot.confirmed} of {self._managed()} publishers confirmed"
         )
         return f"{line}; reload refused: {self._config_error}" if self._config_error else line
+
+    def _managed(self) -> int:
+        assert self.snapshot is not None
+        planned = self.snapshot.decision.plan.topics
+        return sum(publisher.topic in planned for publisher in self.snapshot.observation.publishers)
 
     def _count(self, observation: Observation) -> Totals:
         probes, probe_bytes = self._world.probes_sent()
@@ -258,12 +260,10 @@ class Signals:
         signal.signal(signal.SIGHUP, self._on_reload)
 
     def _on_stop(self, _signum: int, _frame: Any) -> None:
-        self.stop = True
-        self.wakeup.set()
+        self.stop = True  # and nothing else: Event.set() here could meet the lock that wait() holds
 
     def _on_reload(self, _signum: int, _frame: Any) -> None:
         self.reload = True
-        self.wakeup.set()
 
 
 def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Callable[[], Settings]) -> None:

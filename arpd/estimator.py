@@ -79,6 +79,8 @@ class Estimator:
         self._started_at_s: float | None = None
         self._last_s = -math.inf
         self._report_at_s = -math.inf
+        self._peer = ""
+        self._first_wait_s = self._tuning.first_wait_s
         self._delays: deque[tuple[float, float]] = deque()
         self._deliveries: deque[tuple[float, float, int]] = deque()  # arrival s, interval s, bytes
         self._trains: deque[tuple[float, float]] = deque()  # arrival s, bytes/s
@@ -98,12 +100,16 @@ class Estimator:
         return (
             self._kind is not CapacityKind.CONFIGURED
             or self._settings.capacity_bytes_per_second is not None
-            or (self._started_at_s is not None and self._last_s - self._started_at_s > self._tuning.first_wait_s)
+            or (self._started_at_s is not None and self._last_s - self._started_at_s > self._first_wait_s)
         )
 
     def reconfigure(self, settings: LinkSettings) -> None:
         """Take new settings; what was measured stays."""
         self._settings = settings
+        if self._kind is CapacityKind.CONFIGURED:
+            self._capacity = settings.initial_capacity_bytes_per_second
+        if settings.capacity_bytes_per_second is not None:
+            self._forget_queue()
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return what is believed now."""
@@ -114,14 +120,18 @@ class Estimator:
         self._last_s = now_s
         largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
         self._burst_s = min(self._tuning.burst_cap_s, wire_size(largest_bytes)[0] / self._capacity)
+        # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
+        self._first_wait_s = self._tuning.peer_lost_s if observation.peers else self._tuning.first_wait_s
         for report in observation.reports:
-            self._digest(report)
+            if self._is_from_our_peer(report):
+                self._digest(report)
         silence_s = now_s - self._report_at_s
         if silence_s <= self._tuning.outage_s:
             self._state = self._judge(now_s, elapsed_s)
         elif silence_s <= self._tuning.peer_lost_s and observation.peers != 0:
             self._state = LinkState.OUTAGE
         else:
+            self._forget_queue()
             self._state = self._judge_alone(observation, elapsed_s)
         return self._estimate(now_s)
 
@@ -167,10 +177,25 @@ class Estimator:
         if report.trains and self._is_surprised(self._trains[-1][1]):
             self._next_train_s = min(self._next_train_s, now_s + t.surprise_interval_s)
 
+    def _is_from_our_peer(self, report: PeerReport) -> bool:
+        """Listen to one peer at a time: delays of two hosts have two unknown clock offsets, and two links."""
+        if report.received_at_s - self._report_at_s > self._tuning.peer_lost_s:
+            self._peer = report.peer
+        return report.peer == self._peer
+
+    def _forget_queue(self) -> None:
+        """Nobody measures the queue any more; its last length must not hold the gate."""
+        self._delays.clear()
+        self._under_way.clear()
+        self._round_trips.clear()
+        self._queue_delay_s, self._high_reports = 0.0, 0
+
     def _note_delays(self, report: PeerReport, now_s: float) -> None:
+        round_trip_s = math.inf
         while self._under_way and self._under_way[0][0] <= report.last_probe:
             _, sent_s = self._under_way.popleft()
-            self._round_trips.append((now_s, now_s - sent_s))
+            round_trip_s = now_s - sent_s
+            self._round_trips.append((now_s, round_trip_s))
         while self._round_trips and now_s - self._round_trips[0][0] > self._tuning.delay_window_s:
             self._round_trips.popleft()
         if report.delays_s:
@@ -179,18 +204,17 @@ class Estimator:
             self._delays.append((now_s, delay_s))
             while now_s - self._delays[0][0] > self._tuning.delay_window_s:
                 self._delays.popleft()
-            self._queue_delay_s = delay_s - min(delay for _, delay in self._delays)
+            # The round trip is on our own clock: what a step of the peer's clock adds to the delay is no queue.
+            self._queue_delay_s = min(delay_s - min(delay for _, delay in self._delays), round_trip_s)
             self._high_reports = self._high_reports + 1 if self._queue_delay_s > self._queue_high_s else 0
             if self._high_reports == 1:
                 # What was delivered before the queue stood is demand, not capacity.
                 self._deliveries = deque([self._deliveries[-1]])
 
     def _resume(self, now_s: float, silent_s: float) -> None:
-        self._delays.clear()
+        self._forget_queue()
         self._deliveries.clear()
         self._trains.clear()
-        self._under_way.clear()
-        self._queue_delay_s, self._high_reports = 0.0, 0
         if self._kind is CapacityKind.PEER:
             self._change(
                 self._tuning.resume_ratio * self._capacity, now_s, f"reports resumed after {silent_s:.1f} s of silence"

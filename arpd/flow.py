@@ -174,7 +174,11 @@ class Flow(Generic[W]):
         """Write every sample whose time has come, unless a swap holds them."""
         while not self._swap.is_holding and (sample := self._pacer.take(now_s)) is not None:
             before_s = self._clock()
-            self._swap.current.publish(sample)
+            try:
+                self._swap.current.publish(sample)
+            except Exception:
+                self._withheld += 1  # it left the queue and reached nobody
+                raise
             self._blocked_s += self._clock() - before_s
             self._published += 1
 

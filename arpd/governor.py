@@ -7,12 +7,12 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from arpd.model import AllocationStatus, Decision, LinkState, QosPlan
-from arpd.planner import make_plan
+from arpd.planner import keeps_its_readers, make_plan, tightest_requests
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic
+    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic, TopicPlan
     from arpd.settings import Settings
 
 _GATE_CLOSED = 0.01  # floors are all that flows
@@ -82,11 +82,11 @@ class Governor:
         publishers: Sequence[PublisherState],
     ) -> Decision:
         """Decide gate and plan for this tick."""
-        cause, refusal = self._cause(now_s, link, allocation, topics)
+        cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
         refusals = [refusal] if refusal else []
         if cause:
             plan = self._next_plan(allocation, topics, publishers)
-            swaps = sum(self._plan.topics.get(name) != row for name, row in plan.topics.items())
+            swaps = sum(_changes_qos(self._plan.topics.get(name), row) for name, row in plan.topics.items())
             if self._is_over_budget(now_s, swaps):
                 refusals.append("budget")
                 cause = ""
@@ -107,7 +107,12 @@ class Governor:
     # -- the level
 
     def _cause(
-        self, now_s: float, link: LinkEstimate, allocation: Allocation, topics: Sequence[Topic]
+        self,
+        now_s: float,
+        link: LinkEstimate,
+        allocation: Allocation,
+        topics: Sequence[Topic],
+        publishers: Sequence[PublisherState],
     ) -> tuple[str, str]:
         """Return why a new plan is due (or empty) and why a wanted one is refused (or empty)."""
         if allocation.status is AllocationStatus.EMPTY:
@@ -121,7 +126,14 @@ class Governor:
         self._seen = names
         if self._reload_pending:
             return "reload", ""
+        if self._loses_readers(publishers):
+            return "readers", ""
         return self._level_cause(now_s, allocation)
+
+    def _loses_readers(self, publishers: Sequence[PublisherState]) -> bool:
+        """Whether a reader asks for a deadline the plan does not keep: it is disconnected until the next plan."""
+        requests = tightest_requests(publishers)
+        return any(not keeps_its_readers(row, requests.get(topic, 0)) for topic, row in self._plan.topics.items())
 
     def _topics_cause(self, now_s: float, names: frozenset[str]) -> str:
         """Debounce topics that come and go, so that a node that brings ten of them costs one plan."""
@@ -216,6 +228,10 @@ class Governor:
         # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
         excess_s = link.queue_delay_s - link.queue_allowance_s
         return max(_GATE_CLOSED, gate * min(1.0, 1.0 - excess_s / _DRAIN_S))
+
+
+def _changes_qos(old: TopicPlan | None, new: TopicPlan) -> bool:
+    return old is None or (old.depth, old.deadline_ns) != (new.depth, new.deadline_ns)
 
 
 def _since(holds: bool, since_s: float | None, now_s: float) -> float | None:  # noqa: FBT001 - a condition, not a mode

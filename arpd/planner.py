@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model import Binding, Direction, QosPlan, TopicPlan, Transition
+from arpd.model import Binding, QosPlan, TopicPlan, Transition
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ def make_plan(
     A source that has fallen silent keeps its row: it costs nothing now, and must find its QoS when it returns.
     """
     publishers = tuple(publishers)
-    requested = _tightest_requests(publishers)
+    requested = tightest_requests(publishers)
     silent = {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
     spared = _spared(allocation)
     rows: dict[str, TopicPlan] = {}
@@ -46,8 +46,10 @@ def make_plan(
             # Nobody knows its period: a deadline would be a promise without a basis.
             fresh = replace(fresh, deadline_ns=requested.get(topic.name, 0))
         kept = previous.topics.get(topic.name)
-        keeps = kept is not None and (topic.name in silent or _within(kept, fresh, settings.governor.deadband))
-        rows[topic.name] = kept if keeps and kept is not None else fresh
+        if kept is not None and keeps_its_readers(kept, requested.get(topic.name, 0)):
+            is_near = topic.name in silent or _within(kept, fresh, settings.governor.deadband)
+            fresh = kept if is_near else fresh
+        rows[topic.name] = fresh
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
 
 
@@ -62,14 +64,18 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
         most_hz = settings.topic(topic.name).max_rate_hz
         rate_hz = min(_SOURCE_MARGIN * row.rate_hz, math.inf if most_hz is None else most_hz)
     deadline_ns = math.ceil(row.deadline_ns * settings.program.deadline_slack)
-    if requested_deadline_ns and (deadline_ns == 0 or deadline_ns > requested_deadline_ns):
-        deadline_ns = requested_deadline_ns
-    return TopicPlan(
+    plan = TopicPlan(
         rate_hz=rate_hz,
         min_rate_hz=min(topic.min_rate_hz, rate_hz),
         deadline_ns=deadline_ns,
         depth=row.depth_applied,
     )
+    return plan if keeps_its_readers(plan, requested_deadline_ns) else replace(plan, deadline_ns=requested_deadline_ns)
+
+
+def keeps_its_readers(plan: TopicPlan, requested_deadline_ns: int) -> bool:
+    """Whether the offered deadline is no longer than what the most demanding reader requests (0 = none does)."""
+    return requested_deadline_ns == 0 or 0 < plan.deadline_ns <= requested_deadline_ns
 
 
 def _spared(allocation: Allocation) -> frozenset[str]:
@@ -100,7 +106,7 @@ def plan_transitions(publishers: Iterable[PublisherState], plan: QosPlan, *, rea
     change_hz: dict[str, float] = {}
     for publisher in publishers:
         row = plan.topics.get(publisher.topic)
-        if row is None or publisher.direction is Direction.LOCAL:
+        if row is None:
             continue
         if not is_confirmed(publisher, row):
             wanted.setdefault(publisher.node, {})[publisher.topic] = row
@@ -127,7 +133,8 @@ def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> Qo
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
 
 
-def _tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:
+def tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:
+    """Return the tightest deadline readers request, per topic where one does (ns)."""
     tightest: dict[str, int] = {}
     for publisher in publishers:
         if publisher.requested_deadline_ns:

@@ -52,6 +52,7 @@ class SwapResult(StrEnum):
     REORDER_POSSIBLE = "reorder_possible"  # switched with the old writer not fully acknowledged
     UNMATCHED = "unmatched"  # readers did not match the new writer in time; the old one stays
     SUPERSEDED = "superseded"  # a newer request came first
+    UNDELIVERED = "undelivered"  # beside the swap's own result: an old writer was given up with samples unacknowledged
     FAILED = "failed"  # the middleware refused the new writer; the old one stays
 
 
@@ -119,7 +120,6 @@ class WriterSwap(Generic[W]):
         self._hold_s = 0.0
         self._draining: list[_Draining] = []
         self.state = SwapState.IDLE
-        self.lost_at_retirement = 0
 
     @property
     def current(self) -> W:
@@ -207,7 +207,8 @@ class WriterSwap(Generic[W]):
         for old in self._draining:
             acknowledged = old.writer.matched() == 0 or old.writer.is_acknowledged()
             if acknowledged or now_s >= old.until_s:
-                self.lost_at_retirement += 0 if acknowledged else 1
+                if not acknowledged:
+                    self._on_result(SwapResult.UNDELIVERED)
                 old.writer.destroy()
             else:
                 staying.append(old)

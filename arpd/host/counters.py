@@ -34,14 +34,15 @@ def choose_interface(
     LinkError
         If the interface asked for does not exist, or ``auto`` finds none; the message names those that exist.
     """
-    existing = sorted(names() if names else psutil.net_if_stats())
+    stats = names() if names else psutil.net_if_stats()
+    existing = sorted(stats)
     others = [name for name in existing if name != "lo"]
     if wanted != "auto":
         if wanted not in existing:
             raise LinkError(f"link.interface {wanted!r} does not exist; this host has {', '.join(existing) or 'none'}")
         return wanted
     for name in others:
-        if (sys_net / name / "wireless").exists():
+        if (sys_net / name / "wireless").exists() and stats[name].isup:
             return name
     routed = _default_route(route)
     if routed in others:

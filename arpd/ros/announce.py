@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -24,6 +25,7 @@ _INTEGERS = (
 )
 _MAX_INTEGER = 2**63 - 1
 _MAX_NAME = 256
+_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def to_status(state: PublisherState) -> Any:
@@ -62,8 +64,8 @@ def from_status(status: Any) -> PublisherState:
     except KeyError as missing:
         raise ValueError(f"announcement without {missing}") from missing
     for name in (node, topic):
-        if not name.startswith("/") or len(name) > _MAX_NAME:
-            raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified name starts with '/'")
+        if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
+            raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
     if not 1 <= integers["depth"] <= 100_000 or not 1 <= integers["baseline_depth"] <= 100_000:
         raise ValueError(f"announcement of {topic} with a depth outside 1..100000")
     return PublisherState(
@@ -80,7 +82,7 @@ def from_status(status: Any) -> PublisherState:
 
 def _finite_or_inf(key: str, text: str) -> float:
     value = float(text)
-    if math.isnan(value) or value < 0:
+    if math.isnan(value) or value < 0 or (math.isinf(value) and key != "rate_hz"):
         raise ValueError(f"announcement with {key} = {text[:40]!r}; a number ≥ 0 is needed")
     return value
 

@@ -47,8 +47,10 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
         direction = Direction.LOCAL
     elif robot_host in writer_hosts:
         direction = Direction.SENSING
-    else:
+    elif any(reader.host == robot_host for reader in readers):
         direction = Direction.ACTUATION
+    else:
+        direction = Direction.LOCAL  # between two other hosts: not over the robot's link
     return Crossing(
         direction=direction,
         remote_readers=len(remote) if direction is not Direction.LOCAL else 0,

@@ -61,7 +61,8 @@ class ParameterApplier:
             node = self._nodes.get(transition.node) or self._add(transition.node)
             if transition.generation > node.generation:
                 # Whatever an older call may still answer, the newest plan goes out now.
-                node.generation, node.future = transition.generation, None
+                self._forget(node)
+                node.generation = transition.generation
                 node.next_at_s, node.backoff_s = now_s, _FIRST_BACKOFF_S
             self._expire(transition.node, node, now_s)
             if node.future is None and now_s >= node.next_at_s:
@@ -103,13 +104,18 @@ class ParameterApplier:
         if not result.successful:
             log.warning("%s refused plan %d: %s", transition.node, transition.generation, result.reason)
 
+    @staticmethod
+    def _forget(node: _Node) -> None:
+        if node.future is not None:
+            node.client.remove_pending_request(node.future)
+            node.future.cancel()
+            node.future = None
+
     def _expire(self, name: str, node: _Node, now_s: float) -> None:
         if node.future is not None and now_s - node.sent_at_s > _TIMEOUT_S:
             self._results["timeout"] += 1
             log.warning("%s did not answer a parameter call within %.0f s", name, _TIMEOUT_S)
-            node.client.remove_pending_request(node.future)
-            node.future.cancel()
-            node.future = None
+            self._forget(node)
 
 
 def _parameters(topic: str, row: TopicPlan) -> list[Any]:

@@ -15,6 +15,7 @@ from rclpy.serialization import serialize_message
 
 from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
+from arpd.planner import keeps_its_readers
 from arpd.ros.tuning import NodeTuning
 from arpd.settings import Overflow
 from arpd.swap import SwapResult, WriterQos
@@ -93,15 +94,22 @@ class AdaptivePublisher:
         # Default callbacks would add a waitable to the executor at every swap only to log a warning.
         self._event_callbacks = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
         self._lock = threading.RLock()
-        self._baseline = WriterQos(depth=self.qos_profile.depth, deadline_ns=offered_deadline_ns(self.qos_profile))
+        self._baseline = WriterQos(
+            depth=max(1, self.qos_profile.depth), deadline_ns=offered_deadline_ns(self.qos_profile)
+        )
         self._flow = Flow(
             create=self._create_writer, qos=self._baseline, overflow=overflow, clock=clock, on_swap=self._on_swap
         )
         self._refusal = ""
+        self._clamp = ""
         self._type_name = _type_name(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
         self._tuning = NodeTuning.of(node)
-        self._tuning.adopt(self)
+        try:
+            self._tuning.adopt(self)
+        except Exception:
+            self._flow.close()  # a refused publisher must not leave a live writer behind
+            raise
 
     # -- what rclpy.publisher.Publisher offers
 
@@ -193,11 +201,10 @@ class AdaptivePublisher:
             because the reader would silently disconnect (DESIGN §2)
         """
         requested_ns = self._tightest_request_ns()
-        deadline_ns = plan.deadline_ns
-        if requested_ns and (deadline_ns == 0 or deadline_ns > requested_ns):
-            deadline_ns = requested_ns
-        qos = WriterQos(depth=plan.depth, deadline_ns=deadline_ns)
+        is_clamped = not keeps_its_readers(plan, requested_ns)
+        qos = WriterQos(depth=plan.depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
         with self._lock:
+            self._clamp = f"deadline clamped to the {requested_ns} ns a reader requests" if is_clamped else ""
             if self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL and qos != self._flow.qos:
                 self._refusal = (
                     f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need"
@@ -228,7 +235,7 @@ class AdaptivePublisher:
     def state(self, *, generation: int) -> PublisherState:
         """Picture of what is in force, for the announcement."""
         with self._lock:
-            flow, refusal = self._flow.state(), self._refusal
+            flow, refusal = self._flow.state(), self._refusal or self._clamp
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self._resolved,

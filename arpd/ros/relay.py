@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import logging
+import platform
+import re
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -86,7 +88,7 @@ class Relay:
             self._on_change(self.status_line())
 
     def _carry(self, topic: str, writers: list[Any]) -> None:
-        from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+        from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
 
         from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415
         from arpd.settings import Overflow  # noqa: PLC0415
@@ -95,15 +97,22 @@ class Relay:
         # A reliable reader does not match a best-effort writer, so the weakest writer decides.
         all_reliable = all(w.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE for w in writers)
         reliability = QoSReliabilityPolicy.RELIABLE if all_reliable else QoSReliabilityPolicy.BEST_EFFORT
+        # Latched topics (/map, /tf_static) stay latched, or late joiners on the far side would never see them.
+        all_latched = all(w.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for w in writers)
+        durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if all_latched else QoSDurabilityPolicy.VOLATILE
         publisher = AdaptivePublisher(
             self._node,
             kind,
             self._settings.prefix + topic,
-            QoSProfile(depth=self._settings.depths.get(topic, _DEFAULT_DEPTH)),
+            QoSProfile(depth=self._settings.depths.get(topic, _DEFAULT_DEPTH), durability=durability),
             overflow=self._settings.overflow.get(topic, Overflow.LATEST),
         )
         self._node.create_subscription(
-            kind, topic, publisher.publish, QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability), raw=True
+            kind,
+            topic,
+            publisher.publish,
+            QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
+            raw=True,
         )
         log.info("relaying %s to %s (%s)", topic, publisher.topic_name, writers[0].topic_type)
 
@@ -144,14 +153,25 @@ def best_executor(context: Any = None) -> Any:
     return SingleThreadedExecutor(context=context)
 
 
-def run_relay(*, config_path: Path, node_name: str, log_level: str) -> int:
-    """Run the relay until SIGINT or SIGTERM."""
+def default_node_name(host: str) -> str:
+    """Return a node name of this host's own: two relays of one name would receive each other's parameters."""
+    return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
+
+
+def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> int:
+    """Run the relay until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    config_path : YAML configuration
+    node_name : name of the ROS node; `default_node_name` of this host when None
+    """
     configure_logging(log_level)
     settings = load_settings(config_path, interfaces=None)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    with ros_node(node_name) as node:
+    with ros_node(node_name or default_node_name(platform.node())) as node:
         executor = best_executor()
         executor.add_node(node)
         Relay(node, settings.relay, on_change=notifier.status)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
@@ -33,10 +34,15 @@ if TYPE_CHECKING:
     from arpd.model import TopicPlan
     from arpd.ros.publisher import AdaptivePublisher
 
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
+
 _ATTRIBUTE = "_arpd_tuning"
 _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
 _INFINITE_NS = 2**63 - 1
+_MOST_DEPTH = 5000
+_RETRY_S = 0.1
+_COMPLAIN_S = 5.0
 
 _SETTINGS = {
     DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
@@ -98,6 +104,10 @@ class NodeTuning:
             value = getattr(publisher.plan, field)
             self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
         self._publishers = {**self._publishers, topic: publisher}
+        # Overrides given at the start (--ros-args -p qos_overrides…) are settings like any others.
+        plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
+        if plan != publisher.plan:
+            publisher.retune(plan)
         self.wake()
 
     def release(self, publisher: AdaptivePublisher) -> None:
@@ -125,15 +135,31 @@ class NodeTuning:
         while not self._stopping and self._node.context.ok():
             self._wakeup.clear()
             now_s = self._clock()
-            next_s = announce_s
-            for publisher in self._publishers.values():
-                next_s = min(next_s, publisher.service(now_s))
-            if now_s >= announce_s:
-                announce_s = now_s + _ANNOUNCE_S
-                self._expire_gate(now_s)
-                self._announce()
-                continue
+            try:
+                next_s = min(announce_s, self._service(now_s))
+                if now_s >= announce_s:
+                    announce_s = now_s + _ANNOUNCE_S
+                    self._expire_gate(now_s)
+                    self._announce()
+                    continue
+            except InvalidHandle:
+                return  # the application destroyed the node: nothing is left to pace
             self._wakeup.wait(max(0.0, next_s - self._clock()))
+
+    def _service(self, now_s: float) -> float:
+        """Serve every publisher, whatever happens to another; return when to look again (s)."""
+        next_s = math.inf
+        for publisher in self._publishers.values():
+            try:
+                next_s = min(next_s, publisher.service(now_s))
+            except InvalidHandle:
+                raise
+            except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
+                self._node.get_logger().error(
+                    f"{publisher.topic_name}: {error}", throttle_duration_sec=_COMPLAIN_S, skip_first=False
+                )
+                next_s = min(next_s, now_s + _RETRY_S)
+        return next_s
 
     def _announce(self) -> None:
         message = DiagnosticArray()
@@ -181,15 +207,16 @@ class NodeTuning:
         for parameter in parameters:
             if parameter.name in self._parameters:
                 topic, field = self._parameters[parameter.name]
-                if topic in self._publishers:
-                    changes.setdefault(topic, {})[field] = _checked(parameter, field)
+                if (publisher := self._publishers.get(topic)) is not None:
+                    most = max(_MOST_DEPTH, publisher.baseline.depth)
+                    changes.setdefault(topic, {})[field] = _checked(parameter, field, most_depth=most)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
 
 
-def _checked(parameter: Any, field: str) -> int | float:
+def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:
     value = parameter.value  # of the declared type: rclpy refuses any other before it asks
-    if field == "depth" and not 1 <= value <= 5000:
-        raise ValueError(f"{parameter.name} = {value} is outside 1..5000")
+    if field == "depth" and not 1 <= value <= most_depth:
+        raise ValueError(f"{parameter.name} = {value} is outside 1..{most_depth}")
     if field == "deadline_ns":
         if value < 0:
             raise ValueError(f"{parameter.name} = {value} is negative; 0 means infinite")

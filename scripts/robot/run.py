@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -94,7 +95,8 @@ class Side:
         """Wait for the process's line ``ready``, then keep reading what it says."""
         process = self.processes[name]
         assert process.stdout is not None
-        if process.stdout.readline().strip() != "ready":
+        came, _, _ = select.select([process.stdout], [], [], _START_S)
+        if not came or process.stdout.readline().strip() != "ready":
             raise DemoError(f"{name} did not start; see {self.workdir / (name + '.log')}")
         threading.Thread(target=self._read, args=(process,), daemon=True).start()
 

@@ -17,12 +17,12 @@ class Ros:
         self.context = context
         self._stack = stack
 
-    def node(self, name, executor=None):
+    def node(self, name, executor=None, **options):
         from rclpy.executors import SingleThreadedExecutor
 
         from arpd.ros.runtime import spinning
 
-        node = rclpy.create_node(name, context=self.context)
+        node = rclpy.create_node(name, context=self.context, **options)
         chosen = executor or SingleThreadedExecutor(context=self.context)
         chosen.add_node(node)
         self._stack.callback(node.destroy_node)

@@ -1,6 +1,7 @@
 """AdaptivePublisher with real rclpy and Fast DDS on this host."""
 
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -94,11 +95,12 @@ def test_swap_loses_nothing(publisher, reader, configure, background, eventually
         assert configure(depth=20 + k, deadline=10**9 + k).successful
         eventually(lambda k=k: state(publisher).depth == 20 + k)
     swaps = state(publisher).swaps_by_result
-    assert sum(swaps.values()) == 12, swaps
-    assert swaps.get("ok", 0) + swaps.get("reorder_possible", 0) == 12
+    assert swaps.get("ok", 0) + swaps.get("reorder_possible", 0) == 12, swaps
     sent = state(publisher).published
     eventually(lambda: len(reader.received) >= sent)
-    assert reader.received == list(range(len(reader.received)))
+    assert sorted(reader.received) == list(range(len(reader.received)))
+    # A machine too busy to acknowledge in time is told by the result, and then only order may suffer.
+    assert "reorder_possible" in swaps or reader.received == sorted(reader.received)
 
 
 def test_equal_settings_are_no_swap(publisher, reader, configure):
@@ -111,9 +113,10 @@ def test_equal_settings_are_no_swap(publisher, reader, configure):
 def test_the_newest_request_wins(publisher, reader, configure, eventually):
     """Requests that arrive while a swap is under way coalesce to the newest."""
     for depth in (11, 12, 13, 14):
-        configure(depth=depth)
+        publisher.retune(replace(publisher.plan, depth=depth))
     eventually(lambda: state(publisher).depth == 14)
-    assert sum(state(publisher).swaps_by_result.values()) <= 4
+    swaps = state(publisher).swaps_by_result
+    assert swaps.get("ok", 0) + swaps.get("reorder_possible", 0) < 4, swaps
 
 
 def test_pacing_conflates_and_counts(publisher, reader, configure, background, eventually):
@@ -242,3 +245,40 @@ def test_wrong_type_is_refused(publisher):
     """Publishing another type raises TypeError, as rclpy does."""
     with pytest.raises(TypeError):
         publisher.publish(Float64())
+
+
+def test_one_failing_topic_does_not_stop_the_others(publisher, configure, background, monkeypatch, eventually):
+    """A publisher that raises is logged and tried again; the pacing of the node's other topics goes on."""
+    other = AdaptivePublisher(publisher._node, String, "/other", 10)
+
+    def fail(_now_s):
+        raise RuntimeError("the middleware is out of resources")
+
+    monkeypatch.setattr(other, "service", fail)
+    assert configure(rate=20.0).successful
+    background(publish_at(publisher, 100))
+    before = state(publisher).published
+    eventually(lambda: state(publisher).published >= before + 20)
+
+
+def test_the_pacing_thread_ends_with_its_node(ros, eventually):
+    """Destroying the node ends the thread that served its publishers."""
+    node = ros.node("short_lived")
+    thread = AdaptivePublisher(node, String, TOPIC, 10)._tuning._thread
+    node.destroy_node()
+    eventually(lambda: not thread.is_alive())
+
+
+def test_overrides_given_at_the_start_are_in_force(ros, eventually):
+    """Depth and rate from --ros-args overrides are what the publisher runs with."""
+    overrides = [Parameter(DEPTH, value=77), Parameter(RATE, value=5.0)]
+    publisher = AdaptivePublisher(ros.node("overridden", parameter_overrides=overrides), String, TOPIC, 10)
+    eventually(lambda: state(publisher).depth == 77)
+    assert publisher.plan.rate_hz == 5.0
+
+
+def test_a_refused_publisher_leaves_no_writer(publisher):
+    """What the constructor refuses does not stay behind in the graph."""
+    with pytest.raises(ValueError, match="already has"):
+        AdaptivePublisher(publisher._node, String, TOPIC, 10)
+    assert len(publisher._node.get_publishers_info_by_topic(TOPIC)) == 1

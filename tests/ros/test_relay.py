@@ -6,13 +6,24 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String
 
 from arpd.ros.relay import Relay, UnknownTypeError, best_executor, message_class
 from arpd.settings import RelaySettings
 
 pytestmark = pytest.mark.ros
+
+
+class DeafExecutor:
+    """An executor that delivers nothing."""
+
+    def __init__(self, context=None):
+        self.add_node = self.remove_node = lambda _node: None
+        self.shutdown = lambda: None
+
+    def spin_once(self, timeout_sec):
+        time.sleep(timeout_sec)
 
 
 class Lines:
@@ -62,10 +73,29 @@ def test_a_type_that_is_not_installed_is_named():
         message_class("no_such_msgs/msg/Thing")
 
 
-def test_the_executor_was_seen_to_deliver(ros):
-    """The relay's executor has delivered a message to itself, or it is rclpy's default one."""
+def test_the_cheap_executor_is_taken_where_it_delivers(ros):
+    """EventsExecutor delivers here, and is what the relay runs on."""
     executor = best_executor(context=ros.context)
-    try:
-        assert type(executor).__name__ in {"EventsExecutor", "SingleThreadedExecutor"}
-    finally:
-        executor.shutdown()
+    assert type(executor).__name__ == "EventsExecutor"
+    executor.shutdown()
+
+
+def test_an_executor_that_delivers_nothing_is_not_trusted(ros, monkeypatch):
+    """Where EventsExecutor never delivers, the relay runs on rclpy's default executor."""
+    monkeypatch.setattr("rclpy.experimental.EventsExecutor", DeafExecutor)
+    executor = best_executor(context=ros.context)
+    assert type(executor).__name__ == "SingleThreadedExecutor"
+    executor.shutdown()
+
+
+def test_a_latched_topic_stays_latched(ros, lines, eventually):
+    """A late reader of the relayed topic gets the map that was published before it came."""
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    talker = ros.node("map_server").create_publisher(String, "/map", latched)
+    talker.publish(String(data="the map"))
+    Relay(ros.node("relay"), RelaySettings(topics=("/map",)), on_change=lines)
+    eventually(lambda: lines.said[-1] == "relaying 1 of 1 topics")
+    time.sleep(0.5)
+    received = []
+    ros.node("late").create_subscription(String, "/link/map", lambda m: received.append(m.data), latched)
+    eventually(lambda: received == ["the map"])

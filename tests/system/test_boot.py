@@ -95,7 +95,7 @@ class Deployment:
         return self.state("StatusText")["StatusText"]
 
     def is_confirmed(self):
-        return f"{len(SENSORS)} of {len(SENSORS)} topics confirmed" in self.status_text()
+        return f"{len(SENSORS)} of {len(SENSORS)} publishers confirmed" in self.status_text()
 
     def is_ready(self):
         try:
@@ -231,7 +231,9 @@ def test_start_returns_when_the_daemon_runs(stopped):
 
 def test_status_says_what_the_link_carries(running):
     """`systemctl status` shows the link's rate and the plan in words, and every finished tick feeds the watchdog."""
-    assert re.search(r"^[\d.]+ Mbit/s \(.*\), gate \d.\d\d, plan \d+: 2 of 2 topics confirmed$", running.status_text())
+    assert re.search(
+        r"^[\d.]+ Mbit/s \(.*\), gate \d.\d\d, plan \d+: 2 of 2 publishers confirmed$", running.status_text()
+    )
     shown = running.robot.call("systemctl", "status", "arpd", "arpd-relay", "--no-pager").stdout
     print(shown)
     assert "Mbit/s" in shown

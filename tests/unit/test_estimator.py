@@ -25,17 +25,18 @@ class Link:
         self.now_s = 500.0
         self.probes = []
 
-    def tick(self, *, rate=1e5, delay_s=0.02, trains=(), silent=False, counters=UP):
+    def tick(self, *, rate=1e5, delay_s=0.02, trains=(), silent=False, counters=UP, peer="p", peers=None, clock_s=0.0):
         self.now_s += 0.1
         report = PeerReport(
-            peer="p",
+            peer=peer,
             received_at_s=self.now_s,
             interval_s=0.1,
             rx_bytes=round(rate * 0.1),
             rx_packets=10,
-            delays_s=(delay_s,),
+            delays_s=(delay_s + clock_s,),
             trains=tuple(Train(payload_bytes=round(c), duration_s=1.0, packets=10) for c in trains),
-            last_probe=self.probes[-1].number if self.probes else 0,
+            # A ping that waits in a queue has not arrived yet; one that has not is not reported.
+            last_probe=self.probes[-1].number if self.probes and delay_s < 0.1 else 0,
         )
         estimate = self.estimator.update(
             Observation(
@@ -46,6 +47,7 @@ class Link:
                 memory=MemoryState(total_bytes=1, available_bytes=1),
                 sensing_topics=0,
                 actuation_topics=0,
+                peers=peers,
             )
         )
         self.probes += self.estimator.wanted_probes(self.now_s)
@@ -253,7 +255,7 @@ def test_the_peers_clock_does_not_matter(ticks, offset_s):
     here, there = Link(), Link()
     for tick in ticks:
         one = here.tick(**tick)
-        other = there.tick(**{**tick, "delay_s": tick["delay_s"] + offset_s})
+        other = there.tick(**tick, clock_s=offset_s)
         assert other.capacity_bytes_per_second == pytest.approx(one.capacity_bytes_per_second)
         assert other.state == one.state
 
@@ -274,3 +276,53 @@ def test_alone_a_local_queue_shows_the_capacity():
 def test_alone_without_an_interface_is_an_outage(counters):
     """No peer and no carrier: there is no link."""
     assert Link().ticks(5, silent=True, counters=counters).state is LinkState.OUTAGE
+
+
+def test_a_peer_that_leaves_takes_its_queue_along():
+    """When nobody measures the queue any more, its last length does not go on as an estimate."""
+    link = Link().measured()
+    link.ticks(3, delay_s=0.5, rate=5e5)
+    estimate = link.ticks(30, silent=True, peers=0)
+    assert estimate.queue_delay_s == 0.0
+    assert estimate.kind is CapacityKind.LOCAL
+    assert estimate.state is not LinkState.OUTAGE
+
+
+def test_pinning_the_capacity_forgets_the_queue():
+    """An operator who pins the capacity on a congested link is not left with the queue of that moment."""
+    link = Link().measured()
+    link.ticks(3, delay_s=0.5, rate=5e5)
+    link.estimator.reconfigure(LinkSettings(capacity_bytes_per_second=1e6))
+    assert link.tick(silent=True).queue_delay_s == 0.0
+
+
+def test_a_silent_peer_that_is_there_is_waited_for():
+    """With a peer in the graph the first plan waits longer than without one."""
+    link = Link()
+    link.ticks(60, silent=True, peers=1)
+    assert not link.estimator.has_evidence
+    link.ticks(50, silent=True, peers=1)
+    assert link.estimator.has_evidence
+
+
+def test_a_reloaded_first_belief_is_believed():
+    """Before any evidence the configured capacity is the estimate, also after a reload."""
+    link = Link()
+    link.estimator.reconfigure(LinkSettings(initial_capacity_bytes_per_second=1e5))
+    assert link.tick().capacity_bytes_per_second == 1e5
+
+
+def test_a_second_peer_is_not_mixed_in():
+    """Delays of two hosts have two clock offsets: only one of them is listened to."""
+    link = Link().measured()
+    for _ in range(20):
+        link.tick()
+        estimate = link.tick(peer="q", clock_s=5.0)
+    assert estimate.queue_delay_s < 0.01
+
+
+def test_a_step_of_the_peers_clock_is_no_queue():
+    """A one-way delay that jumps while the round trip does not is the clock's doing."""
+    link = Link().measured()
+    for _ in range(5):
+        assert link.tick(clock_s=7.0).queue_delay_s < 0.3

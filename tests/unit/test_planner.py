@@ -153,11 +153,27 @@ def test_a_confirmed_publisher_needs_no_step():
     assert not is_confirmed(replace(publisher, depth=4), target)
 
 
-def test_topics_outside_the_plan_or_off_the_link_are_left_alone():
-    """Only what crosses the link and is planned is touched."""
+def test_topics_outside_the_plan_are_left_alone():
+    """Only what is planned is touched."""
     target = plan({"/t": TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=5, depth=3)})
-    others = [replace(PUBLISHER, topic="/other"), replace(PUBLISHER, direction=Direction.LOCAL)]
-    assert plan_transitions(others, target, reason="") == ()
+    assert plan_transitions([replace(PUBLISHER, topic="/other")], target, reason="") == ()
+
+
+def test_a_topic_whose_far_reader_left_is_restored_too():
+    """A clean stop gives back the QoS of topics that no longer cross the link."""
+    managed = replace(PUBLISHER, direction=Direction.LOCAL, rate_hz=5.0, depth=3, generation=7)
+    (step,) = plan_transitions([managed], restore_plan([managed], generation=8), reason="stop")
+    assert (step.topics["/t"].rate_hz, step.topics["/t"].depth) == (math.inf, 10)
+
+
+@pytest.mark.parametrize("requested_ns", [50_000_000, 60_000_000, 62_000_000])
+def test_the_deadband_never_costs_a_reader(requested_ns):
+    """A row that would be kept is not, where a reader now requests a shorter deadline than it offers."""
+    first = planned(1e6)
+    demanding = replace(PUBLISHER, requested_deadline_ns=requested_ns)
+    for publisher in (demanding, replace(demanding, source_rate_hz=0.0)):
+        second = planned(1e6, publishers=(publisher,), previous=first)
+        assert 0 < second.topics["/t"].deadline_ns <= requested_ns
 
 
 PUBLISHERS = st.lists(
