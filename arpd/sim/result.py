@@ -60,6 +60,11 @@ class TopicResult(Reception):
         return max(0.0, 1 - self.offered / self.expected) if self.expected else 0.0
 
     @property
+    def unsent(self) -> int:
+        """Samples offered that were neither sent nor withheld: lost on the robot itself, before the link."""
+        return max(0, self.offered - self.withheld - self.sent)
+
+    @property
     def lost(self) -> int:
         """Samples sent on the link that never arrived."""
         return max(0, self.sent - self.received)

@@ -100,7 +100,9 @@ def main(argv: list[str] | None = None) -> int:
         # A pipe has no width of its own; the table must not be cut to 80 columns there.
         wide = console if console.is_terminal else Console(width=160)
         wide.print(final_table(pairs))
-        for sentence in (verdict(pairs)[1], *_LEGEND):
+        unsent = sum(pair.with_arpd.unsent for pair in pairs)
+        before = [f"{unsent} samples were lost on the robot itself, between sensor and relay."] if unsent else []
+        for sentence in (verdict(pairs)[1], *before, *_LEGEND):
             console.print(sentence, soft_wrap=True, highlight=False)
     return 0
 

@@ -146,6 +146,7 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
                     **asdict(pair.with_arpd),
                     "loss_ratio": pair.with_arpd.loss_ratio,
                     "withheld_ratio": pair.with_arpd.withheld_ratio,
+                    "unsent": pair.with_arpd.unsent,
                 },
             }
             for pair in pairs
