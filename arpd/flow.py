@@ -54,7 +54,8 @@ class Flow(Generic[W]):
 
     Notes
     -----
-    Not thread-safe: its owner calls it from one thread at a time.
+    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_gate` and `state`: an owner with threads takes
+    samples one by one under its lock and writes them outside, because a writer may block when the link's queue is full.
     """
 
     def __init__(
@@ -105,12 +106,31 @@ class Flow(Generic[W]):
 
     def publish(self, sample: bytes) -> None:
         """Send a sample, now or when pacing lets it."""
+        self.offer(sample)
+        self._release()
+
+    def offer(self, sample: bytes) -> None:
+        """Queue a sample; somebody calls `take` and `write`, or `service`, soon."""
         now_s = self._clock()
         self._source.count(now_s)
         weight = 0.1 if self._payload_bytes else 1.0
         self._payload_bytes += weight * (len(sample) - self._payload_bytes)
-        self._pacer.offer(sample)
-        self._release(now_s)
+        self._pacer.offer(sample, now_s)
+
+    def take(self) -> bytes | None:
+        """Return the next sample if it may leave now: pacing lets it, and no swap holds it."""
+        return None if self._swap.is_holding else self._pacer.take(self._clock())
+
+    def write(self, sample: bytes) -> None:
+        """Write a sample that was taken; may block while the link's queue is full."""
+        before_s = self._clock()
+        try:
+            self._swap.current.publish(sample)
+        except Exception:
+            self._withheld += 1  # it left the queue and reached nobody
+            raise
+        self._blocked_s += self._clock() - before_s
+        self._published += 1
 
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
@@ -140,9 +160,17 @@ class Flow(Generic[W]):
         -------
         When to be called again, ``inf`` = not before something changes (s).
         """
+        self.step(now_s)
+        self._release()
+        return self.due_s(now_s)
+
+    def step(self, now_s: float) -> None:
+        """Move a swap on as far as its writers allow."""
         if self._swap.is_busy:
             self._swap.step(now_s)
-        self._release(now_s)
+
+    def due_s(self, now_s: float) -> float:
+        """When to look again, ``inf`` = not before something changes (s)."""
         due_s = math.inf if self._swap.is_holding else self._pacer.due_s(now_s)
         return min(due_s, now_s + _POLL_S) if self._swap.is_busy else due_s
 
@@ -170,17 +198,9 @@ class Flow(Generic[W]):
         self._pacer.clear()
         self._swap.close()
 
-    def _release(self, now_s: float) -> None:
-        """Write every sample whose time has come, unless a swap holds them."""
-        while not self._swap.is_holding and (sample := self._pacer.take(now_s)) is not None:
-            before_s = self._clock()
-            try:
-                self._swap.current.publish(sample)
-            except Exception:
-                self._withheld += 1  # it left the queue and reached nobody
-                raise
-            self._blocked_s += self._clock() - before_s
-            self._published += 1
+    def _release(self) -> None:
+        while (sample := self.take()) is not None:
+            self.write(sample)
 
     def _pace(self, now_s: float) -> None:
         rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)

@@ -58,8 +58,9 @@ class Pacer:
         self._depth = depth
         self._shed()
 
-    def offer(self, sample: bytes) -> None:
-        """Queue a sample; with ``latest`` it replaces what waits, with ``queue`` the oldest beyond depth goes."""
+    def offer(self, sample: bytes, now_s: float) -> None:
+        """Queue a sample; with ``latest`` it replaces what must wait, with ``queue`` the oldest beyond depth goes."""
+        self._earn(now_s)
         self._queue.append(sample)
         self._shed()
 
@@ -95,7 +96,8 @@ class Pacer:
         self._at_s = max(self._at_s, now_s)
 
     def _shed(self) -> None:
-        bound = 1 if self._overflow is Overflow.LATEST else self._depth
+        # What may leave at once is not waiting for credit, only for the thread that writes it.
+        bound = max(1, int(self._credit)) if self._overflow is Overflow.LATEST else self._depth
         if math.isinf(self._rate_hz) and self._overflow is Overflow.LATEST:
             bound = self._depth  # unpaced samples wait only while a swap holds them: lose none of them
         excess = len(self._queue) - bound

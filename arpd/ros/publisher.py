@@ -93,7 +93,9 @@ class AdaptivePublisher:
         self._callback_group = callback_group
         # Default callbacks would add a waitable to the executor at every swap only to log a warning.
         self._event_callbacks = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
+        # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
         self._lock = threading.RLock()
+        self._writing = threading.RLock()
         self._baseline = WriterQos(
             depth=max(1, self.qos_profile.depth), deadline_ns=offered_deadline_ns(self.qos_profile)
         )
@@ -147,17 +149,30 @@ class AdaptivePublisher:
         TypeError
             If it is neither.
         """
-        if isinstance(msg, self.msg_type):
-            sample = serialize_message(msg)
-        elif isinstance(msg, bytes):
-            sample = msg
-        else:
-            raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
+        sample = self._serialized(msg)
         with self._lock:
-            self._flow.publish(sample)
+            self._flow.offer(sample)
+        with self._writing:
+            self._drain()
+        with self._lock:
             is_waiting = self._flow.is_waiting
         if is_waiting:
             self._tuning.wake()
+
+    def offer(self, msg: Any) -> None:
+        """Publish without ever blocking: the pacing thread writes.
+
+        For a caller that serves many topics, as the relay does: while the link's queue is full, a writer blocks, and
+        what comes meanwhile is conflated here instead of growing old, or getting lost, further up.
+
+        Parameters
+        ----------
+        msg : as in `publish`
+        """
+        sample = self._serialized(msg)
+        with self._lock:
+            self._flow.offer(sample)
+        self._tuning.wake()
 
     def get_subscription_count(self) -> int:
         """Count the matched readers."""
@@ -177,7 +192,7 @@ class AdaptivePublisher:
     def destroy(self) -> None:
         """Destroy the publisher and everything a swap may have in flight."""
         self._tuning.release(self)
-        with self._lock:
+        with self._writing, self._lock:
             self._flow.close()
 
     # -- what makes it adaptive
@@ -225,12 +240,16 @@ class AdaptivePublisher:
         -------
         When to be called again (s).
         """
-        if not self._lock.acquire(blocking=False):
+        if not self._writing.acquire(blocking=False):
             return now_s + 0.001  # the application is inside publish(); never queue the others behind it
         try:
-            return self._flow.service(now_s)
+            with self._lock:
+                self._flow.step(now_s)
+            self._drain()
+            with self._lock:
+                return self._flow.due_s(now_s)
         finally:
-            self._lock.release()
+            self._writing.release()
 
     def state(self, *, generation: int) -> PublisherState:
         """Picture of what is in force, for the announcement."""
@@ -247,6 +266,22 @@ class AdaptivePublisher:
             refusal=refusal,
             **{field.name: getattr(flow, field.name) for field in fields(flow)},
         )
+
+    def _serialized(self, msg: Any) -> bytes:
+        if isinstance(msg, self.msg_type):
+            return bytes(serialize_message(msg))
+        if isinstance(msg, bytes):
+            return msg
+        raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
+
+    def _drain(self) -> None:
+        """Write all that may leave; the caller holds ``_writing``, so that samples keep their order."""
+        while True:
+            with self._lock:
+                sample = self._flow.take()
+            if sample is None:
+                return
+            self._flow.write(sample)
 
     @property
     def _writer(self) -> _RosWriter:

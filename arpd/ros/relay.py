@@ -110,7 +110,7 @@ class Relay:
         self._node.create_subscription(
             kind,
             topic,
-            publisher.publish,
+            publisher.offer,
             QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
             raw=True,
         )

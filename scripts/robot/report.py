@@ -147,6 +147,7 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
                     "loss_ratio": pair.with_arpd.loss_ratio,
                     "withheld_ratio": pair.with_arpd.withheld_ratio,
                     "unsent": pair.with_arpd.unsent,
+                    "lost": pair.with_arpd.lost,
                 },
             }
             for pair in pairs

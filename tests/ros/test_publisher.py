@@ -1,5 +1,6 @@
 """AdaptivePublisher with real rclpy and Fast DDS on this host."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -282,3 +283,23 @@ def test_a_refused_publisher_leaves_no_writer(publisher):
     with pytest.raises(ValueError, match="already has"):
         AdaptivePublisher(publisher._node, String, TOPIC, 10)
     assert len(publisher._node.get_publishers_info_by_topic(TOPIC)) == 1
+
+
+def test_offer_does_not_wait_for_a_writer_that_blocks(publisher, monkeypatch, eventually):
+    """While a write blocks, offers return and conflate; the newest sample is what leaves next."""
+    written, may_go_on = [], threading.Event()
+
+    def write(sample):
+        written.append(sample)
+        may_go_on.wait(timeout=20)
+
+    monkeypatch.setattr(publisher._flow, "write", write)
+    publisher.retune(replace(publisher.plan, rate_hz=25.0))
+    publisher.offer(b"first")
+    eventually(lambda: written == [b"first"])
+    for number in range(100):
+        publisher.offer(b"%d" % number)  # each would block for good if offer wrote, or waited for the write
+    assert written == [b"first"]
+    may_go_on.set()
+    eventually(lambda: written[-1] == b"99")
+    assert len(written) < 5

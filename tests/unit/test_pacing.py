@@ -40,7 +40,7 @@ def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflo
     for number, gap_s in enumerate(gaps):
         rate_hz = rates[number % len(rates)]
         pacer.retune(rate_hz=rate_hz, depth=100, now_s=now_s)
-        pacer.offer(name(number))
+        pacer.offer(name(number), now_s)
         departures += [allowed] * len(drain(pacer, now_s))
         now_s += gap_s
         allowed += rate_hz * gap_s
@@ -59,7 +59,7 @@ def test_every_sample_is_taken_withheld_or_waiting(steps, overflow):
     for gap_s, publishes, rate_hz, depth in steps:
         now_s += gap_s
         if publishes:
-            pacer.offer(name(offered))
+            pacer.offer(name(offered), now_s)
             offered += 1
         else:
             pacer.retune(rate_hz=rate_hz, depth=depth, now_s=now_s)
@@ -76,7 +76,7 @@ def test_a_source_at_its_rate_is_never_delayed(rate_hz, earliness):
     pacer.retune(rate_hz=rate_hz, depth=10, now_s=0.0)
     for number, early in enumerate(earliness):
         now_s = (number + 1.0 - early) / rate_hz
-        pacer.offer(name(number))
+        pacer.offer(name(number), now_s)
         assert pacer.take(now_s + 1e-9) == name(number)
 
 
@@ -87,7 +87,7 @@ def test_due_is_the_first_moment_a_sample_may_leave(rate_hz, samples):
     pacer, _ = make(Overflow.QUEUE, depth=100)
     pacer.retune(rate_hz=rate_hz, depth=100, now_s=0.0)
     for number in range(samples):
-        pacer.offer(name(number))
+        pacer.offer(name(number), 0.0)
     now_s = 0.0
     for number in range(samples):
         due_s = pacer.due_s(now_s)
@@ -103,7 +103,7 @@ def test_latest_keeps_only_the_newest():
     pacer, withheld = make(Overflow.LATEST)
     pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)
     for number in range(5):
-        pacer.offer(name(number))
+        pacer.offer(name(number), 0.0)
     assert len(pacer) == 1
     assert sum(withheld) == 4
     assert pacer.take(0.0) == name(4)
@@ -113,7 +113,7 @@ def test_queue_drops_its_oldest_beyond_the_depth():
     """A full queue loses its oldest sample, and a smaller depth sheds at once."""
     pacer, withheld = make(Overflow.QUEUE, depth=3)
     for number in range(5):
-        pacer.offer(name(number))
+        pacer.offer(name(number), 0.0)
     assert sum(withheld) == 2
     pacer.retune(rate_hz=10.0, depth=1, now_s=0.0)
     assert sum(withheld) == 4
@@ -125,7 +125,7 @@ def test_unpaced_samples_leave_at_once_and_held_ones_are_kept(overflow):
     """Without a rate nothing waits on its own, and what a swap holds back is kept up to the depth."""
     pacer, withheld = make(overflow, depth=4)
     for number in range(4):
-        pacer.offer(name(number))
+        pacer.offer(name(number), 0.0)
     assert not withheld
     assert drain(pacer, 0.0) == [name(number) for number in range(4)]
 
@@ -134,7 +134,7 @@ def test_a_paused_topic_waits_without_end_and_resumes():
     """At rate 0 nothing is ever due; with a rate again the sample leaves within one period."""
     pacer, _ = make()
     pacer.retune(rate_hz=0.0, depth=10, now_s=0.0)
-    pacer.offer(name(0))
+    pacer.offer(name(0), 0.0)
     assert pacer.due_s(0.0) == math.inf
     assert pacer.take(1e6) is None
     pacer.retune(rate_hz=2.0, depth=10, now_s=1e6)
@@ -145,13 +145,13 @@ def test_a_gate_that_moves_does_not_restart_the_schedule():
     """Retuning to the same rate ten times a second neither releases early nor keeps a sample back."""
     pacer, _ = make()
     pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)
-    pacer.offer(name(0))
+    pacer.offer(name(0), 0.0)
     drain(pacer, 0.0)
     departures = []
     for tick in range(100):
         now_s = tick / 10
         pacer.retune(rate_hz=1.0, depth=10, now_s=now_s)
-        pacer.offer(name(tick))
+        pacer.offer(name(tick), now_s)
         departures += [now_s] * len(drain(pacer, now_s))
     assert len(departures) in (9, 10)
 
@@ -159,8 +159,8 @@ def test_a_gate_that_moves_does_not_restart_the_schedule():
 def test_clear_counts_what_it_gives_up():
     """What waited at the end is withheld, not forgotten."""
     pacer, withheld = make(Overflow.QUEUE)
-    pacer.offer(name(0))
-    pacer.offer(name(1))
+    pacer.offer(name(0), 0.0)
+    pacer.offer(name(1), 0.0)
     pacer.clear()
     pacer.clear()
     assert withheld == [2]
