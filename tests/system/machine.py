@@ -27,6 +27,7 @@ _GONE_S = 5.0
 _TOOLS = ("systemd-nspawn", "systemctl", "nsenter", "unshare", "setpriv")
 
 # $1: folder with files/ and the mount point m; then the command to run where m/root is this machine with those files.
+_REPO = Path(__file__).resolve().parents[2]
 _MOUNT_AND_EXEC = """
 set -e
 folder=$1; shift
@@ -124,6 +125,8 @@ def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iter
         nspawn = (
             *("systemd-nspawn", "--quiet", f"--directory={folder}/m/root", f"--machine={name}", "--boot"),
             *(f"--network-namespace-path={network}", "--register=no", "--keep-unit", "--link-journal=no"),
+            # A fixed place: the checkout may well live under /tmp, which nspawn and the units' sandbox hide.
+            f"--bind-ro={_REPO}:/srv/arpd",
             *("--console=pipe", "--", "systemd.unit=basic.target"),
         )
         procs = "\n".join(f"{cgroup}/cgroup.procs" for cgroup in cgroups)

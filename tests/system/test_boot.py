@@ -41,11 +41,12 @@ def installed_files(domain_id):
     """List what an installation leaves behind, with arpd and ROS from this venv."""
     units = {f"/etc/systemd/system/{unit.name}": unit for unit in REPO.glob("systemd/*.service")}
     environment = (REPO / "systemd/arpd.default").read_text() + (
-        f"ARPD_ROS_SETUP=\nARPD_BIN={Path(sys.executable).with_name('arpd')}\nROS_DOMAIN_ID={domain_id}\n"
+        f"ARPD_ROS_SETUP=\nARPD_BIN=/usr/lib/arpd/arpd\nROS_DOMAIN_ID={domain_id}\n"
     )
     return {
         **units,
         "/usr/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
+        "/usr/lib/arpd/arpd": Path(__file__).with_name("arpd-from-checkout"),
         "/etc/default/arpd": environment,
         "/etc/arpd/arpd.yaml": CONFIG,
     }
@@ -223,7 +224,7 @@ def test_start_returns_when_the_daemon_runs(stopped):
     assert (state["ActiveState"], state["NRestarts"]) == ("active", "0")
     command = (stopped.robot.root / "proc" / state["MainPID"] / "cmdline").read_text().split("\0")
     assert "python" in command[0]
-    assert command[1:3] == [str(Path(sys.executable).with_name("arpd")), "run"]
+    assert command[1:4] == ["-m", "arpd", "run"]
     log = stopped.journal_of_this_start()
     assert log.index("metrics at http://127.0.0.1:9464") < log.index("Started arpd.service")
     eventually(stopped.is_ready, timeout_s=5.0)
