@@ -8,18 +8,16 @@ It prints one JSON line a second with what arrived, for the live table; the same
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import TwistStamped
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from arpd import AdaptivePublisher
+from scripts.robot.process import live
 from scripts.robot.sensors import COMMAND_TOPIC, RCLPY_DEPTH, SENSORS
 from scripts.robot.stamped import StampedArrivals
 
@@ -65,27 +63,14 @@ class Planner(Node):
         recent = {topic: arrivals.take_recent() for topic, arrivals in self.arrivals.items()}
         print(json.dumps({topic: {"rate_hz": n, "worst_s": worst} for topic, (n, worst) in recent.items()}), flush=True)
 
+    def result(self) -> dict[str, Any]:
+        received = {topic: asdict(arrivals.reception()) for topic, arrivals in self.arrivals.items()}
+        return {"offered": {COMMAND_TOPIC: self.offered}, "received": received}
+
 
 def main() -> None:
-    prefix, kind, out = sys.argv[1], sys.argv[2], Path(sys.argv[3])
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    planner = Planner(prefix if prefix != "-" else "", is_adaptive=kind == "adaptive")
-    running = True
-
-    def on_signal(signum: int, _frame: Any) -> None:
-        nonlocal running
-        running = running and signum != signal.SIGTERM
-        planner.is_publishing = signum == signal.SIGUSR1
-
-    for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
-        signal.signal(signum, on_signal)
-    executor = SingleThreadedExecutor()
-    executor.add_node(planner)
-    print("ready", flush=True)
-    while running:
-        executor.spin_once(timeout_sec=0.1)
-    received = {topic: asdict(arrivals.reception()) for topic, arrivals in planner.arrivals.items()}
-    out.write_text(json.dumps({"offered": {COMMAND_TOPIC: planner.offered}, "received": received}))
+    prefix, kind, out = sys.argv[1:4]
+    live(lambda: Planner(prefix if prefix != "-" else "", is_adaptive=kind == "adaptive"), Path(out))
 
 
 if __name__ == "__main__":

@@ -9,17 +9,13 @@ they start, on SIGUSR2 they stop publishing and stay, on SIGTERM they write how 
 from __future__ import annotations
 
 import array
-import json
-import signal
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import (
     BatteryState,
@@ -34,6 +30,7 @@ from sensor_msgs.msg import (
     Temperature,
 )
 
+from scripts.robot.process import live
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
@@ -106,6 +103,9 @@ class Sensor(Node):
         self.offered += 1
         self._publisher.publish(self._message)
 
+    def result(self) -> dict[str, Any]:
+        return {"offered": {self.topic: self.offered}}
+
 
 class BaseDriver(Node):
     """Obeys the command topic, and notes how the commands arrive."""
@@ -121,31 +121,13 @@ class BaseDriver(Node):
         if self.is_publishing:
             self.commands.on_age(float(self.get_clock().now().nanoseconds) * 1e-9)
 
+    def result(self) -> dict[str, Any]:
+        return {"offered": {}, "received": {COMMAND_TOPIC: asdict(self.commands.reception())}}
+
 
 def main() -> None:
-    name, out = sys.argv[1], Path(sys.argv[2])
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node: Sensor | BaseDriver = (
-        BaseDriver() if name == BASE_DRIVER else Sensor(name, SENSORS[name][0], SENSORS[name][1]())
-    )
-    running = True
-
-    def on_signal(signum: int, _frame: Any) -> None:
-        nonlocal running
-        running = running and signum != signal.SIGTERM
-        node.is_publishing = signum == signal.SIGUSR1
-
-    for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
-        signal.signal(signum, on_signal)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    print("ready", flush=True)
-    while running:
-        executor.spin_once(timeout_sec=0.1)
-    if isinstance(node, Sensor):
-        out.write_text(json.dumps({"offered": {node.topic: node.offered}}))
-    else:
-        out.write_text(json.dumps({"offered": {}, "received": {COMMAND_TOPIC: asdict(node.commands.reception())}}))
+    name, out = sys.argv[1:3]
+    live(BaseDriver if name == BASE_DRIVER else lambda: Sensor(name, SENSORS[name][0], SENSORS[name][1]()), Path(out))
 
 
 if __name__ == "__main__":
