@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from arpd.config_values import DURATION, RATE, SIZE, Choice, Count, Kind, Number, Quantity, Text, TopicName
 from arpd.settings import (
+    DEFAULT_RELAY_DEPTH,
     Backend,
     GovernorSettings,
     GraphSettings,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 Written: TypeAlias = str | float  # a value as the file has it
 
 _DEFAULT = Settings()
-_RELAY_OVERFLOW, _RELAY_DEPTH = Overflow.LATEST, 10  # when not named, see RelaySettings
+_RELAY_OVERFLOW = Overflow.LATEST  # when not named, see RelaySettings
 
 
 class Section(BaseModel):
@@ -224,7 +225,7 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     yield from _written("relay", Relay, settings.relay)
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))
-        yield f"relay.topics[{name}].depth", settings.relay.depths.get(name, _RELAY_DEPTH)
+        yield f"relay.topics[{name}].depth", settings.relay.depths.get(name, DEFAULT_RELAY_DEPTH)
     yield "on_stop", str(settings.on_stop)
 
 

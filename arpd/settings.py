@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
+
 
 class OnStop(StrEnum):
     """What a clean stop of the daemon does with the publishers."""

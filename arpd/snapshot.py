@@ -21,7 +21,7 @@ class Totals:
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
     solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
     cross_check_disagreements : answers of the back end that ``exact`` contradicted
-    levels_by_cause : new plans by cause (``down``, ``up``, ``topics``, ``start``, ``reload``)
+    levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``topics``, ``readers``, ``reload``)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``hold``, ``deadband``, ``budget`` …)
     applies_by_result : parameter calls by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from arpd.model import Direction
-from arpd.ros.names import GATE_TOPIC, is_internal
+from arpd.ros.names import GATE_TOPIC, INFINITE_NS, is_internal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -76,7 +76,12 @@ def read_crossings(node: Any) -> Mapping[str, Crossing]:
     }
 
 
+def deadline_ns_of(qos: Any) -> int:
+    """Return the deadline of a QoS profile in ns, 0 for infinite (rclpy says 2^63-1 or 0 for it)."""
+    nanoseconds = int(qos.deadline.nanoseconds)
+    return 0 if nanoseconds >= INFINITE_NS else nanoseconds
+
+
 def _endpoint(info: Any) -> Endpoint:
     gid = bytes(info.endpoint_gid)
-    deadline_ns = int(info.qos_profile.deadline.nanoseconds)
-    return Endpoint(host=gid[2:4], participant=gid[:12], deadline_ns=0 if deadline_ns >= 2**63 - 1 else deadline_ns)
+    return Endpoint(host=gid[2:4], participant=gid[:12], deadline_ns=deadline_ns_of(info.qos_profile))

@@ -8,6 +8,8 @@ PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 GENERATION_PARAMETER = "arpd.generation"
 
+INFINITE_NS = 2**63 - 1  # how ROS 2 says "no deadline"
+
 DEPTH = "depth"
 DEADLINE = "deadline"
 RATE = "rate"

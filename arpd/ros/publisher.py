@@ -16,6 +16,7 @@ from rclpy.serialization import serialize_message
 from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
 from arpd.planner import keeps_its_readers
+from arpd.ros.graph import deadline_ns_of
 from arpd.ros.tuning import NodeTuning
 from arpd.settings import Overflow
 from arpd.swap import SwapResult, WriterQos
@@ -26,14 +27,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model import TopicPlan
-
-_INFINITE_NS = 2**63 - 1
-
-
-def offered_deadline_ns(qos: Any) -> int:
-    """Deadline of a QoS profile in ns, 0 for infinite (rclpy says 2^63-1 or 0 for it)."""
-    nanoseconds = int(qos.deadline.nanoseconds)
-    return 0 if nanoseconds >= _INFINITE_NS else nanoseconds
 
 
 class _RosWriter:
@@ -96,9 +89,7 @@ class AdaptivePublisher:
         # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
         self._lock = threading.RLock()
         self._writing = threading.RLock()
-        self._baseline = WriterQos(
-            depth=max(1, self.qos_profile.depth), deadline_ns=offered_deadline_ns(self.qos_profile)
-        )
+        self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._flow = Flow(
             create=self._create_writer, qos=self._baseline, overflow=overflow, clock=clock, on_swap=self._on_swap
         )
@@ -302,8 +293,7 @@ class AdaptivePublisher:
 
     def _tightest_request_ns(self) -> int:
         requests = (
-            offered_deadline_ns(reader.qos_profile)
-            for reader in self._node.get_subscriptions_info_by_topic(self._resolved)
+            deadline_ns_of(reader.qos_profile) for reader in self._node.get_subscriptions_info_by_topic(self._resolved)
         )
         return min((request for request in requests if request), default=0)
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _DISCOVER_S = 0.5
-_DEFAULT_DEPTH = 10  # rclpy's own default for create_publisher(…, 10)
 _RECEIVE_DEPTH = 100  # on-host, so this only bridges the relay's own scheduling
 
 
@@ -91,7 +90,7 @@ class Relay:
         from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
 
         from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415
-        from arpd.settings import Overflow  # noqa: PLC0415
+        from arpd.settings import DEFAULT_RELAY_DEPTH, Overflow  # noqa: PLC0415
 
         kind = message_class(writers[0].topic_type)
         # A reliable reader does not match a best-effort writer, so the weakest writer decides.
@@ -104,7 +103,7 @@ class Relay:
             self._node,
             kind,
             self._settings.prefix + topic,
-            QoSProfile(depth=self._settings.depths.get(topic, _DEFAULT_DEPTH), durability=durability),
+            QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=durability),
             overflow=self._settings.overflow.get(topic, Overflow.LATEST),
         )
         self._node.create_subscription(

@@ -20,6 +20,7 @@ from arpd.ros.names import (
     DEPTH,
     GATE_TOPIC,
     GENERATION_PARAMETER,
+    INFINITE_NS,
     MIN_RATE,
     PUBLISHERS_TOPIC,
     RATE,
@@ -39,7 +40,6 @@ InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or w
 _ATTRIBUTE = "_arpd_tuning"
 _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
-_INFINITE_NS = 2**63 - 1
 _MOST_DEPTH = 5000
 _RETRY_S = 0.1
 _COMPLAIN_S = 5.0
@@ -220,7 +220,7 @@ def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:
     if field == "deadline_ns":
         if value < 0:
             raise ValueError(f"{parameter.name} = {value} is negative; 0 means infinite")
-        return 0 if value >= _INFINITE_NS else int(value)
+        return 0 if value >= INFINITE_NS else int(value)
     if field == "rate_hz" and (math.isnan(value) or value < 0):
         raise ValueError(f"{parameter.name} = {value} is not a rate; use Hz ≥ 0, 0 = paused, .inf = unpaced")
     if field == "min_rate_hz" and not 0 <= value < math.inf:
