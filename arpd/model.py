@@ -195,7 +195,7 @@ class Topic:
     Parameters
     ----------
     name : topic name, the row's identity
-    wire_bytes : s_i, bytes on the wire per message, headers and unicast copies included (bytes)
+    wire_bytes : s_i > 0, bytes on the wire per message, headers and unicast copies included (bytes)
     packets : k_i, packets on the wire per message
     desired_rate_hz : u_i, the rate beyond which more is of no use (Hz)
     min_rate_hz : the floor ℓ_i, kept as long as the link carries all floors (Hz)

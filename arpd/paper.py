@@ -121,7 +121,7 @@ def solve_eq4(problem: Eq4Problem, backend: Backend = Backend.EXACT) -> Eq4Solut
     if refusal := _refusal(problem, rate, depth):
         return Eq4Solution(status=Eq4Status.INFEASIBLE, binding=refusal)
     answer, used = _answer(problem, backend)
-    period = period_ns(rate)
+    period = period_ns(rate.as_integer_ratio())
     return Eq4Solution(
         status=Eq4Status.OPTIMAL,
         rate_hz=answer[0],
@@ -129,7 +129,7 @@ def solve_eq4(problem: Eq4Problem, backend: Backend = Backend.EXACT) -> Eq4Solut
         rate_hz_floor=math.floor(rate),
         depth_floor=math.floor(depth),
         deadline_ns=period,
-        depth_applied=max(problem.min_depth, math.floor(problem.depth_limit(rate_of(period)))),
+        depth_applied=max(problem.min_depth, math.floor(problem.depth_limit(Fraction(*rate_of(period))))),
         binding="(2) link share, (3) depth share",
         backend=used,
         agreed=used is backend,

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from arpd.demand import Row, give_up, refuse_nonsense, row
+from arpd.demand import SAMPLE, Row, give_up, refuse_nonsense, rows_of
 from arpd.model import Allocation, AllocationStatus, Binding, TopicAllocation
-from arpd.rounding import period_ns, rate_of, rational, shorten, snap, stretch
+from arpd.rounding import Ratio, decimal, period_ns, rate_of, whole
 from arpd.settings import Backend
-from arpd.solvers import CheckedSolver, ShareProblem, load
+from arpd.solvers import CheckedSolver, ShareProblem, Stand, load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from arpd.model import Topic
     from arpd.settings import ProgramSettings
-
-_NONE = Fraction(0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,16 +25,14 @@ class _Division:
 
     Parameters
     ----------
-    values : rate (Hz) or depth (samples) per row
+    values : share of the link (1/units.share) or depth (samples) per row
     bindings : what stopped each value
-    budget : what the division must keep: B (dimensionless) or M (bytes)
     backend : back end that answered
     given_up : what was given up, in words
     """
 
-    values: list[Fraction]
+    values: list[Ratio]
     bindings: list[Binding]
-    budget: Fraction
     backend: Backend
     given_up: tuple[str, ...] = ()
 
@@ -50,15 +45,18 @@ class Program:
 
     With identical topics, η = 1, ρ = Rmin, no latency budget and ample memory this is Eq. (4) of the paper.
 
-    Infeasibility is decided in exact arithmetic before any solver runs, and the answer gives way in this order, by no
-    more than it must, so that no rate rises while the capacity falls:
+    Everything is counted in whole numbers (``demand.Units``), so nothing is lost to binary noise before the last step,
+    and that one is safe: ⌈1e9/R⌉ can only lower a rate, ⌊D⌋ can only lower a depth, and both budgets are sums.
+
+    Infeasibility is decided before any solver runs, and the answer gives way in this order, by no more than it must,
+    so that no rate rises while the capacity falls:
 
     1. δ: where τ_i·R_i − δ_i would be below Dmin_i, the depth is Dmin_i. Every slow topic on a fast link meets
        this, and nobody loses anything by it: it shows as ``depth_binding`` FLOOR and is not called degraded.
     2. ρ, the rate reserve.
     3. the floors ℓ_i, class by class in ascending weight, down to 0 (paused); for memory, Dmin_i down to 1.
 
-    Σ e_i never exceeds η, and the applied periods keep that in exact arithmetic.
+    Σ e_i never exceeds η.
 
     Parameters
     ----------
@@ -78,8 +76,8 @@ class Program:
         headroom: float,
         packet_overhead_s: float = 0.0,
         backend: Backend | None = None,
-        rate_reserve: float = 0.0,
-        depth_reserve: float = 1.0,
+        rate_reserve: int = 0,
+        depth_reserve: int = 1,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         if not 0.0 < headroom <= 1.0:
@@ -89,12 +87,12 @@ class Program:
             ("rate_reserve", rate_reserve),
             ("depth_reserve", depth_reserve),
         ):
-            if not (math.isfinite(value) and value >= 0.0):
+            if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
-        self._headroom = rational(headroom)
-        self._packet_overhead = rational(packet_overhead_s)
-        self._rate_reserve = rational(rate_reserve)
-        self._depth_reserve = rational(depth_reserve)
+        self._headroom = decimal(headroom)
+        self._packet_overhead = decimal(packet_overhead_s)
+        self._rate_reserve = rate_reserve
+        self._depth_reserve = depth_reserve
         self._solver = CheckedSolver(load(backend or settings.backend))
         self._clock = clock
         self._last: tuple[tuple[float, tuple[Topic, ...], float], Allocation] | None = None
@@ -130,170 +128,149 @@ class Program:
         for name, value in (("capacity", capacity_bytes_per_second), ("memory budget", memory_budget_bytes)):
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name} {value!r} must be a number of bytes of at least 0")
-        allocation = self._allocate(rational(capacity_bytes_per_second), topics, rational(memory_budget_bytes))
+        allocation = self._allocate(capacity_bytes_per_second, topics, decimal(memory_budget_bytes))
         allocation = replace(allocation, solve_s=self._clock() - started)
         self._last = (question, allocation)
         return allocation
 
-    def _allocate(self, capacity: Fraction, topics: Sequence[Topic], memory_budget: Fraction) -> Allocation:
-        level = float(self._headroom * capacity)
+    def _allocate(self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio) -> Allocation:
+        level = capacity * self._headroom[0] / self._headroom[1]
         if not topics:
             return _empty(level)
         if not capacity:
             self._solver.note_infeasible()
             return _paused(topics)
-        rows = [
-            row(
-                topic,
-                capacity=capacity,
-                packet_overhead=self._packet_overhead,
-                depth_reserve=self._depth_reserve,
-            )
-            for topic in topics
-        ]
+        rows = rows_of(
+            topics, capacity=decimal(capacity), packet_overhead=self._packet_overhead, parts=self._headroom[1]
+        )
         link = self._divide_link(rows)
-        memory = self._divide_memory(rows, link.values, memory_budget)
-        return _published(rows, link, memory, level)
+        memory = self._divide_memory(rows, link, memory_budget)
+        return self._published(rows, link, memory, level)
 
     def _divide_link(self, rows: list[Row]) -> _Division:
-        """(G1): a rate per row."""
-        floors = [r.cost * r.floor for r in rows]
-        needed = sum(floors, _NONE)
+        """(G1): a share of the link per row."""
+        whole_link = rows[0].units.share
+        usable = whole_link * self._headroom[0] // self._headroom[1]  # exact: the units were chosen for it
+        needed = sum(r.lo for r in rows)
         reserve = self._rate_reserve * needed
-        if needed + reserve <= self._headroom:
-            return self._fill_link(rows, self._headroom - reserve)
-        self._solver.note_infeasible()
-        return _cut_rates(rows, floors, budget=self._headroom, reserve=reserve)
-
-    def _fill_link(self, rows: list[Row], budget: Fraction) -> _Division:
+        if needed + reserve > usable:
+            self._solver.note_infeasible()
+            return _cut_rates(rows, needed=needed, reserve=reserve, usable=usable)
         problem = ShareProblem(
-            weights=_weights(rows),
-            lo=tuple(float(r.cost * r.floor) for r in rows),
-            hi=tuple(float(r.cost * r.ceiling) if r.ceiling is not None else 0.0 for r in rows),
-            budget=float(budget),
+            weights=tuple(r.weight for r in rows),
+            lo=tuple(r.lo for r in rows),
+            hi=tuple(r.hi for r in rows),
+            budget=usable - reserve,
+            whole=whole_link,
         )
-        shares, backend = self._solver.solve(problem)
-        values, bindings = [], []
-        for r, share, lo, hi in zip(rows, shares, problem.lo, problem.hi, strict=True):
-            if r.ceiling is None:  # neither the link nor a wish holds it back; published as unpaced
-                values.append(_NONE)
-                bindings.append(Binding.NOTHING)
-            elif share >= hi:
-                values.append(r.ceiling)
-                bindings.append(Binding.LINK if r.cost * r.ceiling >= 1 else Binding.DESIRED_RATE)
-            elif share <= lo:
-                values.append(r.floor)
-                bindings.append(Binding.FLOOR if r.floor else Binding.LINK)
-            else:
-                values.append(snap(Fraction(share) / r.cost))
-                bindings.append(Binding.LINK)
-        return _Division(values=values, bindings=bindings, budget=budget, backend=backend)
+        filling, backend = self._solver.solve(problem)
+        bindings = [
+            r.ceiling
+            if stand is Stand.HIGH or r.lo == r.hi
+            else (Binding.FLOOR if stand is Stand.LOW and r.lo else Binding.LINK)
+            for r, stand in zip(rows, filling.stands, strict=True)
+        ]
+        return _Division(values=filling.ratios(), bindings=bindings, backend=backend)
 
-    def _divide_memory(self, rows: list[Row], rates: list[Fraction], budget: Fraction) -> _Division:
+    def _divide_memory(self, rows: list[Row], link: _Division, memory_budget: Ratio) -> _Division:
         """(G2): a depth per row, given the rates."""
-        needed = sum((r.slot * r.topic.min_depth for r in rows), _NONE)
+        (*slots, budget), _ = whole([*(decimal(r.topic.slot_bytes) for r in rows), memory_budget])
+        needed = sum(slot * r.topic.min_depth for slot, r in zip(slots, rows, strict=True))
         if needed > budget:
             self._solver.note_infeasible()
-            return _cut_depths(rows, needed=needed, budget=budget)
-        caps = [r.depth_cap(rate) for r, rate in zip(rows, rates, strict=True)]
-        held = [r.depth_binding(rate) for r, rate in zip(rows, rates, strict=True)]
-        if not budget:  # and thus no history takes memory: nothing to divide
-            return _Division(values=caps, bindings=held, budget=budget, backend=self._solver.name)
+            return _cut_depths(rows, slots, needed=needed, budget=budget)
+        justified = [
+            r.justified(r.rate_hz(share), reserve=self._depth_reserve)
+            for r, share in zip(rows, link.values, strict=True)
+        ]
+        caps = [r.depth_cap(history) for r, history in zip(rows, justified, strict=True)]
         problem = ShareProblem(
-            weights=_weights(rows),
-            lo=tuple(float(r.slot * r.topic.min_depth / budget) for r in rows),
-            # a bound above 1, the whole memory, would bind nothing and only scale badly
-            hi=tuple(min(1.0, float(r.slot * cap / budget)) for r, cap in zip(rows, caps, strict=True)),
-            budget=1.0,
+            weights=tuple(r.weight for r in rows),
+            lo=tuple(slot * r.topic.min_depth * SAMPLE for slot, r in zip(slots, rows, strict=True)),
+            hi=tuple(slot * cap for slot, cap in zip(slots, caps, strict=True)),
+            budget=budget * SAMPLE,
+            whole=max(1, budget * SAMPLE),
         )
-        shares, backend = self._solver.solve(problem)
-        values, bindings = [], []
-        for i, (r, share) in enumerate(zip(rows, shares, strict=True)):
-            if share >= problem.hi[i] and r.slot * caps[i] <= budget:
-                values.append(caps[i])
-                bindings.append(held[i])
-            elif share <= problem.lo[i]:
-                values.append(Fraction(r.topic.min_depth))
-                bindings.append(Binding.FLOOR)
+        filling, backend = self._solver.solve(problem)
+        values: list[Ratio] = []
+        bindings: list[Binding] = []
+        for i, (r, (taken, parts), stand) in enumerate(zip(rows, filling.ratios(), filling.stands, strict=True)):
+            if stand is Stand.HIGH or problem.lo[i] == problem.hi[i]:
+                values.append((caps[i], SAMPLE))
+                bindings.append(r.depth_binding(justified[i]))
             else:
-                values.append(snap(Fraction(share) * budget / r.slot))
-                bindings.append(Binding.MEMORY)
-        return _Division(values=values, bindings=bindings, budget=budget, backend=backend)
+                values.append((taken, parts * slots[i] * SAMPLE))
+                bindings.append(Binding.FLOOR if stand is Stand.LOW else Binding.MEMORY)
+        return _Division(values=values, bindings=bindings, backend=backend)
+
+    def _published(self, rows: list[Row], link: _Division, memory: _Division, level: float) -> Allocation:
+        """Round both divisions to whole nanoseconds and samples, and put them into one answer.
+
+        The depth is floored last, from the rate of the whole period, so (3) holds by construction.
+        """
+        topics = []
+        for i, r in enumerate(rows):
+            share, (depth, depth_parts) = link.values[i], memory.values[i]
+            rate_hz = r.rate_hz(share)
+            period = period_ns(rate_hz)
+            cap = r.depth_cap(r.justified(rate_of(period), reserve=self._depth_reserve))
+            topics.append(
+                TopicAllocation(
+                    name=r.topic.name,
+                    share=share[0] / (share[1] * r.units.share),
+                    max_rate_hz=r.max_rate_hz,
+                    rate_hz=rate_hz[0] / rate_hz[1],
+                    depth=depth / depth_parts,
+                    deadline_ns=period,
+                    depth_applied=min(depth // depth_parts, cap // SAMPLE),
+                    binding=link.bindings[i],
+                    depth_binding=memory.bindings[i],
+                )
+            )
+        given_up = "; ".join(link.given_up + memory.given_up)
+        return Allocation(
+            topics=tuple(topics),
+            status=AllocationStatus.DEGRADED if given_up else AllocationStatus.OPTIMAL,
+            binding=_overall(link, memory),
+            capacity_bytes_per_second=level,
+            degradation=given_up,
+            backend=link.backend if memory.backend is link.backend else Backend.EXACT,
+        )
 
 
-def _cut_rates(rows: list[Row], floors: list[Fraction], *, budget: Fraction, reserve: Fraction) -> _Division:
+def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _Division:
     """Give up the rate reserve, then floors; what is left of the floors is all the link carries."""
-    deficit = sum(floors, _NONE) - budget
-    kept, cuts = give_up(floors, _weights(rows), deficit)
-    left = max(_NONE, -deficit)
-    notes = [f"rate reserve {_left(left / reserve)}"] if reserve else []
-    notes += [f"rate floor of weight {weight:g} {_left(part)}" for weight, part in cuts.items()]
-    values, bindings = [], []
-    for r, part in zip(rows, kept, strict=True):
-        if not r.cost:  # costs the link nothing, so it has nothing to give up
-            values.append(r.ceiling or _NONE)
-            bindings.append(Binding.NOTHING if r.ceiling is None else Binding.DESIRED_RATE)
+    left = give_up([r.lo for r in rows], [r.weight for r in rows], needed - usable)
+    notes = [f"rate reserve {_left((max(0, usable - needed), reserve))}"] if reserve else []
+    notes += [f"rate floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
+    values: list[Ratio] = []
+    bindings: list[Binding] = []
+    for r in rows:
+        kept, parts = left.get(r.weight, (1, 1))
+        values.append((r.lo * kept, parts))
+        if kept < parts or not r.lo:
+            bindings.append(Binding.LINK)
         else:
-            values.append(r.floor * part)
-            held = Binding.DESIRED_RATE if r.floor == r.ceiling else Binding.FLOOR
-            bindings.append(held if part == 1 and r.floor else Binding.LINK)
-    return _Division(values=values, bindings=bindings, budget=budget, backend=Backend.EXACT, given_up=tuple(notes))
+            bindings.append(r.ceiling if r.lo == r.hi else Binding.FLOOR)
+    return _Division(values=values, bindings=bindings, backend=Backend.EXACT, given_up=tuple(notes))
 
 
-def _cut_depths(rows: list[Row], *, needed: Fraction, budget: Fraction) -> _Division:
+def _cut_depths(rows: list[Row], slots: list[int], *, needed: int, budget: int) -> _Division:
     """Give up depth floors down to one sample, which is the least a history can hold."""
-    spare = [r.slot * (r.topic.min_depth - 1) for r in rows]
-    kept, cuts = give_up(spare, _weights(rows), needed - budget)
-    notes = [f"depth floor of weight {weight:g} {_left(part)}" for weight, part in cuts.items()]
-    if sum((r.slot for r in rows), _NONE) > budget:
+    spare = [slot * (r.topic.min_depth - 1) for slot, r in zip(slots, rows, strict=True)]
+    left = give_up(spare, [r.weight for r in rows], needed - budget)
+    notes = [f"depth floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
+    if sum(slots) > budget:
         notes.append("memory budget below one sample per topic")
+    values: list[Ratio] = []
+    for r in rows:
+        kept, parts = left.get(r.weight, (1, 1))
+        values.append((parts + (r.topic.min_depth - 1) * kept, parts))
     return _Division(
-        values=[1 + (r.topic.min_depth - 1) * part for r, part in zip(rows, kept, strict=True)],
-        bindings=[Binding.FLOOR if part == 1 else Binding.MEMORY for part in kept],
-        budget=budget,
+        values=values,
+        bindings=[Binding.MEMORY if r.weight in left else Binding.FLOOR for r in rows],
         backend=Backend.EXACT,
         given_up=tuple(notes),
-    )
-
-
-def _published(rows: list[Row], link: _Division, memory: _Division, level: float) -> Allocation:
-    """Round both divisions, so that they stay feasible, and put them into one answer."""
-    periods = stretch(
-        [period_ns(rate) for rate in link.values],
-        costs=[r.cost for r in rows],
-        budget=link.budget,
-        preferred=[binding is Binding.LINK for binding in link.bindings],
-    )
-    depths = shorten(
-        [
-            math.floor(min(depth, r.depth_cap(rate_of(period))))
-            for r, depth, period in zip(rows, memory.values, periods, strict=True)
-        ],
-        slots=[r.slot for r in rows],
-        budget=memory.budget,
-        preferred=[binding is Binding.MEMORY for binding in memory.bindings],
-    )
-    given_up = "; ".join(link.given_up + memory.given_up)
-    return Allocation(
-        topics=tuple(
-            TopicAllocation(
-                name=r.topic.name,
-                share=float(r.cost * link.values[i]),
-                max_rate_hz=r.max_rate_hz,
-                rate_hz=math.inf if r.ceiling is None else float(link.values[i]),
-                depth=float(memory.values[i]),
-                deadline_ns=periods[i],
-                depth_applied=depths[i],
-                binding=link.bindings[i],
-                depth_binding=memory.bindings[i],
-            )
-            for i, r in enumerate(rows)
-        ),
-        status=AllocationStatus.DEGRADED if given_up else AllocationStatus.OPTIMAL,
-        binding=_overall(link, memory),
-        capacity_bytes_per_second=level,
-        degradation=given_up,
-        backend=link.backend if memory.backend is link.backend else Backend.EXACT,
     )
 
 
@@ -343,9 +320,5 @@ def _overall(link: _Division, memory: _Division) -> Binding:
     return Binding.DESIRED_RATE if Binding.DESIRED_RATE in link.bindings else Binding.NOTHING
 
 
-def _weights(rows: Sequence[Row]) -> tuple[float, ...]:
-    return tuple(r.topic.weight for r in rows)
-
-
-def _left(part: Fraction) -> str:
-    return f"cut to {float(part):.0%}" if part else "given up"
+def _left(part: Ratio) -> str:
+    return f"cut to {part[0] / part[1]:.0%}" if part[0] else "given up"

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from arpd.settings import Backend
-from arpd.solvers.exact import ExactSolver
+from arpd.solvers.exact import ExactSolver, Filling, Stand, water_fill
 from arpd.solvers.outcome import (
     Infeasible,
     Outcome,
@@ -19,12 +19,24 @@ from arpd.solvers.outcome import (
     Solver,
     SolverFailed,
     disagreement,
+    infeasibility,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["CheckedSolver", "Infeasible", "Outcome", "ShareProblem", "Solved", "Solver", "SolverFailed", "load"]
+__all__ = [
+    "CheckedSolver",
+    "Filling",
+    "Infeasible",
+    "Outcome",
+    "ShareProblem",
+    "Solved",
+    "Solver",
+    "SolverFailed",
+    "Stand",
+    "load",
+]
 
 
 def load(backend: Backend) -> Solver:
@@ -43,8 +55,8 @@ def load(backend: Backend) -> Solver:
 class CheckedSolver:
     """A back end whose every answer is compared with ``exact``, which takes over when it fails or differs.
 
-    The published vector is the back end's own when both agree. It is settled on the bounds and inside the budget, and
-    a function of the problem alone, so ticks with the same inputs plan the same QoS.
+    Where both agree, the back end has the credit and what is published is the exact number that its floats are near:
+    whether a deadline is one nanosecond longer must not hang on a solver's last digit, nor on which solver it was.
 
     Parameters
     ----------
@@ -53,7 +65,6 @@ class CheckedSolver:
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
-        self._exact = ExactSolver()
         self._outcomes: Counter[tuple[str, str]] = Counter()
         self._disagreements = 0
 
@@ -76,18 +87,17 @@ class CheckedSolver:
         """Count a problem that analysis found infeasible before any back end was called."""
         self._outcomes[self.name, Infeasible.kind] += 1
 
-    def solve(self, problem: ShareProblem) -> tuple[tuple[float, ...], Backend]:
-        """Return the shares of a feasible ``problem`` and the back end they came from."""
-        outcome = self._solver.solve(problem)
-        self._outcomes[self.name, outcome.kind] += 1
-        if self.name is Backend.EXACT and isinstance(outcome, Solved):
-            return outcome.values, self.name
-        reference = self._exact.solve(problem)
-        if not isinstance(reference, Solved):
-            raise ValueError(f"the problem must be feasible: {reference.reason}")  # noqa: TRY004 a value is wrong
-        if isinstance(outcome, Solved):
-            if not disagreement(outcome.values, reference.values):
-                return outcome.values, self.name
-            self._disagreements += 1
-        self._outcomes[Backend.EXACT, reference.kind] += 1
-        return reference.values, Backend.EXACT
+    def solve(self, problem: ShareProblem) -> tuple[Filling, Backend]:
+        """Return the exact shares of a feasible ``problem``, and the back end that found them."""
+        if verdict := infeasibility(problem):
+            raise ValueError(f"the problem must be feasible: {verdict.reason}")
+        filling = water_fill(problem)
+        if self.name is not Backend.EXACT:
+            outcome = self._solver.solve(problem)
+            self._outcomes[self.name, outcome.kind] += 1
+            if isinstance(outcome, Solved):
+                if not disagreement(outcome.values, filling.shares()):
+                    return filling, self.name
+                self._disagreements += 1
+        self._outcomes[Backend.EXACT, Solved.kind] += 1
+        return filling, Backend.EXACT

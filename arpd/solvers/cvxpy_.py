@@ -28,7 +28,7 @@ class CvxpySolver:
     name = Backend.CVXPY
 
     def __init__(self) -> None:
-        self._weights: tuple[float, ...] = ()
+        self._weights: tuple[int, ...] = ()
         self._problem: Any = None
 
     def solve(self, problem: ShareProblem) -> Outcome:
@@ -37,7 +37,7 @@ class CvxpySolver:
             return verdict
         units = scaled(problem)
         if units is None:
-            return checked(problem, problem.lo, solver="cvxpy")
+            return checked(problem, [low / problem.whole for low in problem.lo], solver="cvxpy")
         if problem.weights != self._weights:
             self._problem = _state(problem.weights)
             self._weights = problem.weights
@@ -79,7 +79,7 @@ def solve_eq4(problem: Eq4Problem) -> Outcome:
     return problem.checked((float(rate.value), float(depth.value)), solver="cvxpy")
 
 
-def _state(weights: tuple[float, ...]) -> Any:
+def _state(weights: tuple[int, ...]) -> Any:
     """State the scaled share problem of ``ScaledProblem`` for one set of weights."""
     root = root_weights(weights)
     z = cp.Variable(len(weights), name="z")

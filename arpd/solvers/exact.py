@@ -1,64 +1,105 @@
-"""Water-filling: the closed form of the share problem, and the judge of every other back end."""
+"""Water-filling in whole numbers: the exact answer to the share problem, and the judge of every other back end."""
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
+from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING
 
 from arpd.settings import Backend
-from arpd.solvers.outcome import Outcome, ShareProblem, Solved, infeasibility, settle
+from arpd.solvers.outcome import Outcome, Solved, infeasibility
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from arpd.solvers.outcome import ShareProblem
+
+
+class Stand(Enum):
+    """Where a share stands."""
+
+    LOW = "at its floor"
+    LEVEL = "at the common level"
+    HIGH = "at its ceiling"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Filling:
+    """The exact solution of a share problem: e_i = lo_i, ν·w_i or hi_i, according to where i stands.
+
+    Parameters
+    ----------
+    problem : what was solved
+    level : ν = level[0]/level[1], the common level of those that stand at it (1/whole per weight)
+    stands : where each share stands
+    """
+
+    problem: ShareProblem
+    level: tuple[int, int]
+    stands: tuple[Stand, ...]
+
+    def ratios(self) -> list[tuple[int, int]]:
+        """Return every share exactly, as numerator and denominator (1/whole)."""
+        p, (numerator, denominator) = self.problem, self.level
+        return [
+            (numerator * weight, denominator) if stand is Stand.LEVEL else (low if stand is Stand.LOW else high, 1)
+            for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
+        ]
+
+    def shares(self) -> tuple[float, ...]:
+        """Return every share as the nearest float (dimensionless)."""
+        whole = self.problem.whole
+        return tuple(numerator / (denominator * whole) for numerator, denominator in self.ratios())
 
 
 class ExactSolver:
-    """Solves the share problem by its breakpoints in O(n log n).
-
-    f(ν) = Σ clip(ν·w_i, lo_i, hi_i) is continuous, nondecreasing and linear between the sorted values lo_i/w_i and
-    hi_i/w_i. Bisect them for the piece that holds B, then solve that piece for ν.
-
-    Every sum is ``math.fsum``, correctly rounded and thus independent of order, and the topics of a piece are a set:
-    permuting the topics permutes the answer, bit for bit.
-    """
+    """The closed form as a back end; never ``SolverFailed``."""
 
     name = Backend.EXACT
 
     def solve(self, problem: ShareProblem) -> Outcome:
-        """Solve ``problem``; never ``SolverFailed``."""
-        return infeasibility(problem) or Solved(values=settle(problem, water_fill(problem)))
+        """Solve ``problem``."""
+        return infeasibility(problem) or Solved(values=water_fill(problem).shares())
 
 
-def water_fill(problem: ShareProblem) -> tuple[float, ...]:
-    """Return e_i = clip(ν·w_i, lo_i, hi_i) with the largest ν that keeps Σ e_i ≤ B; lo if even lo exceeds B."""
+def water_fill(problem: ShareProblem) -> Filling:
+    """Return e_i = clip(ν·w_i, lo_i, hi_i) with the largest ν that keeps Σ e_i ≤ B.
+
+    Variable fixing (Bitran & Hax 1981; Kiwiel 2008): pour what is left evenly over the undecided. If the ceilings cut
+    off more than the floors add, the level will only rise, so whoever stands at the ceiling now stays there; if less,
+    it will only fall, so whoever stands at the floor stays there; if both are equal, this is the solution. Every
+    round decides at least one, and half a dozen rounds decide thousands. Nothing but whole numbers is compared and
+    summed, so there is no tolerance, and no order of the topics that could matter.
+
+    Parameters
+    ----------
+    problem : a feasible one, Σ lo_i ≤ B
+    """
     weights, lo, hi = problem.weights, problem.lo, problem.hi
-    if math.fsum(hi) <= problem.budget:
-        return hi
-    starts = [low / weight for low, weight in zip(lo, weights, strict=True)]
-    stops = [high / weight for high, weight in zip(hi, weights, strict=True)]
-    points = sorted({*starts, *stops})
-    piece = bisect_right(points, problem.budget, key=lambda level: math.fsum(_at(level, problem))) - 1
-    if piece < 0:
-        return lo
-    if piece == len(points) - 1:  # the last breakpoint fits after all: rounding of level·w_i below hi_i
-        return hi
-    low, high = points[piece], points[piece + 1]
-    free = [start <= low and stop >= high for start, stop in zip(starts, stops, strict=True)]
-    fixed = math.fsum(0.0 if is_free else (hi[i] if stops[i] <= low else lo[i]) for i, is_free in enumerate(free))
-    slope = math.fsum(weight for weight, is_free in zip(weights, free, strict=True) if is_free)
-    level = (problem.budget - fixed) / slope if slope > 0.0 else low
-    return tuple(
-        _clip(level * weights[i], lo[i], hi[i]) if is_free else (hi[i] if stops[i] <= low else lo[i])
-        for i, is_free in enumerate(free)
-    )
-
-
-def _at(level: float, problem: ShareProblem) -> Sequence[float]:
-    return [
-        _clip(level * weight, lo, hi) for weight, lo, hi in zip(problem.weights, problem.lo, problem.hi, strict=True)
-    ]
-
-
-def _clip(value: float, lo: float, hi: float) -> float:
-    return min(max(value, lo), hi)
+    stands = [Stand.LEVEL] * len(weights)
+    undecided, left, weight = list(range(len(weights))), problem.budget, sum(weights)
+    while undecided:  # invariant: left and weight are what the undecided share, weight > 0
+        above, below, between = [], [], []
+        surplus = 0  # of the ceilings over the floors (1/whole·weight)
+        for i in undecided:
+            poured = left * weights[i]
+            if (cut := poured - hi[i] * weight) >= 0:
+                surplus += cut
+                above.append(i)
+            elif (added := lo[i] * weight - poured) >= 0:
+                surplus -= added
+                below.append(i)
+            else:
+                between.append(i)
+        if surplus >= 0:
+            for i in above:
+                stands[i] = Stand.HIGH
+                left -= hi[i]
+                weight -= weights[i]
+        if surplus <= 0:
+            for i in below:
+                stands[i] = Stand.LOW
+                left -= lo[i]
+                weight -= weights[i]
+        if surplus == 0:
+            break
+        undecided = between + (below if surplus > 0 else above)
+    return Filling(problem=problem, level=(left, max(1, weight)), stands=tuple(stands))

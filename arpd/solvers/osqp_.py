@@ -50,7 +50,7 @@ class OsqpSolver:
     name = Backend.OSQP
 
     def __init__(self) -> None:
-        self._weights: tuple[float, ...] = ()
+        self._weights: tuple[int, ...] = ()
         self._workspace: Any = None
 
     def solve(self, problem: ShareProblem) -> Outcome:
@@ -59,7 +59,7 @@ class OsqpSolver:
             return verdict
         units = scaled(problem)
         if units is None:
-            return checked(problem, problem.lo, solver="osqp")
+            return checked(problem, [low / problem.whole for low in problem.lo], solver="osqp")
         bounds = {
             "l": np.concatenate(([-np.inf], np.zeros_like(units.ceiling))),
             "u": np.concatenate(([units.limit], units.ceiling)),

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-6
 #: A topic that needs 1e-5 of the link would hide a 10 % error below ``TOLERANCE``; this one it cannot hide.
 RELATIVE_TOLERANCE = 1e-3
-#: Shares this close to a bound (relative) stand on it.
-_ON_BOUND = 1e-9
-#: Float noise of a sum of floors; feasibility itself is decided by the caller in exact arithmetic.
+#: Shares too small for the relative tolerance to mean anything.
 _NOISE = 1e-12
 
 
@@ -29,22 +27,27 @@ class ShareProblem:
     stops growing for any reason but a constraint. Its solution is e_i = clip(ν·w_i, lo_i, hi_i): weighted
     proportional-fair and weighted max-min at once.
 
+    Every number is whole, in units that the caller chose so that no digit is lost; a back end that works in floats
+    divides by ``whole``.
+
     Parameters
     ----------
-    weights : w_i > 0
-    lo, hi : bounds of the shares, 0 ≤ lo_i ≤ hi_i ≤ 1 (dimensionless)
-    budget : B > 0 (dimensionless)
+    weights : w_i > 0, in any common unit
+    lo, hi : bounds of the shares, 0 ≤ lo_i ≤ hi_i (1/whole)
+    budget : B > 0 (1/whole)
+    whole : what a share of 1 is, > 0
     """
 
-    weights: tuple[float, ...]
-    lo: tuple[float, ...]
-    hi: tuple[float, ...]
-    budget: float
+    weights: tuple[int, ...]
+    lo: tuple[int, ...]
+    hi: tuple[int, ...]
+    budget: int
+    whole: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Solved:
-    """A vector whose residuals were checked by us, not only by the library that returned it."""
+    """A vector of shares whose residuals were checked by us, not only by the library that returned it."""
 
     kind: ClassVar[str] = "solved"
     values: tuple[float, ...]
@@ -81,9 +84,10 @@ class Solver(Protocol):
 
 def infeasibility(problem: ShareProblem) -> Infeasible | None:
     """Return why ``problem`` has no solution, None when it has one: the floors alone decide."""
-    floors = math.fsum(problem.lo)
-    if floors > problem.budget + _NOISE:
-        return Infeasible(reason=f"floors need {floors:.6g} of a budget of {problem.budget:.6g}")
+    floors = sum(problem.lo)
+    if floors > problem.budget:
+        needed, budget = floors / problem.whole, problem.budget / problem.whole
+        return Infeasible(reason=f"floors need {needed:.6g} of a budget of {budget:.6g}")
     return None
 
 
@@ -92,34 +96,19 @@ def checked(problem: ShareProblem, values: Sequence[float], *, solver: str) -> O
     violation = residual(problem, values)
     if not violation <= TOLERANCE:  # also catches nan
         return SolverFailed(reason=f"{solver}: constraints are violated by {violation:.3g}")
-    return Solved(values=settle(problem, values))
+    return Solved(values=tuple(values))
 
 
 def residual(problem: ShareProblem, values: Sequence[float]) -> float:
-    """Largest violation of any constraint (dimensionless); nan when a value is nan."""
+    """Largest violation of any constraint (share); nan when there is not one number per topic."""
     if len(values) != len(problem.lo) or any(math.isnan(value) for value in values):
         return math.nan
     return max(
-        math.fsum(values) - problem.budget,
-        *(lo - value for lo, value in zip(problem.lo, values, strict=True)),
-        *(value - hi for hi, value in zip(problem.hi, values, strict=True)),
+        math.fsum(values) - problem.budget / problem.whole,
+        *(lo / problem.whole - value for lo, value in zip(problem.lo, values, strict=True)),
+        *(value - hi / problem.whole for hi, value in zip(problem.hi, values, strict=True)),
         0.0,
     )
-
-
-def settle(problem: ShareProblem, values: Sequence[float]) -> tuple[float, ...]:
-    """Clip a vector to its bounds, put what stands on a bound exactly there, and give back what exceeds the budget.
-
-    A solver's 9.99999999 for a bound of 10 must not become another deadline, so near-bound shares take the bound.
-    Clipping can only break the budget; the excess is taken from the shares above their floors, in proportion,
-    from those between their bounds first, so that a topic that has all it wants keeps it.
-    """
-    lows, highs = problem.lo, problem.hi
-    shares = [_to_bound(value, lo=lo, hi=hi) for value, lo, hi in zip(values, lows, highs, strict=True)]
-    between = [e - lo if lo < e < hi else 0.0 for e, lo, hi in zip(shares, lows, highs, strict=True)]
-    shares = _give_back(shares, room=between, budget=problem.budget)
-    above = [e - lo for e, lo in zip(shares, lows, strict=True)]
-    return tuple(_give_back(shares, room=above, budget=problem.budget))
 
 
 def disagreement(values: Sequence[float], reference: Sequence[float]) -> bool:
@@ -128,17 +117,3 @@ def disagreement(values: Sequence[float], reference: Sequence[float]) -> bool:
         abs(value - truth) > min(TOLERANCE, RELATIVE_TOLERANCE * max(truth, _NOISE))
         for value, truth in zip(values, reference, strict=True)
     )
-
-
-def _to_bound(value: float, *, lo: float, hi: float) -> float:
-    if value >= hi * (1.0 - _ON_BOUND):
-        return hi
-    return lo if value <= lo * (1.0 + _ON_BOUND) else value
-
-
-def _give_back(shares: list[float], *, room: list[float], budget: float) -> list[float]:
-    excess, total = math.fsum(shares) - budget, math.fsum(room)
-    if excess <= 0.0 or total <= 0.0:
-        return shares
-    factor = min(1.0, excess / total)
-    return [share - factor * part for share, part in zip(shares, room, strict=True)]

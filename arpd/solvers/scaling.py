@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 #: κ above the highest level ν a constraint admits, by this factor: with an optimum at rest on no constraint, OSQP 1.1
 #: skips polishing and writes "Polishing not needed" to stdout even when it is not verbose.
 _KAPPA_MARGIN = 1.1
-#: Room below this part of the budget is the noise of summing floors; dividing by it only amplifies that noise.
-_NO_ROOM = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,23 +50,26 @@ class ScaledProblem:
         return [float(share) for share in self.floor + self.unit * self.root * point]
 
 
-def root_weights(weights: tuple[float, ...]) -> NDArray[np.float64]:
+def root_weights(weights: tuple[int, ...]) -> NDArray[np.float64]:
     """Return d, √w over the geometric middle of the lightest and the heaviest: it depends on the weights alone."""
-    middle = math.sqrt(min(weights) * max(weights))
+    middle = math.sqrt(min(weights)) * math.sqrt(max(weights))
     return np.array([math.sqrt(weight / middle) for weight in weights])
 
 
 def scaled(problem: ShareProblem) -> ScaledProblem | None:
     """Scale ``problem``; None when nothing is left to hand out, for then the floors are the only answer."""
-    room = problem.budget - math.fsum(problem.lo)
-    unit = min(room, math.fsum(problem.hi) - math.fsum(problem.lo))
-    if unit <= _NO_ROOM * min(problem.budget, math.fsum(problem.hi)):
+    floors, ceilings = sum(problem.lo), sum(problem.hi)
+    unit = min(problem.budget, ceilings) - floors
+    if unit <= 0:
         return None
+    limit = (problem.budget - floors) / unit
     root = root_weights(problem.weights)
-    floor = np.array(problem.lo)
-    ceiling = np.minimum((np.array(problem.hi) - floor) / unit, room / unit)
-    levels = (floor + unit * ceiling) / root**2
-    kappa = _KAPPA_MARGIN * float(np.min(levels[ceiling >= room / unit], initial=np.max(levels)))
+    floor = np.array([low / problem.whole for low in problem.lo])
+    ceiling = np.array([min((high - low) / unit, limit) for low, high in zip(problem.lo, problem.hi, strict=True)])
+    levels = (floor + unit / problem.whole * ceiling) / root**2
+    kappa = _KAPPA_MARGIN * float(np.min(levels[ceiling >= limit], initial=np.max(levels)))
     # a topic whose floor is above κ·w stays there whatever its slope; at its true slope it would only slow ADMM down
-    slope = np.minimum(floor / root**2 - kappa, 0.0) * root / unit
-    return ScaledProblem(root=root, slope=slope, ceiling=ceiling / root, limit=room / unit, floor=floor, unit=unit)
+    slope = np.minimum(floor / root**2 - kappa, 0.0) * root / (unit / problem.whole)
+    return ScaledProblem(
+        root=root, slope=slope, ceiling=ceiling / root, limit=limit, floor=floor, unit=unit / problem.whole
+    )

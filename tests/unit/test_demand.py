@@ -1,4 +1,4 @@
-"""What one topic asks for, reconciled: no wish survives that the link or the source makes pointless."""
+"""What topics ask for, reconciled: no wish survives that the link or the source makes pointless."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -7,62 +7,81 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.demand import give_up, refuse_nonsense, row
+from arpd.demand import SAMPLE, give_up, refuse_nonsense, rows_of
 from arpd.model import Binding, Topic
+from arpd.rounding import decimal, rational
 
 TOPIC = Topic(name="/t", wire_bytes=1000.0, packets=1, desired_rate_hz=100.0, min_rate_hz=2.0)
-CAPACITY = Fraction(100_000)
+CAPACITY = 100_000.0
 SIZES = st.floats(1.0, 1e6)
 RATES = st.floats(0.0, 1e4)
 
 
-def make(topic, capacity=CAPACITY, overhead=0, reserve=1):
-    return row(topic, capacity=capacity, packet_overhead=Fraction(overhead), depth_reserve=Fraction(reserve))
+def make(*topics, capacity=CAPACITY, overhead_s=0.0):
+    return rows_of(topics, capacity=decimal(capacity), packet_overhead=decimal(overhead_s), parts=20)
+
+
+def hertz(row, share):
+    return Fraction(*row.rate_hz((share, 1)))
 
 
 @settings(deadline=None)
-@given(SIZES, RATES, RATES)
-def test_floor_ceiling_and_link_are_in_order(wire_bytes, desired_hz, min_hz):
-    """The floor is at most the ceiling, and the ceiling at most what the link carries, unless the floor is more."""
-    made = make(replace(TOPIC, wire_bytes=wire_bytes, desired_rate_hz=desired_hz, min_rate_hz=min_hz))
-    assert made.ceiling is not None
-    assert 0 <= made.floor <= made.ceiling
-    assert made.ceiling <= max(made.floor, 1 / made.cost)
-
-
-@settings(deadline=None)
-@given(SIZES, RATES, st.floats(0.0, 0.1))
-def test_cost_is_packets_and_bytes(wire_bytes, desired_hz, overhead_s):
-    """Link time per message is k·t_ovh + s/C, so Rmax falls when a packet costs more."""
-    topic = replace(TOPIC, wire_bytes=wire_bytes, desired_rate_hz=desired_hz, packets=3)
-    made, free = make(topic, overhead=Fraction(overhead_s)), make(topic)
-    assert made.cost - free.cost == 3 * Fraction(overhead_s)
-    assert made.max_rate_hz <= free.max_rate_hz
+@given(st.lists(st.tuples(SIZES, RATES, RATES), min_size=1, max_size=5), st.floats(1e3, 1e8), st.floats(0.0, 0.1))
+def test_rows_are_the_equations_in_whole_numbers(wishes, capacity, overhead_s):
+    """Link time is a = k·t + s/C, lo = a·ℓ and hi = a·u in one unit for all topics, without losing a digit."""
+    topics = [
+        replace(TOPIC, wire_bytes=size, packets=3, desired_rate_hz=desired, min_rate_hz=least)
+        for size, desired, least in wishes
+    ]
+    for topic, row in zip(topics, make(*topics, capacity=capacity, overhead_s=overhead_s), strict=True):
+        cost = 3 * rational(overhead_s) + rational(topic.wire_bytes) / rational(capacity)
+        ceiling = rational(topic.desired_rate_hz) or rational(topic.min_rate_hz)
+        floor = min(rational(topic.min_rate_hz), ceiling)
+        assert Fraction(row.cost, row.units.time) == cost
+        assert Fraction(row.lo, row.units.share) == cost * floor
+        assert Fraction(row.hi, row.units.share) == max(cost * floor, min(cost * ceiling, 1))
+        assert hertz(row, row.lo) == floor
+        assert row.max_rate_hz == float(1 / cost)
+        assert row.units.share % 20 == 0
 
 
 @settings(deadline=None)
 @given(st.fractions(0, 1000), st.fractions(0, 1000))
 def test_depth_cap_is_monotone_in_the_rate_and_within_bounds(one, other):
     """A faster topic never gets less history, and the cap stays within Dmin..Dmax."""
-    made = make(replace(TOPIC, min_depth=2, max_depth=50, latency_budget_s=0.5))
-    slow, fast = sorted((one, other))
-    assert 2 <= made.depth_cap(slow) <= made.depth_cap(fast) <= 50
+    (row,) = make(replace(TOPIC, min_depth=2, max_depth=50, latency_budget_s=0.5))
+    slow, fast = (row.depth_cap(row.justified(rate.as_integer_ratio(), reserve=1)) for rate in sorted((one, other)))
+    assert 2 * SAMPLE <= slow <= fast <= 50 * SAMPLE
+
+
+@settings(deadline=None)
+@given(SIZES, st.fractions(0, 1000), st.integers(1, 5000), st.one_of(st.none(), st.floats(0.001, 100.0)))
+def test_justified_history_is_eq_3(wire_bytes, rate_hz, max_depth, budget_s):
+    """⌊τ·R − δ⌋ in whole samples is what exact arithmetic says, for every window."""
+    (row,) = make(replace(TOPIC, wire_bytes=wire_bytes, max_depth=max_depth, latency_budget_s=budget_s))
+    window = max_depth * rational(wire_bytes) / rational(CAPACITY)
+    if budget_s is not None:
+        window = min(window, rational(budget_s))
+    assert row.justified(rate_hz.as_integer_ratio(), reserve=1) // SAMPLE == (window * rate_hz - 1) // 1
 
 
 def test_a_desired_rate_without_bound_means_what_the_link_carries():
-    """No wish means Rmax; without a cost on the link there is no bound at all."""
-    assert make(replace(TOPIC, desired_rate_hz=float("inf"))).ceiling == 100
-    assert make(replace(TOPIC, desired_rate_hz=float("inf"), wire_bytes=0.0)).ceiling is None
+    """No wish means Rmax, and what then holds the topic back is the link."""
+    (row,) = make(replace(TOPIC, desired_rate_hz=float("inf")))
+    assert (hertz(row, row.hi), row.ceiling) == (100, Binding.LINK)
+    assert make(replace(TOPIC, desired_rate_hz=99.0))[0].ceiling is Binding.DESIRED_RATE
 
 
 def test_an_unmeasured_source_gets_its_floor():
     """A desired rate of 0 says that nothing was measured yet."""
-    assert make(replace(TOPIC, desired_rate_hz=0.0)).ceiling == 2
+    (row,) = make(replace(TOPIC, desired_rate_hz=0.0))
+    assert hertz(row, row.hi) == 2
 
 
 def test_a_floor_above_the_source_is_lowered():
     """A deadline shorter than the source's own period would be missed for ever."""
-    assert make(replace(TOPIC, desired_rate_hz=1.0, min_rate_hz=5.0)).floor == 1
+    (row,) = make(replace(TOPIC, desired_rate_hz=1.0, min_rate_hz=5.0))
+    assert hertz(row, row.lo) == 1
 
 
 @pytest.mark.parametrize(
@@ -76,7 +95,8 @@ def test_a_floor_above_the_source_is_lowered():
 )
 def test_the_depth_says_what_holds_it(topic, rate_hz, binding):
     """The binding names the constraint an operator would have to relax."""
-    assert make(topic).depth_binding(Fraction(rate_hz)) is binding
+    (row,) = make(topic)
+    assert row.depth_binding(row.justified((rate_hz, 1), reserve=1)) is binding
 
 
 @pytest.mark.parametrize(
@@ -84,6 +104,7 @@ def test_the_depth_says_what_holds_it(topic, rate_hz, binding):
     [
         ({"wire_bytes": float("nan")}, "wire_bytes"),
         ({"wire_bytes": -1.0}, "wire_bytes"),
+        ({"wire_bytes": 0.0}, "wire_bytes"),
         ({"min_rate_hz": float("inf")}, "min_rate_hz"),
         ({"desired_rate_hz": float("nan")}, "desired_rate_hz"),
         ({"weight": 0.0}, "weight"),
@@ -97,19 +118,17 @@ def test_nonsense_is_refused_by_name(change, field):
         refuse_nonsense(replace(TOPIC, **change))
 
 
-AMOUNTS = st.lists(st.tuples(st.fractions(0, 100), st.sampled_from([0.5, 1.0, 2.0, 8.0])), min_size=1, max_size=10)
+AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1, 2, 4, 16])), min_size=1, max_size=10)
 
 
 @settings(deadline=None)
-@given(AMOUNTS, st.fractions(0, 500))
+@given(AMOUNTS, st.integers(0, 500))
 def test_giving_up_takes_exactly_the_deficit_from_the_lightest_first(rows, deficit):
     """The cut is the deficit or everything; a class is touched only when every lighter one is at nothing."""
     amounts, weights = [amount for amount, _ in rows], [weight for _, weight in rows]
-    kept, cuts = give_up(amounts, weights, deficit)
-    taken = sum((a * (1 - k) for a, k in zip(amounts, kept, strict=True)), Fraction(0))
-    assert taken == min(sum(amounts, Fraction(0)), deficit)
-    assert all(0 <= part <= 1 for part in kept)
-    for weight, part in cuts.items():
-        assert part < 1
-        lighter = [k for a, w, k in zip(amounts, weights, kept, strict=True) if w < weight and a > 0]
-        assert all(part == 0 for part in lighter)
+    left = {weight: Fraction(*part) for weight, part in give_up(amounts, weights, deficit).items()}
+    taken = sum(amount * (1 - left.get(weight, Fraction(1))) for amount, weight in rows)
+    assert taken == min(sum(amounts), deficit)
+    for weight, part in left.items():
+        assert 0 <= part < 1
+        assert all(left[lighter] == 0 for amount, lighter in rows if lighter < weight and amount > 0)

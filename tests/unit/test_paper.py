@@ -121,7 +121,7 @@ def test_applied_values_keep_the_link_and_depth_constraints(problem):
     """The applied period and depth satisfy (2) and (3) exactly, unless (3) leaves less than one sample of play."""
     solution = solve_eq4(problem)
     if solution.status is Eq4Status.OPTIMAL:
-        rate = rate_of(solution.deadline_ns)
+        rate = Fraction(*rate_of(solution.deadline_ns))
         assert rate <= problem.vertex()[0]
         assert solution.depth_applied >= problem.min_depth
         if solution.depth_applied > problem.min_depth:
