@@ -125,7 +125,18 @@ class Wishes(Section):
     )
 
 
-class TopicEntry(Wishes):
+class TopicWishes(Wishes):
+    """The wishes of one topic, and what it is assumed to bring where nothing measures it; ``defaults`` has no such."""
+
+    payload: Annotated[float | None, Quantity(unit=SIZE, low="1B", high="1GB", word="measured")] = (
+        _DEFAULT.default_topic.payload_bytes
+    )
+    source_rate_hz: Annotated[float | None, Number(low=0.001, high=100_000, word="measured")] = (
+        _DEFAULT.default_topic.source_rate_hz
+    )
+
+
+class TopicEntry(TopicWishes):
     """One item of ``topics``; what it leaves out, ``defaults`` says."""
 
     name: Annotated[str, TopicName()]
@@ -134,7 +145,7 @@ class TopicEntry(Wishes):
         """Return the topic's wishes over those of ``defaults``."""
         given = {
             key + kind.suffix: getattr(self, key)
-            for key, kind in Wishes.kinds().items()
+            for key, kind in TopicWishes.kinds().items()
             if key in self.model_fields_set
         }
         return replace(default, **given)
@@ -221,7 +232,7 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     yield from _written("graph", Graph, settings.graph)
     yield from _written("defaults", Wishes, settings.default_topic)
     for name, wishes in settings.topics.items():
-        yield from _written(f"topics[{name}]", Wishes, wishes)
+        yield from _written(f"topics[{name}]", TopicWishes, wishes)
     yield from _written("relay", Relay, settings.relay)
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))

@@ -61,6 +61,8 @@ class TopicSettings:
     max_rate_hz : desired rate (Hz); None = the rate the application publishes at
     min_depth, max_depth : bounds of DEPTH (samples)
     latency_budget_s : cap on the time a full history stands for (s); deeper is bufferbloat after an outage
+    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured, as the daemon always does
+    source_rate_hz : rate the application publishes at, for `arpd solve` (Hz); None = measured, the same
     """
 
     weight: float = 1.0
@@ -69,6 +71,8 @@ class TopicSettings:
     min_depth: int = 1
     max_depth: int = 5000
     latency_budget_s: float | None = 1.0
+    payload_bytes: float | None = None
+    source_rate_hz: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

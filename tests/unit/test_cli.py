@@ -138,7 +138,7 @@ def test_check_says_what_a_file_changes(run, config):
     path = config("link: {headroom: 0.5}\ntopics: [{name: /a}]\nrelay: {topics: [{name: /b}, {name: /c}]}")
     code, out, err = run("check", path)
     assert (code, err) == (0, "")
-    assert out.startswith("OK (topics: 1, relayed: 2, keys that differ from the default: 11)\n")
+    assert out.startswith("OK (topics: 1, relayed: 2, keys that differ from the default: 13)\n")
     assert "  link.headroom: 0.85 -> 0.5\n" in out
     everything_default = "OK (topics: 0, relayed: 0, keys that differ from the default: 0)\n"
     assert run("check", config("{}")) == (0, everything_default, "")

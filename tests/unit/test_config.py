@@ -71,7 +71,7 @@ graph: {sensing_topics: 11, actuation_topics: 1}
 defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
 topics:
   - {name: /camera, max_rate_hz: source, latency_budget: 200ms}
-  - {name: /scan, weight: 4}
+  - {name: /scan, weight: 4, payload: 6kB, source_rate_hz: 12.5}
 relay: {prefix: /air, topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]}
 on_stop: keep
 """
@@ -104,7 +104,7 @@ on_stop: keep
         default_topic=default_topic,
         topics={
             "/camera": replace(default_topic, max_rate_hz=None, latency_budget_s=0.2),
-            "/scan": replace(default_topic, weight=4.0),
+            "/scan": replace(default_topic, weight=4.0, payload_bytes=6000.0, source_rate_hz=12.5),
         },
         relay=RelaySettings(
             topics=("/camera", "/scan"), prefix="/air", overflow={"/camera": Overflow.QUEUE}, depths={"/camera": 20}
@@ -139,6 +139,9 @@ def test_the_shipped_file_documents_every_key():
             dotted = ".".join((*path, key))
             if path[-1:] == ("topics",):
                 assert f"{key}:" in SHIPPED.read_text()
+                if path == ("topics",) and key not in {"name", *SECTIONS["defaults",].kinds()}:
+                    described = rf"(?m)^#   {key} .* default: measured \| range: {re.escape(kind.range)}$"
+                    assert re.search(described, SHIPPED.read_text()), dotted
                 continue
             value = defaults[dotted]
             shown = f"{value:g}" if isinstance(value, float) else value
@@ -150,7 +153,8 @@ def test_the_examples_in_the_shipped_file_load(load):
     """What the comments show may be uncommented."""
     blocks = re.findall(r"(?m)^ *#     topics:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
     topics, relayed = (re.sub(r"(?m)^ *#     ", "  ", block) for block in blocks)
-    assert load(topics).topics["/link/camera/image/compressed"].latency_budget_s == 0.2
+    camera = load(topics).topics["/link/camera/image/compressed"]
+    assert (camera.latency_budget_s, camera.payload_bytes, camera.source_rate_hz) == (0.2, 30_000.0, 30.0)
     assert load(f"relay:\n{relayed}").relay.topics == ("/camera/image/compressed",)
 
 
@@ -178,6 +182,22 @@ ONE_FAULT = {
     "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
     "near section": ("\nlinks: {}\n", "2:1: links: is not a key arpd knows; did you mean link?"),
     "misplaced key": ("port: 80\n", "1:1: port: is not a key arpd knows; did you mean http.port?"),
+    "an assumption for all topics": (
+        "defaults: {payload: 1kB}",
+        "1:12: defaults.payload: is not a key arpd knows; did you mean topics.payload?",
+    ),
+    "size without a unit": (
+        "topics: [{name: /a, payload: 30}]",
+        "1:30: topics[0].payload: 30 has no unit; write a size like 64MiB",
+    ),
+    "no size": (
+        "topics: [{name: /a, payload: 0B}]",
+        "1:30: topics[0].payload: 0B is out of range; write 1B..1GB or measured",
+    ),
+    "no source rate": (
+        "topics: [{name: /a, source_rate_hz: 0}]",
+        "1:37: topics[0].source_rate_hz: 0 is below 0.001; write 0.001..100000 or measured",
+    ),
     "far key": ("http: {zzz: 1}", "1:8: http.zzz: is not a key arpd knows; known here: host, port"),
     "key without a name": ("http: {'': 2}", "1:8: http.'': is not a key arpd knows; known here: host, port"),
     "number for a key": ("http: {1: 2}", "1:8: http: has a number for a key; write a name"),
@@ -327,6 +347,27 @@ def test_names_that_grow_too_long_with_the_relay_prefix_are_refused(faults):
     name = "/" + "a" * 244
     fault = f"1:25: relay.topics[0].name: with its prefix is {len(name) + 5} characters long; ROS allows 247"
     assert faults(f"relay: {{topics: [{{name: {name}}}]}}") == [fault]
+
+
+def test_what_a_topic_is_assumed_to_publish_is_its_own_and_may_be_left_to_measurement(load):
+    """The word stands for leaving the key out, and no other topic inherits what one assumes."""
+    text = (
+        "topics: [{name: /a, payload: 1kB, source_rate_hz: 5}, {name: /b, payload: measured, source_rate_hz: measured}]"
+    )
+    loaded = load(text)
+    assert loaded.topics["/a"] == TopicSettings(payload_bytes=1000.0, source_rate_hz=5.0)
+    assert loaded.topics["/b"] == loaded.topic("/c") == TopicSettings()
+
+
+def test_a_change_of_what_is_assumed_is_described_and_needs_no_restart():
+    """The daemon takes it with a reload, although it measures both."""
+    old = Settings(topics={"/a": TopicSettings()})
+    new = Settings(topics={"/a": TopicSettings(payload_bytes=30_000.0, source_rate_hz=30.0)})
+    assert describe_change(old, new) == [
+        "topics[/a].payload: measured -> 30kB",
+        "topics[/a].source_rate_hz: measured -> 30.0",
+    ]
+    assert restart_only_changes(old, new) == []
 
 
 @pytest.mark.parametrize("text", ["defaults: {weight: 010}", "defaults: {weight: 1e1}", "defaults: {weight: 10.}"])

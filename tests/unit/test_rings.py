@@ -11,8 +11,10 @@ DOMAIN = {
     "errors",
     "estimator",
     "flow",
+    "foreign",
     "governor",
     "model",
+    "offline",
     "pacing",
     "probing",
     "paper",
@@ -27,7 +29,7 @@ DOMAIN = {
     "solvers",
     "source_rate",
 }
-ENTRY_POINTS = {"cli", "cli_solve", "cli_status", "daemon", "__main__"}
+ENTRY_POINTS = {"cli", "cli_allocation", "cli_solve", "cli_status", "cli_tables", "daemon", "__main__"}
 FORBIDDEN_IN_DOMAIN = {
     "http",
     "os",
@@ -91,6 +93,8 @@ def test_every_module_has_a_ring():
         "quantities",
         "ros",
         "sim",
+        "status_file",
+        "sweep_plot",
         "systemd",
         "version",
         "web",

@@ -1,0 +1,130 @@
+"""From publishers, or from what the configuration assumes of them, to the rows of the program."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from arpd.model import Direction, MemoryState, PublisherState
+from arpd.settings import ProgramSettings, Settings, TopicSettings
+from arpd.topics import (
+    Traffic,
+    assumed_traffic,
+    measured_traffic,
+    memory_budget_bytes,
+    rows_of_traffic,
+    topics_to_plan,
+)
+from arpd.wire import wire_size
+
+MIB = 2.0**20
+
+
+def publisher(topic="/scan", **fields):
+    neutral = {
+        "node": "/driver",
+        "topic": topic,
+        "type_name": "t",
+        "direction": Direction.SENSING,
+        "payload_bytes": 6000.0,
+        "source_rate_hz": 20.0,
+        "offered": 0,
+        "published": 0,
+        "withheld": 0,
+        "queued": 0,
+        "blocked_s": 0.0,
+        "rate_hz": 20.0,
+        "depth": 10,
+        "deadline_ns": 0,
+        "baseline_depth": 10,
+        "baseline_deadline_ns": 0,
+        "generation": 0,
+        "remote_readers": 1,
+    }
+    return PublisherState(**{**neutral, **fields})
+
+
+def test_a_row_says_what_a_topic_costs_and_wants():
+    """Wire bytes from the payload, the wish from the source, everything else from the configuration."""
+    wishes = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
+    (row,) = topics_to_plan([publisher()], Settings(topics={"/scan": wishes}))
+    size, packets = wire_size(6000.0)
+    assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
+    assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
+    assert (row.min_depth, row.max_depth, row.latency_budget_s) == (2, 50, None)
+    assert row.slot_bytes == pytest.approx(700.0 + 1.3 * 6000.0)
+
+
+def test_an_assumed_topic_makes_the_row_of_a_measured_one():
+    """Same payload, same source and one remote reader are the same row, offline and in the daemon."""
+    wishes = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
+    settings = Settings(topics={"/scan": wishes})
+    assert rows_of_traffic(assumed_traffic(settings), settings) == topics_to_plan([publisher()], settings)
+
+
+def test_only_topics_with_both_payload_and_source_rate_are_assumed():
+    """Half an assumption is none, and the defaults assume nothing."""
+    given = TopicSettings(payload_bytes=100.0, source_rate_hz=5.0)
+    settings = Settings(
+        topics={
+            "/b": given,
+            "/no_payload": replace(given, payload_bytes=None),
+            "/no_rate": replace(given, source_rate_hz=None),
+            "/neither": TopicSettings(),
+        }
+    )
+    assert assumed_traffic(settings) == (Traffic(topic="/b", payload_bytes=100.0, source_rate_hz=5.0, copies=1),)
+
+
+def test_rows_are_sorted_by_name():
+    """Whatever the order they came in."""
+    publishers = [publisher("/b"), publisher("/a"), publisher("/c")]
+    assert [row.name for row in topics_to_plan(publishers, Settings())] == ["/a", "/b", "/c"]
+    assert [row.name for row in rows_of_traffic(measured_traffic(publishers), Settings())] == ["/a", "/b", "/c"]
+
+
+def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
+    """A copy per remote reader of each publisher, one at least; the largest payload and rate count."""
+    publishers = [
+        publisher(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
+        publisher(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
+    ]
+    (row,) = topics_to_plan(publishers, Settings())
+    size, packets = wire_size(100.0)
+    assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
+
+
+def test_what_does_not_cross_the_link_or_was_never_seen_is_not_planned():
+    """Local topics, and those whose payload nobody knows yet."""
+    publishers = [publisher("/local", direction=Direction.LOCAL), publisher("/new", payload_bytes=0.0)]
+    assert topics_to_plan(publishers, Settings()) == ()
+
+
+@pytest.mark.parametrize(
+    ("source_hz", "min_hz", "max_hz", "floor_hz", "desired_hz"),
+    [
+        (20.0, 1.0, None, 1.0, 20.0),
+        (20.0, 1.0, 15.0, 1.0, 15.0),
+        (20.0, 1.0, 50.0, 1.0, 20.0),
+        (5.0, 50.0, None, 5.0, 5.0),
+        (0.0, 2.0, None, 2.0, 2.0),
+        (0.0, 0.0, None, 0.0, 0.0),
+    ],
+    ids=["source", "capped", "cap above source", "floor above source", "silent", "silent without a floor"],
+)
+def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
+    """Neither as a floor nor as a wish; a silent one keeps its floor."""
+    settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
+    (row,) = topics_to_plan([publisher(source_rate_hz=source_hz)], settings)
+    assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
+
+
+@pytest.mark.parametrize(
+    ("available_mib", "budget_mib"), [(1000, 64), (160, 32), (128, 1), (0, 1)], ids=["ample", "short", "none", "empty"]
+)
+def test_histories_leave_the_host_its_reserve(available_mib, budget_mib):
+    """The configured budget, less when memory runs short, and never nothing."""
+    memory = MemoryState(total_bytes=int(1000 * MIB), available_bytes=int(available_mib * MIB))
+    settings = ProgramSettings(memory_budget_bytes=64 * MIB, memory_reserve_bytes=128 * MIB)
+    assert memory_budget_bytes(memory, settings) == budget_mib * MIB
