@@ -36,6 +36,7 @@ __all__ = [
     "SolverFailed",
     "Stand",
     "load",
+    "water_fill",
 ]
 
 

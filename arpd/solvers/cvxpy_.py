@@ -8,49 +8,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
+import numpy as np
 
 from arpd.settings import Backend
-from arpd.solvers.outcome import Outcome, ShareProblem, SolverFailed, checked, infeasibility
-from arpd.solvers.scaling import root_weights, scaled
+from arpd.solvers.outcome import Outcome, ShareProblem, Solved, SolverFailed, checked, infeasibility
+from arpd.solvers.scaling import ShareUnits, settled
 
 if TYPE_CHECKING:
     from arpd.paper import Eq4Problem
 
-#: An interior-point method, so that this back end shares no algorithm with the other two. Its defaults stop at 1e-8 of
-#: the objective, which leaves a small topic several percent off; through OSQP, cvxpy splits the bounds into two rows
-#: each and 8 of 100 random problems do not converge.
-OPTIONS: dict[str, Any] = {"solver": cp.CLARABEL, "tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
+#: DAQP is an active-set method (Arnström, Bemporad & Axehill, IEEE TAC 2022), so that this back end shares no algorithm
+#: with the other two, and lands on the constraints: of 7,000 problems with weights over six decades it left none
+#: unsolved and none off by 1e-6. It is dense; beyond a hundred topics the interior-point method Clarabel takes over,
+#: which loses some digits of shares that just touch a bound.
+MOST_DENSE = 100
+CLARABEL: dict[str, Any] = {"solver": cp.CLARABEL, "tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
+DAQP: dict[str, Any] = {"solver": cp.DAQP, "primal_tol": 1e-10}
 
 
 class CvxpySolver:
-    """A parametrised (DPP) problem per set of weights; slope, ceilings and limit are its Parameters."""
+    """A parametrised (DPP) problem per number of topics; weights and bounds are its Parameters."""
 
     name = Backend.CVXPY
 
     def __init__(self) -> None:
-        self._weights: tuple[int, ...] = ()
         self._problem: Any = None
+        self._count = 0
 
     def solve(self, problem: ShareProblem) -> Outcome:
         """Solve ``problem`` and re-check the residuals of the answer."""
         if verdict := infeasibility(problem):
             return verdict
-        units = scaled(problem)
-        if units is None:
-            return checked(problem, [low / problem.whole for low in problem.lo], solver="cvxpy")
-        if problem.weights != self._weights:
-            self._problem = _state(problem.weights)
-            self._weights = problem.weights
-        self._problem.param_dict["slope"].value = units.slope
-        self._problem.param_dict["ceiling"].value = units.ceiling
-        self._problem.param_dict["limit"].value = units.limit
+        if (known := settled(problem)) is not None:
+            return Solved(values=tuple(known))
+        if self._count != len(problem.weights):
+            self._count = len(problem.weights)
+            self._problem = _state(self._count)
+        units = ShareUnits.of(problem.weights)
+        lower, upper = units.bounds(problem)
+        root = np.sqrt(units.curvature)
+        values = {"row": units.row / root, "lower": root * lower, "upper": root * upper}
+        for name, value in values.items():
+            self._problem.param_dict[name].value = value
         try:
-            self._problem.solve(**OPTIONS)
+            self._problem.solve(**(DAQP if self._count <= MOST_DENSE else CLARABEL))
         except (cp.error.SolverError, ValueError) as error:
             return SolverFailed(reason=f"cvxpy: {type(error).__name__}: {error}")
         if self._problem.status != cp.OPTIMAL:  # .value is filled even then
             return SolverFailed(reason=f"cvxpy: {self._problem.status}")
-        return checked(problem, units.shares(self._problem.var_dict["z"].value), solver="cvxpy")
+        point = np.clip(self._problem.var_dict["z"].value / root, lower, upper)
+        return checked(problem, units.shares(problem, point), solver="cvxpy")
 
 
 def solve_eq4(problem: Eq4Problem) -> Outcome:
@@ -79,11 +86,12 @@ def solve_eq4(problem: Eq4Problem) -> Outcome:
     return problem.checked((float(rate.value), float(depth.value)), solver="cvxpy")
 
 
-def _state(weights: tuple[int, ...]) -> Any:
-    """State the scaled share problem of ``ScaledProblem`` for one set of weights."""
-    root = root_weights(weights)
-    z = cp.Variable(len(weights), name="z")
-    slope = cp.Parameter(len(weights), name="slope")
-    ceiling = cp.Parameter(len(weights), name="ceiling", nonneg=True)
-    limit = cp.Parameter(name="limit", nonneg=True)
-    return cp.Problem(cp.Minimize(cp.sum_squares(z) / 2 + slope @ z), [root @ z <= limit, z >= 0, z <= ceiling])
+def _state(count: int) -> Any:
+    """State the problem of ``ShareUnits`` for so many topics, in z = √p·x.
+
+    With x itself, cvxpy would add variables without curvature, and DAQP would smooth them at the cost of six digits.
+    """
+    z = cp.Variable(count, name="z")
+    row = cp.Parameter(count, name="row", nonneg=True)
+    lower, upper = cp.Parameter(count, name="lower", nonneg=True), cp.Parameter(count, name="upper", nonneg=True)
+    return cp.Problem(cp.Minimize(cp.sum_squares(z) / 2), [row @ z == 1, lower <= z, z <= upper])

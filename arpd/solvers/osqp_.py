@@ -12,75 +12,115 @@ import osqp
 from scipy import sparse
 
 from arpd.settings import Backend
-from arpd.solvers.outcome import Outcome, ShareProblem, SolverFailed, checked, infeasibility
-from arpd.solvers.scaling import scaled
+from arpd.solvers.outcome import Outcome, ShareProblem, Solved, SolverFailed, checked, infeasibility
+from arpd.solvers.scaling import ShareUnits, settled
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from arpd.paper import Eq4Problem
 
-#: ρ is fixed: adapting it costs factorisations and depends on timing. Polishing solves the active set exactly, so
-#: a polished answer is good to 1e-12 although ADMM itself stops at 1e-6. Starting cold makes the answer a function
-#: of the problem alone, not of the problems before it: a warm start saves microseconds and costs repeatability.
-#: With weights over six decades about one problem in eight still ends at ``max_iter``; ``exact`` answers those.
+#: ADMM stops at each of these in turn and OSQP polishes, until the residuals of the polished point are small.
+_STEPS = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+#: Largest residuals of an answer (scaled units). A polished one has 1e-14, or, where a share all but touches a bound,
+#: a primal one as large as that gap, which moves no share further; a dual one moves shares by its ratio to p.
+_PRIMAL, _DUAL = 1e-8, 1e-10
+#: First from where the last problem ended; then from zero, with another ρ to begin with. 2 in 20,000 need the second.
+_RESTARTS: tuple[float | None, ...] = (None, 0.01, 1000.0, 1.0, 100.0)
+#: ρ adapts at a fixed interval of iterations, so the same sequence of problems takes the same course. The problem is
+#: feasible, so OSQP's search for a proof that it is not is off: it found some.
 OPTIONS: dict[str, float | int | bool] = {
-    "rho": 1.0,
-    "adaptive_rho": False,
-    "eps_abs": 1e-6,
-    "eps_rel": 0.0,
+    "rho": 10.0,
+    "adaptive_rho": True,
+    "adaptive_rho_interval": 25,
+    "adaptive_rho_tolerance": 2.0,
     "check_termination": 5,
-    "polishing": True,
-    "scaling": 0,
-    "warm_starting": False,
+    "check_dualgap": False,
+    "eps_abs": _STEPS[0],
+    "eps_rel": 0.0,
+    "eps_prim_inf": 1e-30,
+    "eps_dual_inf": 1e-30,
     "max_iter": 4000,
+    "polishing": True,
+    "polish_refine_iter": 10,
+    "scaling": 0,
+    "warm_starting": True,
     "verbose": False,
 }
 
-#: Eq. (4) is set up anew each time, so ρ may adapt; at a fixed interval of iterations that is repeatable. Of 500 random
-#: feasible problems 23 end at ``max_iter`` with ρ fixed, and none with it.
-OPTIONS_EQ4 = OPTIONS | {"adaptive_rho": True, "adaptive_rho_interval": 25}
+#: Of 500 random feasible problems 23 end at ``max_iter`` with ρ fixed, and none with ρ adapted.
+OPTIONS_EQ4 = OPTIONS | {"rho": 1.0, "eps_abs": 1e-6, "adaptive_rho_tolerance": 5.0, "polish_refine_iter": 3}
 
 
 class OsqpSolver:
-    """Keeps one factorisation for as long as the weights stay, and updates only q, l and u.
+    """Keeps one factorisation for as long as the weights stay, updates only l and u, and starts where it ended.
 
-    P and A depend on nothing but the weights, and the solver's own scaling, which would depend on the first problem it
-    saw, is off. (G1) and (G2) have the same weights, so one workspace serves both.
+    (G1) and (G2) have the same weights, so one workspace serves both. Warm starts make the last digits depend on the
+    problems before; what is published does not, see ``CheckedSolver``.
     """
 
     name = Backend.OSQP
 
     def __init__(self) -> None:
         self._weights: tuple[int, ...] = ()
+        self._units = ShareUnits.of((1,))
         self._workspace: Any = None
+        self._eps = _STEPS[0]
 
     def solve(self, problem: ShareProblem) -> Outcome:
         """Solve ``problem`` and re-check the residuals of the answer."""
         if verdict := infeasibility(problem):
             return verdict
-        units = scaled(problem)
-        if units is None:
-            return checked(problem, [low / problem.whole for low in problem.lo], solver="osqp")
-        bounds = {
-            "l": np.concatenate(([-np.inf], np.zeros_like(units.ceiling))),
-            "u": np.concatenate(([units.limit], units.ceiling)),
-        }
+        if (known := settled(problem)) is not None:
+            return Solved(values=tuple(known))
         try:
-            if problem.weights == self._weights:
-                self._workspace.update(q=units.slope, **bounds)
-            else:
+            if problem.weights != self._weights:
                 self._weights = ()  # a setup that raises must not leave another problem's workspace in use
-                self._workspace = osqp.OSQP()
-                identity = sparse.identity(len(units.root), format="csc")
-                rows = sparse.vstack([units.root.reshape(1, -1), identity], format="csc")
-                self._workspace.setup(P=identity, q=units.slope, A=rows, **bounds, **OPTIONS)
+                self._setup(problem.weights)
                 self._weights = problem.weights
-            result = self._workspace.solve(raise_error=False)
+            lower, upper = self._units.bounds(problem)
+            self._workspace.update(l=np.concatenate(([1.0], lower)), u=np.concatenate(([1.0], upper)))
+            point = self._attempts(len(lower))
         except (osqp.OSQPException, ValueError) as error:
             self._weights = ()
             return SolverFailed(reason=f"osqp: {type(error).__name__}: {error}")
-        if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
-            return SolverFailed(reason=f"osqp: {result.info.status} after {result.info.iter} iterations")
-        return checked(problem, units.shares(result.x), solver="osqp")
+        if point is None:
+            self._weights = ()  # do not start the next problem from here
+            return SolverFailed(reason=f"osqp: large residuals from {len(_RESTARTS)} starts")
+        return checked(problem, self._units.shares(problem, np.clip(point, lower, upper)), solver="osqp")
+
+    def _setup(self, weights: tuple[int, ...]) -> None:
+        self._units = ShareUnits.of(weights)
+        count = len(weights)
+        rows = sparse.vstack([self._units.row.reshape(1, -1), sparse.identity(count)], format="csc")
+        self._workspace = osqp.OSQP()
+        self._workspace.setup(
+            P=sparse.diags(self._units.curvature, format="csc"),
+            q=np.zeros(count),
+            A=rows,
+            l=np.zeros(count + 1),
+            u=np.ones(count + 1),
+            **OPTIONS,
+        )
+        self._eps = _STEPS[0]
+
+    def _attempts(self, count: int) -> NDArray[np.float64] | None:
+        """Return a point whose residuals are small, None when no start leads to one."""
+        for rho in _RESTARTS:
+            if rho is not None:
+                self._workspace.warm_start(x=np.zeros(count), y=np.zeros(count + 1))
+                self._workspace.update_settings(rho=rho)
+            for eps in _STEPS:
+                if eps != self._eps:
+                    self._workspace.update_settings(eps_abs=eps)
+                    self._eps = eps
+                result = self._workspace.solve(raise_error=False)
+                # The status alone would not do: solved again without new data, OSQP keeps the one it had.
+                is_solved = result.info.status_val == osqp.SolverStatus.OSQP_SOLVED
+                if is_solved and result.info.prim_res <= _PRIMAL and result.info.dual_res <= _DUAL:
+                    point: NDArray[np.float64] = result.x
+                    return point
+        return None
 
 
 def solve_eq4(problem: Eq4Problem) -> Outcome:

@@ -1,8 +1,7 @@
-"""The share problem in the units in which ADMM converges: measured from the floors, in parts of what is left."""
+"""The share problem in the units in which a numerical solver gets it right."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,63 +12,70 @@ if TYPE_CHECKING:
 
     from arpd.solvers.outcome import ShareProblem
 
-#: κ above the highest level ν a constraint admits, by this factor: with an optimum at rest on no constraint, OSQP 1.1
-#: skips polishing and writes "Polishing not needed" to stdout even when it is not verbose.
-_KAPPA_MARGIN = 1.1
+#: How far the units follow the weights: 0 = one unit for all, 1 = units in which all shares have the same curvature.
+#: With 1, ADMM slows down with the lightest topic's part of all weight, a millionth over the six decades a
+#: configuration admits; with 0, the curvatures spread and small shares come out wrong. Of 24,000 random problems over
+#: six decades OSQP left 0.7 % unsolved at 0.75 and 0.05 % at 0.5, none at 0.2, and got 4 % wrong at 0.
+_BLEND = 0.2
+_BILLION = 10**9
+
+
+def settled(problem: ShareProblem) -> list[float] | None:
+    """Return the shares where analysis alone knows them: all floors when nothing is left, all ceilings when all fit.
+
+    Both to a billionth of the budget: what is closer than that is degenerate for a solver in floats, which would spend
+    its digits on a difference far below ``TOLERANCE``.
+    """
+    if (problem.budget - sum(problem.lo)) * _BILLION <= problem.budget:
+        known = problem.lo
+    elif (sum(problem.hi) - problem.budget) * _BILLION <= problem.budget:
+        known = problem.hi
+    else:
+        return None
+    return [share / problem.whole for share in known]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ScaledProblem:
-    """``min |z|²/2 + q·z  s.t.  d·z ≤ b, 0 ≤ z ≤ h``, where e = lo + unit·d·z.
+class ShareUnits:
+    """``min Σ p_i·x_i²/2  s.t.  Σ r_i·x_i = 1, l ≤ x ≤ u``, where e_i = B·r_i·x_i.
 
-    The unit is what can be handed out above the floors: B − Σ lo, or Σ (hi − lo) where that is less (then b > 1 and
-    every topic gets all it wants).
-
-    With d_i = √w_i (divided by the middle of the weights), |z|²/2 is Σ (e_i − lo_i)²/(2w_i): every topic has the same
-    curvature however light or small it is, and nothing is left for the solver's own scaling to do. Of 500 random
-    problems with weights over two decades, OSQP failed on or missed 42 as written, and on none of them in this form.
+    p and r depend on the weights alone. κ only says that whatever can be handed out is; where ``settled`` knows no
+    answer, that is all of B, and the equality says it without a slope whose size would swamp the curvature.
 
     Parameters
     ----------
-    root : d
-    slope : q
-    ceiling : h
-    limit : b ≥ 1
-    floor, unit : lo and the unit, to come back from z
+    curvature : p, (N,)
+    row : r, (N,)
     """
 
-    root: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    ceiling: NDArray[np.float64]
-    limit: float
-    floor: NDArray[np.float64]
-    unit: float
+    curvature: NDArray[np.float64]
+    row: NDArray[np.float64]
 
-    def shares(self, point: NDArray[np.float64]) -> list[float]:
-        """Return the shares e of a point z."""
-        return [float(share) for share in self.floor + self.unit * self.root * point]
+    @classmethod
+    def of(cls, weights: tuple[int, ...]) -> ShareUnits:
+        """Return the units for these weights."""
+        heaviest = max(weights)
+        relative = np.array([weight / heaviest for weight in weights])
+        blend = relative**_BLEND
+        blend /= blend.sum()
+        curvature = blend / relative
+        return cls(curvature=curvature / (blend @ curvature), row=np.sqrt(blend))
 
+    def bounds(self, problem: ShareProblem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return l and u, (N,) each; ceilings nobody can reach are lowered to a little more than anybody can.
 
-def root_weights(weights: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return d, √w over the geometric middle of the lightest and the heaviest: it depends on the weights alone."""
-    middle = math.sqrt(min(weights)) * math.sqrt(max(weights))
-    return np.array([math.sqrt(weight / middle) for weight in weights])
+        Uncut, they cost digits (5 % of wide problems came out wrong); cut exactly to what can be reached, one of them
+        would repeat the budget, and what is then degenerate cannot be polished.
+        """
+        room = problem.budget - sum(problem.lo)
+        room += room // 8
+        lower = np.array([low / problem.budget for low in problem.lo])
+        upper = np.array(
+            [min(high, low + room) / problem.budget for low, high in zip(problem.lo, problem.hi, strict=True)]
+        )
+        return lower / self.row, upper / self.row
 
-
-def scaled(problem: ShareProblem) -> ScaledProblem | None:
-    """Scale ``problem``; None when nothing is left to hand out, for then the floors are the only answer."""
-    floors, ceilings = sum(problem.lo), sum(problem.hi)
-    unit = min(problem.budget, ceilings) - floors
-    if unit <= 0:
-        return None
-    limit = (problem.budget - floors) / unit
-    root = root_weights(problem.weights)
-    floor = np.array([low / problem.whole for low in problem.lo])
-    ceiling = np.array([min((high - low) / unit, limit) for low, high in zip(problem.lo, problem.hi, strict=True)])
-    levels = (floor + unit / problem.whole * ceiling) / root**2
-    kappa = _KAPPA_MARGIN * float(np.min(levels[ceiling >= limit], initial=np.max(levels)))
-    # a topic whose floor is above κ·w stays there whatever its slope; at its true slope it would only slow ADMM down
-    slope = np.minimum(floor / root**2 - kappa, 0.0) * root / (unit / problem.whole)
-    return ScaledProblem(
-        root=root, slope=slope, ceiling=ceiling / root, limit=limit, floor=floor, unit=unit / problem.whole
-    )
+    def shares(self, problem: ShareProblem, point: NDArray[np.float64]) -> list[float]:
+        """Return the shares e of a point x."""
+        shares: list[float] = (point * self.row * (problem.budget / problem.whole)).tolist()
+        return shares

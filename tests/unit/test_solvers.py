@@ -186,11 +186,11 @@ def test_cvxpy_agrees_with_exact():
 
 @pytest.mark.parametrize("backend", [Backend.OSQP, Backend.CVXPY])
 def test_an_answer_does_not_depend_on_the_ones_before(backend):
-    """A back end that solved other problems answers as a fresh one does, bit for bit."""
+    """A back end that solved other problems answers as a fresh one does, warm start or not."""
     used = load(backend)
-    problems = [simple(budget=b, lo=(0.0, x)) for b, x in itertools.product((0.3, 0.5, 0.8), (0.0, 0.05, 0.2))]
-    for problem in problems:
-        assert used.solve(problem) == load(backend).solve(problem)
+    for budget, low in itertools.product((0.3, 0.5, 0.8), (0.0, 0.05, 0.2)):
+        problem = simple(budget=budget, lo=(0.0, low), weights=(1, 3))
+        assert used.solve(problem).values == pytest.approx(load(backend).solve(problem).values, abs=1e-9)
 
 
 def test_osqp_keeps_its_factorisation_while_the_weights_stay():

@@ -1,0 +1,238 @@
+"""How long a re-solve takes: the paper's way, cvxpy with parameters, OSQP called directly, and the exact solver.
+
+Usage: .venv/bin/python scripts/bench/solve.py [--quick] [--json FILE] [--plot FILE]
+
+Every side divides the same link among the same topics (G1) while the capacity wanders by a few per cent, as in the
+daemon. The sides take turns of a few instances, the same for all of them, in turning order, so that a neighbour on the
+machine slows all of them. Only ratios within one run mean anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from arpd.model import Topic
+from arpd.program import Program
+from arpd.settings import Backend, ProgramSettings
+from arpd.solvers import ShareProblem, Solved, load, water_fill
+from arpd.solvers.outcome import disagreement
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+RESULTS = Path(__file__).parent / "results"
+PAPER, DPP, OSQP, EXACT = "cvxpy, built anew", "cvxpy, parameters", "OSQP, direct", "exact"
+#: topics → turns; in each of them every side solves as many instances as `TURN`
+TURNS = {1: 30, 12: 40, 100: 20, 1000: 10, 10_000: 7}
+QUICK = {1: 5, 12: 15}
+TURN = {10_000: 1}
+TURN_OTHERWISE = 5
+HEADROOM = 0.85
+#: Runs in a process of its own: what a back end costs before ROS.
+FOOTPRINT = """
+import sys, time
+started = time.perf_counter()
+from arpd.model import Topic
+from arpd.program import Program
+from arpd.settings import Backend, ProgramSettings
+program = Program(settings=ProgramSettings(backend=Backend(sys.argv[1])), headroom=0.85)
+imported_s = time.perf_counter() - started
+topic = dict(packets=1, desired_rate_hz=20.0, min_rate_hz=1.0)
+program.solve(1e5, [Topic(name=f"/t{i}", wire_bytes=1000.0 + i, **topic) for i in range(12)], 2.0**26)
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+print(imported_s, int(status["VmHWM"].split()[0]) * 1024, "cvxpy" in sys.modules)
+"""
+
+
+def topics_like_a_robots(count: int, rng: random.Random) -> list[Topic]:
+    """Small fast ones, large slow ones, a few that matter more."""
+    return [
+        Topic(
+            name=f"/t{i}",
+            wire_bytes=round(10 ** rng.uniform(2.4, 4.6), 1),
+            packets=1,
+            desired_rate_hz=round(10 ** rng.uniform(0.0, 2.0), 2),
+            min_rate_hz=rng.choice([0.0, 0.5, 1.0]),
+            weight=rng.choice([1.0, 1.0, 1.0, 2.0, 4.0, 10.0]),
+            latency_budget_s=1.0,
+        )
+        for i in range(count)
+    ]
+
+
+def wandering(topics: Sequence[Topic], rng: random.Random, length: int) -> list[float]:
+    """Return capacities (bytes/s) that carry half of the demand, more or less: some topics yield, some do not."""
+    demand = sum(topic.wire_bytes * topic.desired_rate_hz for topic in topics)
+    part, parts = 0.6, []
+    for _ in range(length):
+        part = min(0.9, max(0.3, part * rng.uniform(0.95, 1.05)))
+        parts.append(part)
+    return [round(demand * part, 1) for part in parts]
+
+
+def division_of_the_link(topics: Sequence[Topic], capacity: float) -> ShareProblem:
+    """(G1) as `Program` states it for these topics, in tenths of a byte, hundredths of a hertz and of the budget."""
+    cost = [round(topic.wire_bytes * 10) for topic in topics]
+    whole = round(capacity * 10) * 100
+    return ShareProblem(
+        weights=tuple(round(topic.weight) for topic in topics),
+        lo=tuple(a * round(topic.min_rate_hz * 100) for a, topic in zip(cost, topics, strict=True)),
+        hi=tuple(min(whole, a * round(topic.desired_rate_hz * 100)) for a, topic in zip(cost, topics, strict=True)),
+        budget=round(HEADROOM * whole),
+        whole=whole,
+    )
+
+
+def papers_way(problem: ShareProblem) -> tuple[float, ...]:
+    """State the program as the textbook does, and hand it to whichever solver cvxpy prefers; nothing is checked."""
+    import cvxpy as cp
+    import numpy as np
+
+    weights = np.array(problem.weights, dtype=float)
+    lo, hi = (np.array([bound / problem.whole for bound in bounds]) for bounds in (problem.lo, problem.hi))
+    share = cp.Variable(len(weights))
+    objective = cp.sum(cp.multiply(1 / (2 * weights), cp.square(share))) - float(max(hi / weights)) * cp.sum(share)
+    cp.Problem(
+        cp.Minimize(objective), [cp.sum(share) <= problem.budget / problem.whole, share >= lo, share <= hi]
+    ).solve()
+    return tuple(float(value) for value in share.value)
+
+
+def sides() -> dict[str, Callable[[ShareProblem], tuple[float, ...] | None]]:
+    """Return the competitors; None from one of them means that it failed and `exact` would have answered."""
+
+    def ours(backend: Backend) -> Callable[[ShareProblem], tuple[float, ...] | None]:
+        solver = load(backend)
+
+        def solve(problem: ShareProblem) -> tuple[float, ...] | None:
+            outcome = solver.solve(problem)
+            return outcome.values if isinstance(outcome, Solved) else None
+
+        return solve
+
+    return {PAPER: papers_way, DPP: ours(Backend.CVXPY), OSQP: ours(Backend.OSQP), EXACT: ours(Backend.EXACT)}
+
+
+def race(count: int, turns: int) -> dict[str, Any]:
+    """Time all sides on the same instances, in turns; and the whole program, (G1), (G2) and rounding."""
+    rng = random.Random(count)
+    topics = topics_like_a_robots(count, rng)
+    competitors = sides()
+    programs = {
+        f"whole program, {backend}": Program(settings=ProgramSettings(backend=backend), headroom=HEADROOM)
+        for backend in (Backend.OSQP, Backend.EXACT)
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in (*competitors, *programs)}
+    wrong = dict.fromkeys(seconds, 0)
+    order = list(seconds)
+    length = TURN.get(count, TURN_OTHERWISE)
+    for turn in range(turns + 1):
+        capacities = wandering(topics, rng, length)
+        problems = [division_of_the_link(topics, capacity) for capacity in capacities]
+        truths = [water_fill(problem).shares() for problem in problems]
+        order = order[1:] + order[:1]
+        for name in order:
+            for capacity, problem, truth in zip(capacities, problems, truths, strict=True):
+                started = time.perf_counter()
+                if name in programs:
+                    programs[name].solve(capacity, topics, 2.0**26)
+                else:
+                    answer = competitors[name](problem)
+                elapsed_s = time.perf_counter() - started
+                if turn:  # the first turn sets things up and imports libraries
+                    seconds[name].append(elapsed_s)
+                    wrong[name] += name in competitors and (answer is None or disagreement(answer, truth))
+    return {
+        "topics": count,
+        "instances": turns * length,
+        "median_s": {name: median(times) for name, times in seconds.items()},
+        "p90_s": {name: sorted(times)[int(0.9 * len(times))] for name, times in seconds.items()},
+        "failed_or_wrong": wrong,
+    }
+
+
+def footprint(backend: Backend) -> dict[str, Any]:
+    """Import time and peak memory of a fresh process that solves one program, ROS aside."""
+    runs = [
+        subprocess.run([sys.executable, "-c", FOOTPRINT, backend], capture_output=True, text=True, check=True)
+        for _ in range(3)
+    ]
+    fields = [run.stdout.split() for run in runs]
+    return {
+        "import_s": median(float(field[0]) for field in fields),
+        "peak_rss_bytes": median(int(field[1]) for field in fields),
+        "loads_cvxpy": fields[0][2] == "True",
+    }
+
+
+def table(races: Sequence[dict[str, Any]], footprints: dict[str, dict[str, Any]]) -> str:
+    names = list(races[0]["median_s"])
+    lines = ["median re-solve, ms (x = times faster than the paper's way; ! = answers that failed or were off)", ""]
+    lines.append(f"{'topics':>24}" + "".join(f"{race['topics']:>20}" for race in races))
+    for name in names:
+        cells = []
+        for race in races:
+            spent = race["median_s"][name]
+            ratio = race["median_s"][PAPER] / spent
+            wrong = race["failed_or_wrong"][name]
+            note = f"{ratio:>6.0f}x" if name != PAPER else " " * 7
+            cells.append(f"{spent * 1e3:10.3f}{note}{f'!{wrong}' if wrong else '':<3}")
+        lines.append(f"{name:>24}" + "".join(f"{cell:>20}" for cell in cells))
+    lines += ["", f"{'back end':>24}{'import s':>12}{'peak RSS MiB':>16}"]
+    lines += [
+        f"{name:>24}{found['import_s']:>12.2f}{found['peak_rss_bytes'] / 2**20:>16.1f}"
+        for name, found in footprints.items()
+    ]
+    return "\n".join(lines)
+
+
+def draw(races: Sequence[dict[str, Any]], target: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    counts = [race["topics"] for race in races]
+    ends: list[float] = []
+    for name in sorted(races[0]["median_s"], key=lambda name: races[-1]["median_s"][name]):
+        spent_ms = [race["median_s"][name] * 1e3 for race in races]
+        style = "--" if name.startswith("whole") else "-"
+        (line,) = axes.loglog(counts, spent_ms, style, marker="o", markersize=4)
+        ends.append(max(spent_ms[-1], 1.6 * ends[-1] if ends else 0.0))  # labels side by side, not on each other
+        axes.text(counts[-1] * 1.3, ends[-1], name, va="center", color=line.get_color())
+    axes.set_xlim(right=counts[-1] * 30)
+    axes.set_xlabel("topics")
+    axes.set_ylabel("median re-solve (ms)")
+    axes.set_title("Dividing the link again after the capacity moved")
+    axes.grid(visible=True, which="major", alpha=0.3)
+    figure.savefig(target, dpi=120)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="1 and 12 topics only")
+    parser.add_argument("--json", type=Path, default=RESULTS / "solve.json", metavar="FILE")
+    parser.add_argument("--plot", type=Path, default=RESULTS / "solve.png", metavar="FILE")
+    options = parser.parse_args()
+    races = [race(count, turns) for count, turns in (QUICK if options.quick else TURNS).items()]
+    footprints = {str(backend): footprint(backend) for backend in Backend}
+    print(table(races, footprints))
+    for path in (options.json, options.plot):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps({"races": races, "footprints": footprints}, indent=2) + "\n")
+    draw(races, options.plot)
+    print(f"\n{options.json}  {options.plot}")
+
+
+if __name__ == "__main__":
+    main()
