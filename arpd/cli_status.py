@@ -120,6 +120,7 @@ def screen(status: dict[str, Any]) -> str:
         "",
         f"link     {estimate}",
         f"         {link['evidence']}",
+        *([f"         {_foreign(link)}"] if link["foreign_bytes_per_second"] else []),
         f"gate     {_number(status['gate'])}",
         f"plan     {in_force}",
         *([f"         {plan['reason']}"] if plan["reason"] else []),
@@ -134,6 +135,11 @@ def screen(status: dict[str, Any]) -> str:
     lines += _topics(status["topics"])
     # Names and reasons come from other hosts; none of them may steer the terminal.
     return "\n".join(printable(line, longest=_LONGEST_LINE) for line in lines)
+
+
+def _foreign(link: dict[str, Any]) -> str:
+    foreign, available = link["foreign_bytes_per_second"], link["available_bytes_per_second"]
+    return f"{_rate(foreign)} of it is traffic that is not arpd's, which leaves {_rate(available)}"
 
 
 def _topics(topics: list[dict[str, Any]]) -> list[str]:

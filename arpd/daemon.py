@@ -112,7 +112,7 @@ class Daemon:
         link = self._estimator.update(observation)
         topics = topics_to_plan(observation.publishers, self._settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self._settings.program)
-        allocation = self._program.solve(link.capacity_bytes_per_second, topics, memory)
+        allocation = self._program.solve(link.available_bytes_per_second, topics, memory)
         decision = self._governor.decide(
             now_s, link=link, allocation=allocation, topics=topics, publishers=observation.publishers
         )
@@ -217,7 +217,8 @@ class Daemon:
             return "starting"
         link, decision = self.snapshot.link, self.snapshot.decision
         line = (
-            f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}), "
+            f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
+            f"{link.foreign_bytes_per_second * 8e-6:.1f} foreign), "
             f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
             f"{self.snapshot.confirmed} of {self._managed()} publishers confirmed"
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
+from arpd.foreign import ForeignTraffic
 from arpd.model import CapacityKind, LinkEstimate, LinkState
 from arpd.probing import ProbeRequest
 from arpd.wire import wire_size
@@ -60,6 +61,11 @@ class Estimator:
     Throughput alone never shows capacity, so it is believed only while a queue stands (rule *down*). Otherwise the
     dispersion of probe trains speaks (rules *train*, *up*, *undo*). Silence is an outage, not a capacity.
 
+    The capacity is that of the whole link: what the peer receives while a queue stands includes foreign traffic, and a
+    train, sent faster than the link, leaves others little room between its packets. So foreign traffic is subtracted
+    from it. Twice for a moment where that reasoning fails: for traffic to another host than the peer, until trains
+    correct the capacity; and for what a train lets in between. The bound on what is yielded bounds that, too.
+
     Parameters
     ----------
     settings : pin, first belief
@@ -93,6 +99,9 @@ class Estimator:
         self._next_ping_s = -math.inf
         self._next_train_s = -math.inf
         self._blocked: tuple[float, float, int, int] | None = None  # when, blocked s, tx bytes, tx dropped
+        self._foreign = ForeignTraffic()
+        self._foreign_rate = 0.0
+        self._probed_peers = 1
 
     @property
     def has_evidence(self) -> bool:
@@ -122,6 +131,8 @@ class Estimator:
         self._burst_s = min(self._tuning.burst_cap_s, wire_size(largest_bytes)[0] / self._capacity)
         # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
         self._first_wait_s = self._tuning.peer_lost_s if observation.peers else self._tuning.first_wait_s
+        self._foreign_rate = self._foreign.update(observation)
+        self._probed_peers = 1 if observation.peers is None else observation.peers
         for report in observation.reports:
             if self._is_from_our_peer(report):
                 self._digest(report)
@@ -155,7 +166,9 @@ class Estimator:
     def _request(self, packets: int, packet_bytes: int, now_s: float) -> ProbeRequest:
         self._probes += 1
         self._under_way.append((self._probes, now_s))
-        return ProbeRequest(packets=packets, packet_bytes=packet_bytes, number=self._probes)
+        request = ProbeRequest(packets=packets, packet_bytes=packet_bytes, number=self._probes)
+        self._foreign.note_probe(request, now_s, peers=self._probed_peers)
+        return request
 
     # -- evidence
 
@@ -215,6 +228,7 @@ class Estimator:
         self._forget_queue()
         self._deliveries.clear()
         self._trains.clear()
+        self._foreign.note_outage(now_s - silent_s, now_s)
         if self._kind is CapacityKind.PEER:
             self._change(
                 self._tuning.resume_ratio * self._capacity, now_s, f"reports resumed after {silent_s:.1f} s of silence"
@@ -354,4 +368,5 @@ class Estimator:
             delivery_rate_bytes_per_second=self._delivery_rate if self._state is not LinkState.OUTAGE else 0.0,
             age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s),
             evidence="pinned by the configuration" if pinned is not None else self._evidence,
+            foreign_bytes_per_second=self._foreign_rate,
         )

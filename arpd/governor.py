@@ -38,7 +38,7 @@ class Governor:
         self._above_since_s: float | None = None
         self._demand_since_s: float | None = None
         self._topics: frozenset[str] = frozenset()
-        self._planned_hz: dict[str, float] = {}
+        self._planned_for: dict[str, tuple[float, float]] = {}  # wanted bytes/s and given Hz
         self._seen: frozenset[str] = frozenset()
         self._seen_since_s = -math.inf
         self._changed_at_s = -math.inf
@@ -92,7 +92,7 @@ class Governor:
                 cause = ""
             else:
                 self._adopt(plan, cause, swaps, now_s)
-                self._planned_hz = {row.name: row.rate_hz for row in allocation.topics}
+                self._planned_for = _demand(topics, allocation)
         self._refusals.update(reason for reason in refusals if reason not in self._refused)
         self._refused = frozenset(refusals)
         self._calm(now_s)
@@ -128,7 +128,7 @@ class Governor:
             return "reload", ""
         if self._loses_readers(publishers):
             return "readers", ""
-        return self._level_cause(now_s, allocation)
+        return self._level_cause(now_s, allocation, topics)
 
     def _loses_readers(self, publishers: Sequence[PublisherState]) -> bool:
         """Whether a reader asks for a deadline the plan does not keep: it is disconnected until the next plan."""
@@ -143,11 +143,11 @@ class Governor:
             return ""
         return "start" if self._plan.generation == 0 else "topics"
 
-    def _level_cause(self, now_s: float, allocation: Allocation) -> tuple[str, str]:
+    def _level_cause(self, now_s: float, allocation: Allocation, topics: Sequence[Topic]) -> tuple[str, str]:
         g = self._settings.governor
         level, capacity = self._plan.level_bytes_per_second, allocation.capacity_bytes_per_second
         below, above = capacity < g.down_ratio * level, capacity > g.up_ratio * level
-        moved = not below and not above and self._demand_moved(allocation)
+        moved = not below and not above and self._demand_moved(_demand(topics, allocation))
         self._below_since_s = _since(below, self._below_since_s, now_s)
         self._above_since_s = _since(above, self._above_since_s, now_s)
         self._demand_since_s = _since(moved, self._demand_since_s, now_s)
@@ -162,12 +162,16 @@ class Governor:
                 return (cause, "") if now_s - self._changed_at_s >= dwell_s else ("", "dwell")
         return "", ""
 
-    def _demand_moved(self, allocation: Allocation) -> bool:
-        """Whether sources now want something else than when the plan was made, at the same capacity."""
+    def _demand_moved(self, demand: Mapping[str, tuple[float, float]]) -> bool:
+        """Whether a source now wants something else than when the plan was made, and would get it.
+
+        Rates that only followed the capacity are the level's business: what is left for large topics moves by far
+        more than the capacity does.
+        """
         return any(
-            abs(planned_hz - row.rate_hz) > _DEMAND_CHANGE * max(planned_hz, row.rate_hz)
-            for row in allocation.topics
-            if (planned_hz := self._planned_hz.get(row.name)) is not None
+            all(_differ(before, now) for before, now in zip(planned_for, demand[name], strict=True))
+            for name, planned_for in self._planned_for.items()
+            if name in demand
         )
 
     def _next_plan(
@@ -223,7 +227,7 @@ class Governor:
         )
         if planned <= 0:
             return 1.0
-        usable = self._settings.link.headroom * link.capacity_bytes_per_second
+        usable = self._settings.link.headroom * link.available_bytes_per_second
         gate = min(1.0, usable / planned)
         # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
         excess_s = link.queue_delay_s - link.queue_allowance_s
@@ -232,6 +236,16 @@ class Governor:
 
 def _changes_qos(old: TopicPlan | None, new: TopicPlan) -> bool:
     return old is None or (old.depth, old.deadline_ns) != (new.depth, new.deadline_ns)
+
+
+def _demand(topics: Sequence[Topic], allocation: Allocation) -> dict[str, tuple[float, float]]:
+    """Return what every topic wants of the link (bytes/s), and what it would get (Hz)."""
+    wanted = {topic.name: topic.wire_bytes * topic.desired_rate_hz for topic in topics}
+    return {row.name: (wanted[row.name], row.rate_hz) for row in allocation.topics}
+
+
+def _differ(before: float, now: float) -> bool:
+    return abs(before - now) > _DEMAND_CHANGE * max(before, now)
 
 
 def _since(holds: bool, since_s: float | None, now_s: float) -> float | None:  # noqa: FBT001 - a condition, not a mode

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
+# A flow that adapts, as TCP does, takes whatever it is left: yielding all of it would push the robot down to its floors
+# step by step. Half is what two equal flows would share.
+MOST_YIELDED = 0.5
+
 
 class Direction(StrEnum):
     """Which way a topic crosses the link."""
@@ -171,6 +175,7 @@ class LinkEstimate:
     delivery_rate_bytes_per_second : what the peer received over the last 300 ms (bytes/s)
     age_s : time since the evidence behind the capacity (s)
     evidence : the last change, in words
+    foreign_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
     """
 
     capacity_bytes_per_second: float
@@ -181,6 +186,13 @@ class LinkEstimate:
     age_s: float
     evidence: str
     queue_allowance_s: float = 0.05
+    foreign_bytes_per_second: float = 0.0
+
+    @property
+    def available_bytes_per_second(self) -> float:
+        """What is left of the capacity for arpd's topics (bytes/s)."""
+        capacity = self.capacity_bytes_per_second
+        return capacity - min(self.foreign_bytes_per_second, MOST_YIELDED * capacity)
 
     @property
     def is_app_limited(self) -> bool:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.model import LinkState
+    from arpd.sim.foreign import ForeignFlow
     from arpd.sim.result import TopicResult
     from arpd.sim.schedule import RateSchedule
 
@@ -45,6 +46,7 @@ class Moment:
     truth_bytes_per_second : rate of the link (bytes/s)
     queue_delay_s : what a packet sent now would wait on the robot's side (s)
     estimate_bytes_per_second : the estimator's capacity (bytes/s)
+    foreign_bytes_per_second : the estimator's foreign traffic (bytes/s)
     level_bytes_per_second : what the plan in force was made for (bytes/s)
     gate, generation, confirmed : gate in force, plan generation, publishers that announce the plan
     cause : why the plan changed in this tick, empty if it did not
@@ -54,6 +56,7 @@ class Moment:
     truth_bytes_per_second: float
     queue_delay_s: float
     estimate_bytes_per_second: float | None = None
+    foreign_bytes_per_second: float | None = None
     level_bytes_per_second: float | None = None
     state: LinkState | None = None
     gate: float = 1.0
@@ -98,6 +101,7 @@ def run(
     seed: int,
     managed: bool,
     model: LinkModel | None = None,
+    foreign: tuple[ForeignFlow, ...] = (),
 ) -> ScenarioResult:
     """Let the demo robot work for ``duration_s`` of virtual time.
 
@@ -108,8 +112,11 @@ def run(
     seed : of phases, jitter and losses; the same seed gives the same result
     managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
+    foreign : what else goes from the robot over the link
     """
     plant = _Plant(schedule, duration_s, seed=seed, model=model or LinkModel())
+    for flow in foreign:
+        flow.play(plant.timeline, plant.up, origin_s=_RUN_STARTS_S)
     return _managed(plant, settings) if managed else _plain(plant)
 
 
@@ -225,6 +232,7 @@ def _managed(plant: _Plant, settings: Settings) -> ScenarioResult:
         return replace(
             moment,
             estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
+            foreign_bytes_per_second=snapshot.link.foreign_bytes_per_second,
             level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
             state=snapshot.link.state,
             gate=snapshot.decision.gate,

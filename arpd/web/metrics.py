@@ -47,6 +47,11 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         lambda s: s.link.capacity_bytes_per_second,
     ),
     (
+        "arpd_link_foreign_bytes_per_second",
+        "What the link carries that arpd's topics and probes do not explain; at most half of the capacity is yielded.",
+        lambda s: s.link.foreign_bytes_per_second,
+    ),
+    (
         "arpd_link_queue_delay_seconds",
         "One-way delay above its minimum of the last 10 seconds.",
         lambda s: s.link.queue_delay_s,

@@ -32,9 +32,11 @@ def render_page(status: dict[str, Any] | None) -> str:
 
 def _body(status: dict[str, Any]) -> str:
     link, plan, allocation, config = status["link"], status["plan"], status["allocation"], status["config"]
+    foreign = link["foreign_bytes_per_second"]
     facts = (
         ("link", f"{status['interface']}, {link['state']}"),
         ("capacity", f"{_mbits(link['capacity_bytes_per_second'])} ({link['kind']}: {link['evidence']})"),
+        ("foreign traffic", f"{_mbits(foreign)}, which leaves {_mbits(link['available_bytes_per_second'])}"),
         ("delivered", _mbits(link["delivery_rate_bytes_per_second"])),
         ("queue delay", f"{_number(link['queue_delay_seconds'], scale=1e3)} ms"),
         ("gate", _number(status["gate"])),

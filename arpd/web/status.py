@@ -102,6 +102,8 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
     link = snapshot.link
     return {
         "capacity_bytes_per_second": _finite(link.capacity_bytes_per_second),
+        "foreign_bytes_per_second": _finite(link.foreign_bytes_per_second),
+        "available_bytes_per_second": _finite(link.available_bytes_per_second),
         "kind": str(link.kind),
         "state": str(link.state),
         "app_limited": link.is_app_limited,

@@ -203,6 +203,7 @@ def make_snapshot() -> Snapshot:
             delivery_rate_bytes_per_second=300_000.0,
             age_s=1.5,
             evidence="3 trains, median 500 kB/s",
+            foreign_bytes_per_second=62_500.0,
         ),
         allocation=_ALLOCATION,
         decision=Decision(gate=0.75, plan=_PLAN, level_changed=False, reason="", refusals=("dwell",)),

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 import urllib.request
 
@@ -21,6 +22,19 @@ pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, rea
 FAST, SLOW = 20e6 / 8, 5e6 / 8
 # What 5 Mbit/s cannot carry at the source's rate; the others keep theirs, so their QoS need not change again.
 HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
+UPLOAD = 2e6 / 8
+# An application of the robot that has nothing to do with ROS: full datagrams at a constant rate of wire bytes.
+SENDER = """
+import socket, sys, time
+address, rate, duration_s = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
+sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+started_s, sent = time.monotonic(), 0
+while (elapsed_s := time.monotonic() - started_s) < duration_s:
+    while sent * 1514 < elapsed_s * rate:
+        sender.sendto(bytes(1472), (address, 9))
+        sent += 1
+    time.sleep(0.005)
+"""
 SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), "base_driver")
 
 
@@ -154,6 +168,35 @@ def test_a_bad_reload_keeps_the_running_plan(side):
     status = side.status()
     assert status["totals"]["reloads"]["ok"] == 1
     assert status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"]
+
+
+def metric(side, name):
+    with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
+        samples = dict(line.rsplit(" ", 1) for line in answer.read().decode().splitlines() if line[0] != "#")
+    return float(samples[name])
+
+
+def test_foreign_traffic_gets_room_and_gives_it_back(side):
+    """An upload beside ROS is measured, the plan yields to it, and returns when it ends."""
+    side.link.set_rate(SLOW)
+    eventually(lambda: 0.75 * SLOW < metric(side, "arpd_link_capacity_bytes_per_second") < 1.25 * SLOW)
+    eventually(lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") < 1.25 * SLOW)
+    eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
+    alone = metric(side, "arpd_level_bytes_per_second")
+
+    argv = [sys.executable, "-c", SENDER, side.link.ceddp.address, str(UPLOAD), "30"]
+    upload = side.link.popen("robot", argv)
+
+    def has_yielded():
+        seen = metric(side, "arpd_link_foreign_bytes_per_second")
+        level = metric(side, "arpd_level_bytes_per_second")
+        return 0.6 * UPLOAD < seen < 1.4 * UPLOAD and level < 0.8 * alone and level + UPLOAD < 1.05 * SLOW
+
+    eventually(has_yielded)
+    assert upload.poll() is None, "the upload had ended by then"
+    upload.terminate()
+    eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
+    eventually(lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") > 0.9 * alone)
 
 
 def test_metrics_of_a_live_robot_are_clean(side):

@@ -9,6 +9,7 @@ import pytest
 
 from arpd.model import LinkState
 from arpd.settings import LinkSettings
+from arpd.sim.foreign import ForeignFlow
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import DEMO_TOPICS
 from arpd.sim.scenario import demo_settings, run
@@ -22,10 +23,12 @@ SEEDS = (1, 4)
 
 
 @cache
-def play(schedule, duration_s, *, managed=True, seed=1, outages=(), loss=0.0, link=None):
+def play(schedule, duration_s, *, managed=True, seed=1, outages=(), loss=0.0, link=None, foreign=()):
     settings = demo_settings() if link is None else replace(demo_settings(), link=link)
     model = LinkModel(outages=outages, loss=loss)
-    return run(settings, RateSchedule.parse(schedule), duration_s, seed=seed, managed=managed, model=model)
+    return run(
+        settings, RateSchedule.parse(schedule), duration_s, seed=seed, managed=managed, model=model, foreign=foreign
+    )
 
 
 def between(result, start_s, end_s):
@@ -179,6 +182,79 @@ def test_a_lossy_link_is_no_slow_link():
     assert sum(errors) / len(errors) < 0.15
     assert max(topic.loss_ratio for topic in result.topics) < 0.02
     assert not [moment for moment in result.plans if moment.cause == "down"]
+
+
+# -- traffic that is not arpd's
+
+
+def flow(start_s, end_s, mbits):
+    return ForeignFlow(start_s=start_s, end_s=end_s, rate_bytes_per_second=mbits * MBIT)
+
+
+UPLOAD = (flow(15.0, 35.0, 2.0),)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "duration_s", "more"),
+    [
+        ("0:20mbit", 120.0, {}),
+        ("0:5mbit", 120.0, {}),
+        *((STEP, STEP_S, {"seed": seed}) for seed in SEEDS),
+        ("0:20mbit", 30.0, {"outages": (OUTAGE,)}),
+    ],
+)
+def test_what_is_arpds_own_is_not_called_foreign(schedule, duration_s, more):
+    """With nobody else on the link, resends after an overload, a fall and an outage included, nothing is foreign."""
+    moments = play(schedule, duration_s, **more).moments
+    assert max(moment.foreign_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.02
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_upload_gets_room_and_gives_it_back(seed):
+    """Five seconds after 2 Mbit/s appear on a link of 5 the plan fits beside them; six after they end it is back."""
+    result = play("0:5mbit", 60.0, seed=seed, foreign=UPLOAD)
+    beside = between(result, 20.0, 35.0)
+    assert all(1.5 * MBIT < moment.foreign_bytes_per_second < 2.2 * MBIT for moment in beside)
+    assert max(moment.level_bytes_per_second for moment in beside) + 2.0 * MBIT < 5.0 * MBIT
+    assert max(moment.queue_delay_s for moment in beside) < 0.1
+    after = between(result, 41.0, 60.0)
+    assert max(moment.foreign_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
+    assert min(moment.level_bytes_per_second for moment in after) > 0.8 * 5.0 * MBIT
+    assert [moment.cause for moment in result.plans if moment.t_s > 10.0] == ["down", "up"]
+
+
+def test_an_upload_that_fits_changes_nothing():
+    """Beside 2 Mbit/s the 20 Mbit/s link still carries all that is published: no new plan, no delay."""
+    result = play("0:20mbit", 60.0, foreign=UPLOAD)
+    assert not [moment for moment in result.plans if moment.t_s > 10.0]
+    assert max(moment.queue_delay_s for moment in between(result, 10.0, 60.0)) < 0.05
+    assert min(moment.gate for moment in between(result, 20.0, 60.0)) == 1.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_foreign_noise_swaps_nothing(seed):
+    """Bursts that come and go every few seconds move the gate, not the plan."""
+    bursts = tuple(flow(start_s, start_s + 1.5, 1.0) for start_s in range(15, 100, 3))
+    result = play("0:5mbit", 110.0, seed=seed, foreign=bursts)
+    seen = [moment.foreign_bytes_per_second for moment in between(result, 20.0, 100.0)]
+    assert max(seen) > 0.25 * MBIT
+    assert not [moment for moment in result.plans if moment.t_s > 10.0]
+
+
+def test_half_of_the_link_stays_the_robots():
+    """A flow that would take everything is yielded half of the capacity and no more."""
+    result = play("0:5mbit", 50.0, foreign=(flow(15.0, 50.0, 4.5),))
+    yielded = between(result, 22.0, 50.0)
+    assert max(moment.foreign_bytes_per_second for moment in yielded) > 2.7 * MBIT
+    assert min(moment.level_bytes_per_second for moment in yielded) > 0.95 * 0.85 * 0.5 * 5.0 * MBIT
+
+
+def test_a_pinned_capacity_is_shared_too():
+    """What is pinned is what the link carries, not what of it is the robot's."""
+    link = LinkSettings(capacity_bytes_per_second=5.0 * MBIT)
+    result = play("0:5mbit", 50.0, link=link, foreign=(flow(15.0, 50.0, 2.0),))
+    beside = between(result, 35.0, 50.0)
+    assert max(moment.level_bytes_per_second for moment in beside) + 2.0 * MBIT < 5.0 * MBIT
 
 
 # -- the simulation itself

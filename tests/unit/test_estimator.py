@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimator import Estimator, EstimatorTuning
-from arpd.model import CapacityKind, LinkCounters, LinkState, MemoryState, Observation
+from arpd.model import MOST_YIELDED, CapacityKind, LinkCounters, LinkState, MemoryState, Observation
 from arpd.probing import PeerReport, Train
 from arpd.settings import LinkSettings
+from arpd.wire import probe_wire_bytes
 
 TUNING = EstimatorTuning()
 FIRST = 2.0e6
@@ -326,3 +327,38 @@ def test_a_step_of_the_peers_clock_is_no_queue():
     link = Link().measured()
     for _ in range(5):
         assert link.tick(clock_s=7.0).queue_delay_s < 0.3
+
+
+def test_foreign_traffic_is_taken_from_what_is_available_only():
+    """The capacity is the whole link's; what others carry on it is told beside it."""
+    link = Link().measured()
+    for step in range(60):
+        estimate = link.tick(counters=replace(UP, tx_bytes=round(step * 0.1 * 5e5)))
+    assert estimate.capacity_bytes_per_second == FIRST
+    assert 4.2e5 < estimate.foreign_bytes_per_second < 5e5
+    assert estimate.available_bytes_per_second == FIRST - estimate.foreign_bytes_per_second
+
+
+def test_a_pinned_capacity_is_shared_with_foreign_traffic():
+    """What is pinned is what the link carries, not what of it is left."""
+    link = Link(capacity_bytes_per_second=3e6)
+    for step in range(60):
+        estimate = link.tick(counters=replace(UP, tx_bytes=round(step * 0.1 * 5e5)))
+    assert estimate.available_bytes_per_second == 3e6 - estimate.foreign_bytes_per_second < 3e6 - 4.2e5
+
+
+@given(st.floats(0.0, 1e9), st.floats(0.0, 1e9))
+def test_at_most_half_is_yielded(capacity, foreign):
+    """However much others carry, half of the capacity stays available."""
+    estimate = replace(Link().tick(), capacity_bytes_per_second=capacity, foreign_bytes_per_second=foreign)
+    assert MOST_YIELDED * capacity <= estimate.available_bytes_per_second <= capacity
+
+
+def test_its_own_probes_are_not_foreign():
+    """The trains of the first seconds, which are many and large, are known to be ours."""
+    link = Link()
+    for _ in range(60):
+        sent = sum(probe.packets * probe_wire_bytes(probe.packet_bytes) for probe in link.probes)
+        estimate = link.tick(counters=replace(UP, tx_bytes=sent), peers=1)
+        assert estimate.foreign_bytes_per_second == 0.0
+    assert sent > 6 * 40_000

@@ -66,7 +66,7 @@ class Run:
         return self.governor.decide(
             self.now_s,
             link=estimate,
-            allocation=self.program.solve(capacity, self.topics, MEMORY),
+            allocation=self.program.solve(estimate.available_bytes_per_second, self.topics, MEMORY),
             topics=self.topics,
             publishers=[publisher(topic.name, self.generation) for topic in self.topics],
         )
@@ -211,6 +211,41 @@ def test_a_source_that_wants_more_gets_a_plan():
     run = Run().planned(1e7)
     run.topics = (replace(TOPICS[0], desired_rate_hz=800.0), *TOPICS[1:])
     assert changes(run.ticks(3.0, 1e7)) == ["demand"]
+
+
+def test_a_topic_that_grows_gets_a_plan():
+    """Messages of twice the size are planned for as more demand is."""
+    run = Run().planned()
+    run.topics = (*TOPICS[:2], replace(TOPICS[2], wire_bytes=6000.0))
+    assert changes(run.ticks(3.0)) == ["demand"]
+
+
+def test_what_the_capacity_does_is_not_called_demand():
+    """What is left for a large topic beside small ones moves by more than the capacity does: no reason for a plan."""
+    small = tuple(
+        Topic(name=f"/s{i}", wire_bytes=200.0, packets=1, desired_rate_hz=500.0, min_rate_hz=1.0) for i in range(6)
+    )
+    large = Topic(name="/large", wire_bytes=30_000.0, packets=21, desired_rate_hz=30.0, min_rate_hz=1.0)
+    run = Run(topics=(*small, large)).planned()
+    assert not changes(run.ticks(10.0, 0.85e6))
+
+
+def test_foreign_traffic_closes_the_gate_at_once_and_lowers_the_level():
+    """What others take is not there, for the gate and for the plan."""
+    run = Run().planned()
+    decisions = run.ticks(2.5, 1e6, foreign_bytes_per_second=4e5)
+    assert decisions[0].gate == pytest.approx(0.6, rel=0.02)
+    assert changes(decisions) == ["down"]
+    assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * 6e5)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.floats(0.0, 0.18), min_size=5, max_size=60))
+def test_foreign_noise_leaves_the_level_alone(shares):
+    """Foreign traffic that comes and goes within the hysteresis never swaps anything."""
+    run = Run().planned()
+    for share in shares:
+        assert not changes(run.ticks(0.5, 1e6, foreign_bytes_per_second=share * 1e6))
 
 
 def test_a_restarted_daemon_never_falls_behind_its_predecessor():

@@ -18,8 +18,10 @@ import pytest
 from prometheus_client import CollectorRegistry
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
+from arpd.cli_status import screen
 from arpd.model import AllocationStatus
 from arpd.web.metrics import SnapshotCollector, make_registry
+from arpd.web.page import render_page
 from arpd.web.server import HEALTHY_S, HttpAddressError, HttpServer
 from arpd.web.status import status_document
 
@@ -159,6 +161,18 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
     assert (topics["/diagnostics"]["planned"], topics["/diagnostics"]["share"]) == (None, None)
     assert (document["plan"]["publishers"], document["plan"]["confirmed"]) == (3, 2)
     assert document["totals"]["solves"] == {"exact": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
+
+
+def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):
+    """Metric, status, page and terminal say what is not arpd's, and what that leaves."""
+    assert value(sample_snapshot, "arpd_link_foreign_bytes_per_second") == 62_500.0
+    document = status_document(sample_snapshot, now_s=1000.25)
+    assert document["link"]["foreign_bytes_per_second"] == 62_500.0
+    assert document["link"]["available_bytes_per_second"] == 437_500.0
+    assert "0.50 Mbit/s, which leaves 3.50 Mbit/s" in render_page(document)
+    assert "500 kbit/s of it is traffic that is not arpd's, which leaves 3.50 Mbit/s" in screen(document)
+    alone = replace(sample_snapshot, link=replace(sample_snapshot.link, foreign_bytes_per_second=0.0))
+    assert "not arpd's" not in screen(status_document(alone, now_s=1000.25))
 
 
 def test_a_value_that_is_not_finite_anywhere_still_gives_json(sample_snapshot):
