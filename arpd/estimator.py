@@ -128,7 +128,7 @@ class Estimator:
         elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
         self._last_s = now_s
         largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
-        self._burst_s = min(self._tuning.burst_cap_s, wire_size(largest_bytes)[0] / self._capacity)
+        self._burst_s = min(self._tuning.burst_cap_s, wire_size(largest_bytes, rate_hz=math.inf)[0] / self._capacity)
         # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
         self._first_wait_s = self._tuning.peer_lost_s if observation.peers else self._tuning.first_wait_s
         self._foreign_rate = self._foreign.update(observation)

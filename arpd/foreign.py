@@ -19,10 +19,9 @@ _WINDOW_S = 3.0  # announcements come once a second: three of them, so that one 
 _STEP_S = 0.5
 _REMEMBERED_COSTS = 4  # announcements: as many as touch a window
 _MEMORY_S = 10.0  # what was published and not carried for this long will not be: deeper histories are for outages
-# Measured on the demo robot (14 participants, 12 topics; veth and tbf, 5 to 20 Mbit/s): the interface carries 0.25 to
-# 0.4 Mbit/s more than the topics and probes explain, at 4 Mbit/s of them as at 12: heartbeats and their ACKNACKs 20
-# times a second per writer (where `wire_size` counts one per sample), discovery, reports, gate. The discovery of a
-# swap adds 0.3 Mbit/s for a few seconds, and the model of a sample errs by a few percent: so a part grows with them.
+# Measured on the demo robot (14 participants, 12 topics; veth and tbf, 5 and 20 Mbit/s): the interface carries 0.10 to
+# 0.25 Mbit/s more than the topics and probes explain: discovery, reports, gate. The discovery of a swap adds 0.3 Mbit/s
+# for a few seconds, and the model of a sample errs by a percent or two: so a part grows with them.
 _CHATTER_BYTES_PER_SECOND = 40_000.0
 _TOPICS_ALLOWANCE = 0.05
 
@@ -134,7 +133,7 @@ class _TopicTraffic:
         self._published = publisher.published
         self._samples = _Curve(at_s - steady_s)
         self._samples.grow(at_s, steady_s * rate_hz)
-        self._costs = deque([_wire_bytes(publisher)], maxlen=_REMEMBERED_COSTS)
+        self._costs = deque([_wire_bytes(publisher, rate_hz)], maxlen=_REMEMBERED_COSTS)
 
     @property
     def told_s(self) -> float:
@@ -150,8 +149,8 @@ class _TopicTraffic:
         else:
             samples = publisher.published  # a new life of the same node: it counts from zero
         self._published = publisher.published
+        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.told_s)))
         self._samples.grow(at_s, samples)
-        self._costs.append(_wire_bytes(publisher))
 
     def sent_by(self, t_s: float) -> float:
         """Return what it has put on the link by a moment (bytes); differences count, not the sum."""
@@ -210,8 +209,8 @@ class _Curve:
             del self._times[:gone], self._sums[:gone]
 
 
-def _wire_bytes(publisher: PublisherState) -> float:
+def _wire_bytes(publisher: PublisherState, rate_hz: float) -> float:
     """Bytes one sample of it puts on the link, as in `arpd.topics`; 0 when nobody on the other host reads it."""
     if publisher.direction is Direction.LOCAL:
         return 0.0
-    return wire_size(publisher.payload_bytes)[0] * max(1, publisher.remote_readers)
+    return wire_size(publisher.payload_bytes, rate_hz=rate_hz)[0] * max(1, publisher.remote_readers)

@@ -37,7 +37,7 @@ class LinkSettings:
     Parameters
     ----------
     interface : interface name, or ``auto`` (the one that carries the default route, a wireless one first)
-    capacity_bytes_per_second : pin the capacity and measure nothing; None = estimate (bytes/s)
+    capacity_bytes_per_second : pin the capacity; foreign traffic is still subtracted; None = estimate (bytes/s)
     initial_capacity_bytes_per_second : belief before the first evidence (bytes/s)
     headroom : η, the share of the capacity that may be planned, 0..1
     packet_overhead_s : t_ovh, link time per packet beyond its bytes (s)

@@ -82,11 +82,12 @@ def memory_budget_bytes(memory: MemoryState, settings: ProgramSettings) -> float
 
 def _row(traffic: Traffic, settings: Settings) -> Topic:
     wishes = settings.topic(traffic.topic)
-    size, packets = wire_size(traffic.payload_bytes)
     source_hz = traffic.source_rate_hz
     desired_hz = source_hz if wishes.max_rate_hz is None else min(source_hz, wishes.max_rate_hz)
     # A topic never asks for a floor above what its source publishes.
     floor_hz = min(wishes.min_rate_hz, desired_hz) if desired_hz > 0 else wishes.min_rate_hz
+    # At the rate it has or wants: should it yield, fewer samples share a heartbeat, and the headroom covers that.
+    size, packets = wire_size(traffic.payload_bytes, rate_hz=max(desired_hz, floor_hz))
     return Topic(
         name=traffic.topic,
         wire_bytes=size * traffic.copies,

@@ -1,4 +1,4 @@
-"""What one sample costs on the wire: RTPS, UDP, IP and Ethernet around the payload."""
+"""What one sample costs on the wire: the headers around its payload, and the talk of its writer and reader."""
 
 from __future__ import annotations
 
@@ -8,33 +8,43 @@ MTU_BYTES = 1500
 ETHERNET_BYTES = 14
 IPV4_BYTES = 20
 UDP_BYTES = 8
-# RTPS 2.3 §9.4: header 20, INFO_DST 16, INFO_TS 12, DATA 24 and a HEARTBEAT 32 with it.
-RTPS_BYTES = 104
-# A reliable reader answers with an ACKNACK in a packet of its own; on Wi-Fi it shares the air with the data.
-ACKNACK_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES + 72
+_HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
+# RTPS 2.3 §9.4: header 20 and INFO_DST 16; and Fast DDS 2.14 ends every datagram with a submessage of its own, 60 bytes
+# for its statistics module. All sizes here are those of captured frames.
+_RTPS_BYTES = 20 + 16 + 60
+DATA_BYTES = _RTPS_BYTES + 12 + 24  # INFO_TS and the DATA submessage's header
+HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
+ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
+#: Heartbeat period of arpd's writers (arpd/ros/fastdds.xml) while something is unacknowledged.
+HEARTBEAT_S = 0.05
 
 
-def wire_size(payload_bytes: float) -> tuple[float, int]:
+def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     """Bytes and packets one reliable sample puts on the link, for one reader.
 
-    Fast DDS sends up to 64 kB in one UDP datagram, which IP cuts into fragments of the MTU.
+    Fast DDS sends up to 64 kB in one UDP datagram, which IP cuts into fragments of the MTU. A heartbeat asks for an
+    acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air with the data. So a slow topic pays
+    for them with every sample, and of a fast one several samples share them.
 
     Parameters
     ----------
     payload_bytes : serialized size of the sample (bytes)
+    rate_hz : rate of the samples; ``inf`` = only what the sample itself costs (Hz)
 
     Returns
     -------
-    Wire bytes, acknowledgement included, and packets of the sample itself.
+    Wire bytes and packets, heartbeat and acknowledgement included.
     """
-    datagram = UDP_BYTES + RTPS_BYTES + payload_bytes
-    packets = max(1, math.ceil(datagram / (MTU_BYTES - IPV4_BYTES)))
-    return datagram + packets * (ETHERNET_BYTES + IPV4_BYTES) + ACKNACK_BYTES, packets
+    datagram = UDP_BYTES + DATA_BYTES + payload_bytes
+    fragments = max(1, math.ceil(datagram / (MTU_BYTES - IPV4_BYTES)))
+    asked = 1.0 if rate_hz * HEARTBEAT_S <= 1.0 else 1.0 / (rate_hz * HEARTBEAT_S)
+    wire_bytes = datagram + fragments * (ETHERNET_BYTES + IPV4_BYTES) + asked * (HEARTBEAT_BYTES + ACKNACK_BYTES)
+    return wire_bytes, fragments + round(2.0 * asked)
 
 
 def probe_wire_bytes(data_bytes: int) -> int:
     """Bytes one best-effort probe packet with ``data_bytes`` of data puts on the link.
 
-    No heartbeat and no acknowledgement; the std_msgs layout and CDR header cost 20 bytes.
+    No heartbeat and no acknowledgement; the std_msgs layout and the CDR header cost 16 bytes.
     """
-    return ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES + RTPS_BYTES - 32 + 20 + data_bytes
+    return _HEADERS_BYTES + DATA_BYTES + 16 + data_bytes

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.wire import ACKNACK_BYTES, wire_size
+from arpd.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
     from arpd.sim.arrivals import Arrivals
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from arpd.swap import WriterQos
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
-_HEARTBEAT_BYTES = ACKNACK_BYTES  # the two submessages differ by less than their headers weigh
 # Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
 # and never of a sample that is on its way; so the robot without arpd looks better here than it is.
 _RESEND_S = 0.1
@@ -66,7 +66,7 @@ class _Reader:
 class SimulatedWriter:
     """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
 
-    Every sample carries a heartbeat, as in Fast DDS once a history is full; a periodic one serves the last sample.
+    As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic one serves the others.
     It is a `arpd.swap.Writer`.
 
     Parameters
@@ -88,8 +88,7 @@ class SimulatedWriter:
         self._acknowledged = 0
         self._is_alive = True
         self._is_beating = False
-        wire_bytes, self._packets = wire_size(payload_bytes)
-        self._wire_bytes = wire_bytes - ACKNACK_BYTES  # the acknowledgement crosses on its own, the other way
+        self._wire_bytes, self._packets = wire_size(payload_bytes, rate_hz=math.inf)
 
     def publish(self, sample: bytes) -> None:
         """Write one sample; the oldest leaves a full history, acknowledged or not."""
@@ -122,21 +121,23 @@ class SimulatedWriter:
         return next(iter(self._history), self._last + 1)
 
     def _send(self, number: int) -> None:
-        deliver = partial(self._arrive, number, self._history[number], self._first, self._last)
+        asked = (self._first, self._last) if len(self._history) >= self._depth else None
+        deliver = partial(self._arrive, number, self._history[number], asked)
         self._settled_at_s[number] = self._route.there.send(self._wire_bytes, self._packets, deliver)
 
     def _beat(self) -> None:
         if not self._is_alive or self.is_acknowledged():
             self._is_beating = False
             return
-        self._route.there.send(_HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
+        self._route.there.send(HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
         self._route.timeline.at(self._route.timeline.now_s + self._heartbeat_s, self._beat)
 
     # -- at the reader
 
-    def _arrive(self, number: int, sample: bytes, first: int, last: int) -> None:
+    def _arrive(self, number: int, sample: bytes, asked: tuple[int, int] | None) -> None:
         self._reader.on_data(number, sample)
-        self._acknowledge(first, last)
+        if asked is not None:
+            self._acknowledge(*asked)
 
     def _acknowledge(self, first: int, last: int) -> None:
         missing = self._reader.on_heartbeat(first, last)

@@ -38,7 +38,8 @@ class Source:
     @property
     def bytes_per_second(self):
         is_local = self.direction is Direction.LOCAL
-        return 0.0 if is_local else self.rate_hz * wire_size(self.payload_bytes)[0] * max(1, self.readers)
+        size, _ = wire_size(self.payload_bytes, rate_hz=self.rate_hz)
+        return 0.0 if is_local else self.rate_hz * size * max(1, self.readers)
 
     def announced(self, now_s):
         age_s = (now_s - self.phase_s) % 1.0
@@ -218,7 +219,9 @@ def test_a_reader_the_graph_learns_of_late_is_not_foreign():
     robot = Robot(Source(readers=1, phase_s=0.9), Source(topic="/u", direction=Direction.LOCAL, phase_s=0.9))
     robot.run(6.0)
     first, second = robot.sources
-    now = robot.own + first.bytes_per_second + wire_size(second.payload_bytes)[0] * second.rate_hz
+    now = (
+        robot.own + first.bytes_per_second + wire_size(second.payload_bytes, rate_hz=second.rate_hz)[0] * second.rate_hz
+    )
     robot.run(0.8, carried=now)
     first.readers, second.direction = 2, Direction.SENSING
     assert max(robot.run(6.0)) <= robot.grain

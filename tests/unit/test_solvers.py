@@ -190,7 +190,10 @@ def test_an_answer_does_not_depend_on_the_ones_before(backend):
     used = load(backend)
     for budget, low in itertools.product((0.3, 0.5, 0.8), (0.0, 0.05, 0.2)):
         problem = simple(budget=budget, lo=(0.0, low), weights=(1, 3))
-        assert used.solve(problem).values == pytest.approx(load(backend).solve(problem).values, abs=1e-9)
+        warm, cold = used.solve(problem), load(backend).solve(problem)
+        assert isinstance(warm, Solved)
+        assert isinstance(cold, Solved)
+        assert warm.values == pytest.approx(cold.values, abs=1e-9)
 
 
 def test_osqp_keeps_its_factorisation_while_the_weights_stay():

@@ -49,7 +49,7 @@ def test_a_row_says_what_a_topic_costs_and_wants():
     """Wire bytes from the payload, the wish from the source, everything else from the configuration."""
     wishes = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
     (row,) = topics_to_plan([publisher()], Settings(topics={"/scan": wishes}))
-    size, packets = wire_size(6000.0)
+    size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
     assert (row.min_depth, row.max_depth, row.latency_budget_s) == (2, 50, None)
@@ -91,7 +91,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
         publisher(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
     ]
     (row,) = topics_to_plan(publishers, Settings())
-    size, packets = wire_size(100.0)
+    size, packets = wire_size(100.0, rate_hz=30.0)
     assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
 
 

@@ -1,42 +1,59 @@
 """What a sample costs on the wire."""
 
+import math
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.wire import ACKNACK_BYTES, MTU_BYTES, RTPS_BYTES, probe_wire_bytes, wire_size
+from arpd.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
+RATES = st.floats(0.0, 10_000.0)
 
 
-@given(PAYLOADS, PAYLOADS)
-def test_more_payload_never_costs_less(one, other):
+@given(PAYLOADS, PAYLOADS, RATES)
+def test_more_payload_never_costs_less(one, other, rate_hz):
     """Bytes rise strictly with the payload, packets never fall."""
     small, large = sorted((one, other))
-    assert wire_size(small)[1] <= wire_size(large)[1]
-    assert wire_size(small)[0] <= wire_size(large)[0]
-    assert wire_size(small)[0] < wire_size(large)[0] or small == large
+    less, more = wire_size(small, rate_hz=rate_hz), wire_size(large, rate_hz=rate_hz)
+    assert less[1] <= more[1]
+    assert less[0] < more[0] or small == large
+
+
+@given(PAYLOADS, RATES, RATES)
+def test_a_faster_topic_costs_less_a_sample_and_more_in_all(payload_bytes, one, other):
+    """Samples share heartbeats and acknowledgements, but more samples never cost less link time."""
+    slow, fast = sorted((one, other))
+    slow_bytes, fast_bytes = (wire_size(payload_bytes, rate_hz=rate)[0] for rate in (slow, fast))
+    assert fast_bytes <= slow_bytes
+    assert slow * slow_bytes <= fast * fast_bytes * (1 + 1e-12)
 
 
 @given(PAYLOADS)
 def test_every_packet_fits_the_mtu(payload_bytes):
     """The packets are enough for the datagram, and no packet is superfluous."""
-    wire_bytes, packets = wire_size(payload_bytes)
-    link_bytes = wire_bytes - ACKNACK_BYTES - packets * 14
+    wire_bytes, packets = wire_size(payload_bytes, rate_hz=math.inf)
+    link_bytes = wire_bytes - packets * 14
     assert (packets - 1) * MTU_BYTES < link_bytes <= packets * MTU_BYTES
 
 
-@given(PAYLOADS)
-def test_overhead_is_more_than_the_headers_of_one_packet(payload_bytes):
-    """No sample is cheaper than its payload, its RTPS headers and its acknowledgement."""
-    assert wire_size(payload_bytes)[0] > payload_bytes + RTPS_BYTES + ACKNACK_BYTES
+@pytest.mark.parametrize(
+    ("payload_bytes", "rate_hz", "wire_bytes", "packets"),
+    [(324, math.inf, 498, 1), (324, 50.0, 498 + 0.4 * 336, 2), (76, 20.0, 250 + 336, 3), (76, 0.0, 250 + 336, 3)],
+)
+def test_sizes_are_those_of_captured_frames(payload_bytes, rate_hz, wire_bytes, packets):
+    """A sample of 324 bytes was 498 on the wire, a heartbeat 170, its answer 166; both at most 20 times a second."""
+    assert HEARTBEAT_BYTES + ACKNACK_BYTES == 336
+    assert wire_size(payload_bytes, rate_hz=rate_hz) == (wire_bytes, packets)
 
 
 @given(st.integers(0, 1400))
 def test_a_probe_costs_less_than_a_reliable_sample_of_its_size(data_bytes):
     """A best-effort probe carries no heartbeat and gets no acknowledgement."""
-    assert data_bytes < probe_wire_bytes(data_bytes) < wire_size(data_bytes)[0]
+    assert data_bytes < probe_wire_bytes(data_bytes) < wire_size(data_bytes + 16, rate_hz=20.0)[0]
 
 
-def test_a_probe_packet_of_a_train_is_one_frame():
-    """Trains are made of packets that need no fragment, so that each is one arrival."""
-    assert probe_wire_bytes(1300) <= MTU_BYTES + 14
+def test_a_probe_packet_of_a_train_is_the_captured_frame():
+    """Trains are made of packets that need no fragment, so that each is one arrival: 1490 bytes."""
+    assert probe_wire_bytes(1300) == 1490 <= MTU_BYTES + 14
