@@ -45,9 +45,9 @@ class CvxpySolver:
             self._count = len(problem.weights)
             self._problem = _state(self._count)
         units = ShareUnits.of(problem.weights)
-        lower, upper = units.bounds(problem)
+        frame = units.from_nothing(problem)
         root = np.sqrt(units.curvature)
-        values = {"row": units.row / root, "lower": root * lower, "upper": root * upper}
+        values = {"row": units.row / root, "lower": root * frame.lower, "upper": root * frame.upper}
         for name, value in values.items():
             self._problem.param_dict[name].value = value
         try:
@@ -56,8 +56,8 @@ class CvxpySolver:
             return SolverFailed(reason=f"cvxpy: {type(error).__name__}: {error}")
         if self._problem.status != cp.OPTIMAL:  # .value is filled even then
             return SolverFailed(reason=f"cvxpy: {self._problem.status}")
-        point = np.clip(self._problem.var_dict["z"].value / root, lower, upper)
-        return checked(problem, units.shares(problem, point), solver="cvxpy")
+        point = self._problem.var_dict["z"].value / root
+        return checked(problem, units.shares(frame, point), solver="cvxpy")
 
 
 def solve_eq4(problem: Eq4Problem) -> Outcome:
@@ -87,7 +87,7 @@ def solve_eq4(problem: Eq4Problem) -> Outcome:
 
 
 def _state(count: int) -> Any:
-    """State the problem of ``ShareUnits`` for so many topics, in z = √p·x.
+    """State the problem of ``Frame`` without a slope for so many topics, in z = √p·x.
 
     With x itself, cvxpy would add variables without curvature, and DAQP would smooth them at the cost of six digits.
     """

@@ -91,18 +91,27 @@ def infeasibility(problem: ShareProblem) -> Infeasible | None:
     return None
 
 
-def checked(problem: ShareProblem, values: Sequence[float], *, solver: str) -> Outcome:
-    """Turn a library's vector into an outcome: ``Solved`` only if every constraint holds to ``TOLERANCE``."""
-    violation = residual(problem, values)
-    if not violation <= TOLERANCE:  # also catches nan
+def checked(problem: ShareProblem, values: Sequence[float], *, solver: str, parts: int = 10) -> Outcome:
+    """Turn a library's vector into an outcome: ``Solved`` only if it is feasible and optimal.
+
+    Parameters
+    ----------
+    solver : whose vector it is, for the reason of a failure
+    parts : what the tolerances are divided by: small misses of many shares add up
+    """
+    if len(values) != len(problem.lo) or any(math.isnan(value) for value in values):
+        return SolverFailed(reason=f"{solver}: not one number per topic")
+    if (violation := infeasible_by(problem, values)) > TOLERANCE / parts:
         return SolverFailed(reason=f"{solver}: constraints are violated by {violation:.3g}")
+    if disagreement(values, levelled(problem, values), parts=parts):
+        return SolverFailed(reason=f"{solver}: the shares are not at one level")
+    if (unspent := min(problem.budget, sum(problem.hi)) / problem.whole - math.fsum(values)) > TOLERANCE / parts:
+        return SolverFailed(reason=f"{solver}: {unspent:.3g} of the budget is not handed out")
     return Solved(values=tuple(values))
 
 
-def residual(problem: ShareProblem, values: Sequence[float]) -> float:
-    """Largest violation of any constraint (share); nan when there is not one number per topic."""
-    if len(values) != len(problem.lo) or any(math.isnan(value) for value in values):
-        return math.nan
+def infeasible_by(problem: ShareProblem, values: Sequence[float]) -> float:
+    """Largest violation of any constraint (share)."""
     return max(
         math.fsum(values) - problem.budget / problem.whole,
         *(lo / problem.whole - value for lo, value in zip(problem.lo, values, strict=True)),
@@ -111,9 +120,35 @@ def residual(problem: ShareProblem, values: Sequence[float]) -> float:
     )
 
 
-def disagreement(values: Sequence[float], reference: Sequence[float]) -> bool:
-    """Whether two answers differ by more than the tolerances, absolute or relative, in any share."""
+def levelled(problem: ShareProblem, values: Sequence[float]) -> list[float]:
+    """Return clip(ν·w_i, lo_i, hi_i) at the level ν these shares stand at: of an optimum, the shares themselves.
+
+    ν is taken from the share that is farthest from both its bounds: on that one the solver's noise tells least. Where
+    all stand on bounds, the highest of those at their ceilings will do.
+    """
+    whole, heaviest = problem.whole, max(problem.weights)
+    rows = [
+        (weight / heaviest, low / whole, high / whole)
+        for weight, low, high in zip(problem.weights, problem.lo, problem.hi, strict=True)
+    ]
+    inside, level = max(
+        (min(value - low, high - value), value / weight)
+        for value, (weight, low, high) in zip(values, rows, strict=True)
+    )
+    if inside <= 0.0:
+        at_ceilings = (high / weight for value, (weight, _, high) in zip(values, rows, strict=True) if value >= high)
+        level = max(at_ceilings, default=0.0)
+    return [min(max(level * weight, low), high) for weight, low, high in rows]
+
+
+def disagreement(values: Sequence[float], reference: Sequence[float], *, parts: int = 1) -> bool:
+    """Whether two answers differ by more than the tolerances, absolute or relative, in any share.
+
+    Parameters
+    ----------
+    parts : what the tolerances are divided by
+    """
     return any(
-        abs(value - truth) > min(TOLERANCE, RELATIVE_TOLERANCE * max(truth, _NOISE))
+        parts * abs(value - truth) > min(TOLERANCE, RELATIVE_TOLERANCE * max(truth, _NOISE))
         for value, truth in zip(values, reference, strict=True)
     )
