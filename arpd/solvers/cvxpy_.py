@@ -12,7 +12,7 @@ import numpy as np
 
 from arpd.settings import Backend
 from arpd.solvers.outcome import Outcome, ShareProblem, Solved, SolverFailed, checked, infeasibility
-from arpd.solvers.scaling import ShareUnits, settled
+from arpd.solvers.scaling import Frame, ShareUnits, settled
 
 if TYPE_CHECKING:
     from arpd.paper import Eq4Problem
@@ -45,11 +45,19 @@ class CvxpySolver:
             self._count = len(problem.weights)
             self._problem = _state(self._count)
         units = ShareUnits.of(problem.weights)
-        frame = units.from_nothing(problem)
+        outcome: Outcome = SolverFailed(reason="cvxpy: nothing solved")
+        for frame in (units.from_floors(problem), units.from_nothing(problem)):
+            outcome = self._solve(problem, units, frame)
+            if isinstance(outcome, Solved):
+                break
+        return outcome
+
+    def _solve(self, problem: ShareProblem, units: ShareUnits, frame: Frame) -> Outcome:
         root = np.sqrt(units.curvature)
-        values = {"row": units.row / root, "lower": root * frame.lower, "upper": root * frame.upper}
-        for name, value in values.items():
-            self._problem.param_dict[name].value = value
+        self._problem.param_dict["slope"].value = frame.slope / root
+        self._problem.param_dict["row"].value = units.row / root
+        self._problem.param_dict["lower"].value = root * frame.lower
+        self._problem.param_dict["upper"].value = root * frame.upper
         try:
             self._problem.solve(**(DAQP if self._count <= MOST_DENSE else CLARABEL))
         except (cp.error.SolverError, ValueError) as error:
@@ -87,11 +95,12 @@ def solve_eq4(problem: Eq4Problem) -> Outcome:
 
 
 def _state(count: int) -> Any:
-    """State the problem of ``Frame`` without a slope for so many topics, in z = √p·x.
+    """State the problem of ``Frame`` for so many topics, in z = √p·x.
 
     With x itself, cvxpy would add variables without curvature, and DAQP would smooth them at the cost of six digits.
     """
     z = cp.Variable(count, name="z")
+    slope = cp.Parameter(count, name="slope", nonneg=True)
     row = cp.Parameter(count, name="row", nonneg=True)
     lower, upper = cp.Parameter(count, name="lower", nonneg=True), cp.Parameter(count, name="upper", nonneg=True)
-    return cp.Problem(cp.Minimize(cp.sum_squares(z) / 2), [row @ z == 1, lower <= z, z <= upper])
+    return cp.Problem(cp.Minimize(cp.sum_squares(z) / 2 + slope @ z), [row @ z == 1, lower <= z, z <= upper])

@@ -45,9 +45,14 @@ class Filling:
         ]
 
     def shares(self) -> tuple[float, ...]:
-        """Return every share as the nearest float (dimensionless)."""
-        whole = self.problem.whole
-        return tuple(numerator / (denominator * whole) for numerator, denominator in self.ratios())
+        """Return every share as a float (dimensionless)."""
+        p, level = self.problem, self.level[0] / (self.level[1] * self.problem.whole)
+        return tuple(
+            [
+                level * weight if stand is Stand.LEVEL else (low if stand is Stand.LOW else high) / p.whole
+                for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
+            ]
+        )
 
 
 class ExactSolver:

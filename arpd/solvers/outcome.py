@@ -136,7 +136,8 @@ def levelled(problem: ShareProblem, values: Sequence[float]) -> list[float]:
         for value, (weight, low, high) in zip(values, rows, strict=True)
     )
     if inside <= 0.0:
-        at_ceilings = (high / weight for value, (weight, _, high) in zip(values, rows, strict=True) if value >= high)
+        free = zip(values, rows, strict=True)
+        at_ceilings = (high / weight for value, (weight, low, high) in free if low < high <= value)
         level = max(at_ceilings, default=0.0)
     return [min(max(level * weight, low), high) for weight, low, high in rows]
 

@@ -112,7 +112,7 @@ class ShareUnits:
         highest = full[span >= 1.0].min(initial=full.max())
         lowest = floor[span > 0.0].min()
         return Frame(
-            slope=self.row * (np.minimum(floor, 1.01 * highest) - lowest),
+            slope=self.row * (np.clip(floor, lowest, max(lowest, 1.01 * highest)) - lowest),
             lower=np.zeros(len(span)),
             upper=span / self.row,
             origin=np.array([low / problem.whole for low in problem.lo]),

@@ -2,73 +2,68 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+import random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.settings import Backend
-from arpd.solvers import ShareProblem, Solved, load, water_fill
+from arpd.solvers import ShareProblem, Solved, SolverFailed, load, water_fill
 
 WHOLE = 10**15
-LIGHTEST, HEAVIEST = 1, 10**6  # the configuration admits weights of 0.001 to 1000
-#: The same 5,000 at every run: a back end that fails one in a million is reported by its counter, not by a red CI.
+#: The same at every run and on every machine, which hypothesis does not promise. What a back end cannot solve, one in
+#: ten thousand of the worst kind, is answered by `exact` and counted, and must not turn a change's CI red by chance.
 INSTANCES = 5000
 
-decades = st.floats(0.0, 6.0)
-weights = st.one_of(
-    decades.map(lambda power: round(10**power)), st.sampled_from([LIGHTEST, 1000, 2000, 5000, HEAVIEST])
-)
-ceilings = st.one_of(decades.map(lambda power: round(WHOLE / 10**power)), st.just(WHOLE), st.just(WHOLE // 10))
-floors = st.one_of(st.just(0.0), st.just(1.0), st.floats(0.0, 1.0))  # parts of the ceiling
 
-
-@st.composite
-def wide_problems(draw):
-    """Draw ties, identical topics, floors that meet ceilings, budgets that just do or just do not bind."""
-    rows = draw(st.lists(st.tuples(weights, ceilings, floors), min_size=1, max_size=20))
-    if draw(st.booleans()):
-        rows *= 2
-    hi = [high for _, high, _ in rows]
-    lo = [min(high, round(high * part)) for _, high, part in rows]
+def wide_problem(rng):
+    """Draw weights and ceilings over six decades, ties, floors that meet ceilings, budgets that all but bind."""
+    count = rng.choice([1, 1, 2, 3, 4, 6, 8, 12, 20])
+    weights = [rng.choice([round(10 ** rng.uniform(0, 6)), 1, 1000, 2000, 5000, 10**6]) for _ in range(count)]
+    hi = [rng.choice([round(WHOLE / 10 ** rng.uniform(0, 6)), WHOLE, WHOLE // 10]) for _ in range(count)]
+    lo = [round(high * rng.choice([0.0, 1.0, rng.random(), rng.random() ** 4])) for high in hi]
+    if rng.random() < 0.3:
+        weights, hi, lo = weights * 2, hi * 2, lo * 2
     least, most = sum(lo), sum(hi)
-    budget = draw(
-        st.one_of(
-            st.floats(0.0, 1.0).map(lambda part: least + round((most - least) * part)),
-            st.sampled_from([least, least + 1, most - 1, most, most + 1, WHOLE]),
-        )
+    room = most - least
+    budget = rng.choice(
+        [
+            least + round(room * rng.random()),
+            least + round(room * rng.random()),
+            least + round(room * 10 ** -rng.uniform(0, 9)),
+            most - round(room * 10 ** -rng.uniform(0, 9)),
+            rng.choice([least, least + 1, most - 1, most, most + 1]),
+        ]
     )
-    if least > budget:  # infeasible ones never reach a back end
-        scale = bisect_right(range(1000), budget, key=lambda part: sum(low * part // 1000 for low in lo)) - 1
-        lo = [low * max(0, scale) // 1000 for low in lo]
-    return ShareProblem(
-        weights=tuple(weight for weight, _, _ in rows),
-        lo=tuple(lo),
-        hi=tuple(hi),
-        budget=max(1, budget, sum(lo)),
-        whole=max(WHOLE, budget),
-    )
+    budget = max(1, least, budget)
+    return ShareProblem(weights=tuple(weights), lo=tuple(lo), hi=tuple(hi), budget=budget, whole=max(WHOLE, budget))
+
+
+def farthest(values, problem):
+    truth = water_fill(problem).shares()
+    return max(abs(value - share) for value, share in zip(values, truth, strict=True))
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("backend", [Backend.OSQP, Backend.CVXPY])
 def test_every_back_end_agrees_with_exact(backend):
-    """On 5,000 instances with weights and ceilings over six decades none is unsolved, and no share is off by 1e-6."""
+    """On 5,000 instances over six decades none is unsolved, and no share is off by 1e-6."""
     solver = load(backend)
-
-    @settings(
-        max_examples=INSTANCES, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-    )
-    @given(problem=wide_problems())
-    def agree(problem):
-        nonlocal instances
-        instances += 1
+    rng = random.Random(20261121)
+    for _ in range(INSTANCES):
+        problem = wide_problem(rng)
         outcome = solver.solve(problem)
-        assert isinstance(outcome, Solved), outcome
-        truth = water_fill(problem).shares()
-        assert max(abs(value - share) for value, share in zip(outcome.values, truth, strict=True)) <= 1e-6
+        assert isinstance(outcome, Solved), (outcome, problem)
+        assert farthest(outcome.values, problem) <= 1e-6, problem
 
-    instances = 0
-    agree()
-    assert instances >= INSTANCES
+
+@settings(deadline=None, max_examples=300)
+@given(seed=st.integers(0, 2**64))
+def test_a_back_end_is_right_or_says_that_it_failed(seed):
+    """Whatever OSQP calls solved is within 1e-6 of the exact answer in every share; it never cries infeasible."""
+    problem = wide_problem(random.Random(seed))
+    outcome = load(Backend.OSQP).solve(problem)
+    assert isinstance(outcome, Solved | SolverFailed)
+    if isinstance(outcome, Solved):
+        assert farthest(outcome.values, problem) <= 1e-6
