@@ -15,6 +15,7 @@ from arpd.settings import (
     GraphSettings,
     HttpSettings,
     LinkSettings,
+    OnLost,
     OnStop,
     Overflow,
     ProgramSettings,
@@ -187,6 +188,8 @@ class Document(Section):
     topics: Annotated[tuple[TopicEntry, ...], Field(strict=False)] = ()
     relay: Relay = Relay()
     on_stop: Annotated[OnStop, Choice(OnStop)] = _DEFAULT.on_stop
+    on_lost: Annotated[OnLost, Choice(OnLost)] = _DEFAULT.on_lost
+    lost_after: Annotated[float, Quantity(unit=DURATION, low="5s", high="1h")] = _DEFAULT.lost_after_s
 
     def settings(self) -> Settings:
         """Return the settings the file asks for."""
@@ -200,7 +203,7 @@ class Document(Section):
             relay=self.relay.settings(),
             default_topic=default_topic,
             topics={topic.name: topic.settings(default_topic) for topic in self.topics},
-            on_stop=self.on_stop,
+            **self.attributes(),
         )
 
 
@@ -237,7 +240,8 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))
         yield f"relay.topics[{name}].depth", settings.relay.depths.get(name, DEFAULT_RELAY_DEPTH)
-    yield "on_stop", str(settings.on_stop)
+    for key, kind in Document.kinds().items():
+        yield key, kind.write(getattr(settings, key + kind.suffix))
 
 
 def _written(path: str, section: type[Section], values: object) -> Iterator[tuple[str, Written]]:

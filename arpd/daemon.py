@@ -117,7 +117,9 @@ class Daemon:
             now_s, link=link, allocation=allocation, topics=topics, publishers=observation.publishers
         )
         self._world.set_gate(decision.gate)
-        transitions = plan_transitions(observation.publishers, decision.plan, reason=decision.reason)
+        transitions = plan_transitions(
+            observation.publishers, decision.plan, reason=decision.reason, lease_s=self._settings.lease_s
+        )
         self._world.apply(transitions, now_s=now_s)
         for request in self._estimator.wanted_probes(now_s):
             self._world.probe(request)

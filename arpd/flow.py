@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -50,7 +50,7 @@ class Flow(Generic[W]):
     qos : what the first writer runs with
     overflow : what gives way when samples come faster than they may leave
     clock : monotonic clock (s)
-    on_swap : told how every swap ended
+    on_swap : told how every swap ended, and the QoS it was about
 
     Notes
     -----
@@ -65,7 +65,7 @@ class Flow(Generic[W]):
         qos: WriterQos,
         overflow: Overflow,
         clock: Callable[[], float],
-        on_swap: Callable[[SwapResult], None] = lambda _result: None,
+        on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
     ) -> None:
         self._clock = clock
         self._on_swap = on_swap
@@ -78,6 +78,8 @@ class Flow(Generic[W]):
         self._published = self._withheld = 0
         self._blocked_s = 0.0
         self._payload_bytes = 0.0
+        self._history: deque[bytes] | None = None
+        self._replay: deque[bytes] = deque()
 
     @property
     def plan(self) -> TopicPlan:
@@ -117,6 +119,12 @@ class Flow(Generic[W]):
         self._payload_bytes += weight * (len(sample) - self._payload_bytes)
         self._pacer.offer(sample, now_s)
 
+    def end_full_hold(self) -> None:
+        """Switch rather than give up a sample that a swap holds; `replay` comes next."""
+        now_s = self._clock()
+        if self._swap.is_holding and self._pacer.is_dammed(self._swap.most_held, now_s):
+            self.step(now_s)
+
     def take(self) -> bytes | None:
         """Return the next sample if it may leave now: pacing lets it, and no swap holds it."""
         return None if self._swap.is_holding else self._pacer.take(self._clock())
@@ -131,6 +139,18 @@ class Flow(Generic[W]):
             raise
         self._blocked_s += self._clock() - before_s
         self._published += 1
+
+        if self._history is not None:
+            self._history.append(sample)
+
+    def keep_history(self) -> None:
+        """Let a new writer first have what the old one held, for the late readers of a TRANSIENT_LOCAL topic."""
+        self._history = deque(maxlen=self.qos.depth)
+
+    def replay(self) -> None:
+        """Give a new writer what the old one held; may block like `write`, and comes before the next `take`."""
+        while self._replay:
+            self._swap.current.publish(self._replay.popleft())
 
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
@@ -166,8 +186,13 @@ class Flow(Generic[W]):
 
     def step(self, now_s: float) -> None:
         """Move a swap on as far as its writers allow."""
-        if self._swap.is_busy:
-            self._swap.step(now_s)
+        if not self._swap.is_busy:
+            return
+        before = self._swap.current
+        self._swap.step(now_s, is_full=self._pacer.is_dammed(self._swap.most_held, now_s))
+        if self._swap.current is not before and self._history is not None:
+            self._replay = deque(self._history)
+            self._history = deque(self._history, maxlen=self._swap.qos.depth)
 
     def due_s(self, now_s: float) -> float:
         """When to look again, ``inf`` = not before something changes (s)."""
@@ -196,9 +221,12 @@ class Flow(Generic[W]):
     def close(self) -> None:
         """Give up what waits, and destroy every writer a swap may have in flight."""
         self._pacer.clear()
+        self._replay.clear()
         self._swap.close()
 
     def _release(self) -> None:
+        self.end_full_hold()
+        self.replay()
         while (sample := self.take()) is not None:
             self.write(sample)
 
@@ -213,6 +241,6 @@ class Flow(Generic[W]):
     def _on_withheld(self, samples: int) -> None:
         self._withheld += samples
 
-    def _on_result(self, result: SwapResult) -> None:
+    def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
         self._swaps[result.value] += 1
-        self._on_swap(result)
+        self._on_swap(result, qos)

@@ -105,6 +105,7 @@ class PublisherState:
     rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
     baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
     generation : generation of the plan these settings came from, 0 = the application's own
+    lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     swaps_by_result : QoS swaps since start, by result
     refusal : why the last request was refused, empty if it was not
     remote_readers : off-host participants that read the topic (unicast copies)
@@ -129,6 +130,7 @@ class PublisherState:
     baseline_depth: int
     baseline_deadline_ns: int
     generation: int
+    lease_s: float = 0.0
     swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     refusal: str = ""
     remote_readers: int = 0
@@ -149,6 +151,8 @@ class Observation:
     memory : memory of the robot computer
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
+    rmw : the middleware ROS runs on, empty where there is none
+    rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
     """
 
     now_s: float
@@ -159,6 +163,8 @@ class Observation:
     sensing_topics: int
     actuation_topics: int
     peers: int | None = None
+    rmw: str = ""
+    rmw_refusal: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -331,12 +337,14 @@ class Transition:
     generation : plan generation the step belongs to
     topics : topic name → row to set there
     reason : why, in words
+    lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     """
 
     node: str
     generation: int
     topics: Mapping[str, TopicPlan]
     reason: str
+    lease_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

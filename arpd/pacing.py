@@ -80,6 +80,11 @@ class Pacer:
         self._credit -= 1.0
         return self._queue.popleft()
 
+    def is_dammed(self, bound: int, now_s: float) -> bool:
+        """Whether ``bound`` samples wait for somebody else: pacing would neither conflate nor delay them."""
+        is_conflating = self._overflow is Overflow.LATEST and not math.isinf(self._rate_hz)
+        return not is_conflating and len(self._queue) >= bound and self.due_s(now_s) <= now_s
+
     def clear(self) -> None:
         """Give up everything that waits, counted as withheld."""
         withheld = len(self._queue)

@@ -96,7 +96,9 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
     return same_rate and publisher.depth == row.depth and publisher.deadline_ns == row.deadline_ns
 
 
-def plan_transitions(publishers: Iterable[PublisherState], plan: QosPlan, *, reason: str) -> tuple[Transition, ...]:
+def plan_transitions(
+    publishers: Iterable[PublisherState], plan: QosPlan, *, reason: str, lease_s: float = 0.0
+) -> tuple[Transition, ...]:
     """Return the steps that bring every managed publisher to the plan: one per node, slowing nodes first.
 
     Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and no
@@ -108,13 +110,13 @@ def plan_transitions(publishers: Iterable[PublisherState], plan: QosPlan, *, rea
         row = plan.topics.get(publisher.topic)
         if row is None:
             continue
-        if not is_confirmed(publisher, row):
+        if not is_confirmed(publisher, row) or not math.isclose(publisher.lease_s, lease_s, rel_tol=1e-4):
             wanted.setdefault(publisher.node, {})[publisher.topic] = row
             now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
             cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
             change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
     return tuple(
-        Transition(node=node, generation=plan.generation, topics=wanted[node], reason=reason)
+        Transition(node=node, generation=plan.generation, topics=wanted[node], reason=reason, lease_s=lease_s)
         for node in sorted(wanted, key=lambda name: (change_hz[name], name))
     )
 

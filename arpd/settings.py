@@ -15,6 +15,13 @@ class OnStop(StrEnum):
     KEEP = "keep"
 
 
+class OnLost(StrEnum):
+    """What the publishers do when they hear nothing of the daemon any more."""
+
+    KEEP = "keep"
+    BASELINE = "baseline"
+
+
 class Backend(StrEnum):
     """Solver of the program."""
 
@@ -153,7 +160,12 @@ class GraphSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Settings:
-    """The whole configuration; ``topics`` maps a topic name to its wishes, ``default_topic`` serves the rest."""
+    """The whole configuration; ``topics`` maps a topic name to its wishes, ``default_topic`` serves the rest.
+
+    Parameters
+    ----------
+    on_lost, lost_after_s : what publishers do when they heard nothing of the daemon for that long (s)
+    """
 
     link: LinkSettings = field(default_factory=LinkSettings)
     program: ProgramSettings = field(default_factory=ProgramSettings)
@@ -164,6 +176,13 @@ class Settings:
     default_topic: TopicSettings = field(default_factory=TopicSettings)
     topics: dict[str, TopicSettings] = field(default_factory=dict)
     on_stop: OnStop = OnStop.RESTORE
+    on_lost: OnLost = OnLost.KEEP
+    lost_after_s: float = 30.0
+
+    @property
+    def lease_s(self) -> float:
+        """Silence after which a publisher returns to its application's QoS, 0 = never (s)."""
+        return self.lost_after_s if self.on_lost is OnLost.BASELINE else 0.0
 
     def topic(self, name: str) -> TopicSettings:
         """Return the wishes for the topic called ``name``."""

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from arpd.model import Direction, PublisherState
 
 _SWAP_PREFIX = "swaps_"
-_FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz")
+_FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
 _INTEGERS = (
     "offered",
     "published",

@@ -7,6 +7,7 @@ GATE_TOPIC = "/arpd/gate"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 GENERATION_PARAMETER = "arpd.generation"
+LEASE_PARAMETER = "arpd.lease"
 
 INFINITE_NS = 2**63 - 1  # how ROS 2 says "no deadline"
 

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
-from arpd.ros.names import DEADLINE, DEPTH, GENERATION_PARAMETER, MIN_RATE, RATE, parameter_name
+from arpd.ros.names import (
+    DEADLINE,
+    DEPTH,
+    GENERATION_PARAMETER,
+    LEASE_PARAMETER,
+    MIN_RATE,
+    RATE,
+    parameter_name,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -86,6 +94,7 @@ class ParameterApplier:
             for parameter in _parameters(topic, row)
         ]
         parameters.append(Parameter(GENERATION_PARAMETER, value=transition.generation).to_parameter_msg())
+        parameters.append(Parameter(LEASE_PARAMETER, value=float(transition.lease_s)).to_parameter_msg())
         request = SetParametersAtomically.Request(parameters=parameters)
         node.future = node.client.call_async(request)
         node.future.add_done_callback(lambda future: self._on_answer(transition, node, future))

@@ -5,61 +5,54 @@ from __future__ import annotations
 import threading
 import time
 from copy import copy
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
 from arpd.planner import keeps_its_readers
 from arpd.ros.graph import deadline_ns_of
+from arpd.ros.rmw import current_rmw
 from arpd.ros.tuning import NodeTuning
+from arpd.ros.writer import RosWriter
 from arpd.settings import Overflow
 from arpd.swap import SwapResult, WriterQos
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
+    from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.node import Node
 
     from arpd.model import TopicPlan
 
 
-class _RosWriter:
-    """One rclpy publisher behind the swap's `arpd.swap.Writer` protocol."""
-
-    def __init__(self, node: Node, publisher: Any) -> None:
-        self._node = node
-        self.publisher = publisher
-
-    def publish(self, sample: bytes) -> None:
-        self.publisher.publish(sample)
-
-    def matched(self) -> int:
-        return int(self.publisher.get_subscription_count())
-
-    def is_acknowledged(self) -> bool:
-        # A zero timeout only looks; anything longer would block the pacing thread (shared/SWAP.md).
-        return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
-
-    def destroy(self) -> None:
-        self._node.destroy_publisher(self.publisher)
-
-
 class AdaptivePublisher:
     """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
 
-    Until somebody sets its parameters it behaves as the plain publisher would: unpaced, with the QoS asked for.
+    Until somebody sets its parameters it behaves as the plain publisher would: unpaced, with the QoS asked for. It may
+    be used from any thread, under any executor; time is a monotonic clock's, with ``use_sim_time`` or without.
 
     Parameters
     ----------
     node : node it lives in; its executor must spin for parameters and the gate to work
-    msg_type, topic, qos_profile, callback_group, event_callbacks : as in `Node.create_publisher`
+    msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
+    event_callbacks : as in `Node.create_publisher`; they hear of the writer in force only, never of the one a swap
+        prepares or retires, and counts in the events begin anew with every swap
+    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need no mention, and stay writable
     overflow : what gives way when samples come faster than the paced rate
+    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first gets the samples the old
+        one held, for readers to come; readers that are there see those twice. False = pace such a topic only
+
+    Notes
+    -----
+    ``publisher_class`` of `Node.create_publisher` has no equivalent: a swap would lose what another class keeps in it,
+    as a lifecycle publisher keeps whether it is active.
 
     Raises
     ------
@@ -76,25 +69,38 @@ class AdaptivePublisher:
         *,
         callback_group: Any = None,
         event_callbacks: PublisherEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
         overflow: Overflow = Overflow.LATEST,
+        swap_transient_local: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.msg_type = msg_type
         self.topic = topic
-        self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else qos_profile
+        # A copy: what the application does with its profile afterwards must not show in the next writer.
+        self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
         self._node = node
         self._callback_group = callback_group
-        # Default callbacks would add a waitable to the executor at every swap only to log a warning.
-        self._event_callbacks = event_callbacks or PublisherEventCallbacks(use_default_callbacks=False)
+        self._event_callbacks = event_callbacks
+        self._swap_transient_local = swap_transient_local
+        self._rmw = current_rmw()
+        self._overrides = _without_ours(qos_overriding_options)
         # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
         self._lock = threading.RLock()
         self._writing = threading.RLock()
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._flow = Flow(
-            create=self._create_writer, qos=self._baseline, overflow=overflow, clock=clock, on_swap=self._on_swap
+            create=self._create_writer,
+            qos=self._baseline,
+            overflow=overflow,
+            clock=clock,
+            on_swap=self._on_swap,
         )
+        self._overrides = None  # they are part of the profile by now, and rclpy declares each only once
+        if self._is_latched and swap_transient_local:
+            self._flow.keep_history()
         self._refusal = ""
         self._clamp = ""
+        self._refusals = 0  # readers that refused, as far as the application was warned
         self._type_name = _type_name(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
         self._tuning = NodeTuning.of(node)
@@ -177,8 +183,7 @@ class AdaptivePublisher:
 
     def wait_for_all_acked(self, timeout: Any = None) -> bool:
         """Wait until the writer in force is fully acknowledged, as rclpy does; paced samples are not yet written."""
-        publisher = self._writer.publisher
-        return bool(publisher.wait_for_all_acked(timeout) if timeout is not None else publisher.wait_for_all_acked())
+        return self._writer.wait_for_all_acked(timeout)
 
     def destroy(self) -> None:
         """Destroy the publisher and everything a swap may have in flight."""
@@ -211,9 +216,14 @@ class AdaptivePublisher:
         qos = WriterQos(depth=plan.depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
         with self._lock:
             self._clamp = f"deadline clamped to the {requested_ns} ns a reader requests" if is_clamped else ""
-            if self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL and qos != self._flow.qos:
+            if qos == self._flow.qos:
+                self._refusal = ""  # nothing is refused any more
+            elif self._rmw.refusal:
+                self._refusal, qos = self._rmw.refusal, self._flow.qos
+            elif self._is_latched and not self._swap_transient_local:
                 self._refusal = (
-                    f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need"
+                    f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; "
+                    "swap_transient_local=True lets it"
                 )
                 qos = self._flow.qos
             self._flow.retune(plan, qos=qos)
@@ -243,9 +253,10 @@ class AdaptivePublisher:
             self._writing.release()
 
     def state(self, *, generation: int) -> PublisherState:
-        """Picture of what is in force, for the announcement."""
+        """Picture of what is in force, for the announcement; called about once a second."""
         with self._lock:
             flow, refusal = self._flow.state(), self._refusal or self._clamp
+            self._warn_of_refusals()
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self._resolved,
@@ -265,8 +276,22 @@ class AdaptivePublisher:
             return msg
         raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
 
+    def _warn_of_refusals(self) -> None:
+        """Say what rclpy's default callback says when a reader refuses the offered QoS."""
+        if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
+            return  # the application listens itself; a look here would take the event from it
+        if (refusals := self._writer.refusals()) > self._refusals:
+            self._refusals = refusals
+            self._node.get_logger().warning(
+                f"{self._resolved}: a subscription requests incompatible QoS and gets nothing; "
+                f"last incompatible policy: {self._writer.refused_policy}"
+            )
+
     def _drain(self) -> None:
         """Write all that may leave; the caller holds ``_writing``, so that samples keep their order."""
+        with self._lock:
+            self._flow.end_full_hold()
+        self._flow.replay()
         while True:
             with self._lock:
                 sample = self._flow.take()
@@ -275,40 +300,82 @@ class AdaptivePublisher:
             self._flow.write(sample)
 
     @property
-    def _writer(self) -> _RosWriter:
+    def _writer(self) -> RosWriter:
         return self._flow.writer
 
-    def _create_writer(self, qos: WriterQos) -> _RosWriter:
-        profile = copy(self.qos_profile)
+    @property
+    def _is_latched(self) -> bool:
+        return bool(self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+    def _create_writer(self, qos: WriterQos) -> RosWriter:
+        profile = copy(self.qos_profile)  # every other policy is the application's
         profile.depth = qos.depth
         profile.deadline = Duration(nanoseconds=qos.deadline_ns)
-        publisher = self._node.create_publisher(
-            self.msg_type,
-            self.topic,
-            profile,
-            callback_group=self._callback_group,
+
+        def create(callbacks: PublisherEventCallbacks) -> Any:
+            return self._node.create_publisher(
+                self.msg_type,
+                self.topic,
+                profile,
+                callback_group=self._callback_group,
+                event_callbacks=callbacks,
+                qos_overriding_options=self._overrides,
+            )
+
+        writer = RosWriter(
+            node=self._node,
+            create=create,
             event_callbacks=self._event_callbacks,
+            is_current=self._is_current,
+            disconnected=lambda: self._lost_to(qos),
         )
-        return _RosWriter(self._node, publisher)
+        if self._overrides is not None:
+            self.qos_profile = copy(profile)
+        return writer
+
+    def _is_current(self, writer: RosWriter) -> bool:
+        flow = getattr(self, "_flow", None)
+        return flow is None or flow.writer is writer  # while the flow is being made there is only the first
+
+    def _readers(self) -> Iterator[tuple[str, int]]:
+        """Name every reader of the topic, with the deadline it requests (ns, 0 = none)."""
+        for reader in self._node.get_subscriptions_info_by_topic(self._resolved):
+            yield f"{reader.node_namespace.rstrip('/')}/{reader.node_name}", deadline_ns_of(reader.qos_profile)
 
     def _tightest_request_ns(self) -> int:
-        requests = (
-            deadline_ns_of(reader.qos_profile) for reader in self._node.get_subscriptions_info_by_topic(self._resolved)
-        )
-        return min((request for request in requests if request), default=0)
+        return min((request for _, request in self._readers() if request), default=0)
 
-    def _on_swap(self, result: SwapResult) -> None:
-        self._refusal = ""
-        if result is SwapResult.UNMATCHED:
-            readers = sorted(
-                f"{reader.node_namespace.rstrip('/')}/{reader.node_name}"
-                for reader in self._node.get_subscriptions_info_by_topic(self._resolved)
-            )
-            self._refusal = f"swap of {self._resolved}: not all readers matched in time ({', '.join(readers)})"
-        elif result is SwapResult.FAILED:
-            self._refusal = f"swap of {self._resolved}: the middleware refused a writer with these settings"
-        if self._refusal:
+    def _lost_to(self, qos: WriterQos) -> list[str]:
+        """Name the readers that the writer in force serves and one with these settings would not."""
+        offered, offer = (replace(self.plan, deadline_ns=ns) for ns in (self._flow.qos.deadline_ns, qos.deadline_ns))
+        return sorted(
+            f"{name} requests {request} ns"
+            for name, request in self._readers()
+            if keeps_its_readers(offered, request) and not keeps_its_readers(offer, request)
+        )
+
+    def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
+        if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
+            self._refusal = ""
+        elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
+            self._refusal = f"swap of {self._resolved}: {self._reason(result, qos)}"
             self._node.get_logger().warning(self._refusal)
+
+    def _reason(self, result: SwapResult, qos: WriterQos) -> str:
+        if result is SwapResult.FAILED:
+            return f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
+        if lost := self._lost_to(qos):
+            return f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
+        readers = ", ".join(sorted(name for name, _ in self._readers()))
+        return f"not all readers matched in time ({readers or 'none is left in the graph'})"
+
+
+def _without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
+    """Return the options without the two policies whose parameters stay writable here."""
+    if options is None:
+        return None
+    kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]
+    return QoSOverridingOptions(kinds, callback=options.callback, entity_id=options.entity_id)
 
 
 def _type_name(msg_type: Any) -> str:

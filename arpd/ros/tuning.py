@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
+from arpd.lease import Lease
+from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
 from arpd.ros.names import (
     DEADLINE,
@@ -21,6 +27,7 @@ from arpd.ros.names import (
     GATE_TOPIC,
     GENERATION_PARAMETER,
     INFINITE_NS,
+    LEASE_PARAMETER,
     MIN_RATE,
     PUBLISHERS_TOPIC,
     RATE,
@@ -32,7 +39,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.model import TopicPlan
     from arpd.ros.publisher import AdaptivePublisher
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
@@ -56,7 +62,8 @@ class NodeTuning:
     """The shared half of all AdaptivePublishers in one node; made by the first of them.
 
     One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and
-    the gate arrive through the executor, as everything in ROS does.
+    the gate arrive through the executor, as everything in ROS does, and it is there too that a plan ends whose daemon
+    is silent for longer than it granted: like that no answer of the daemon's can come in between.
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -64,18 +71,28 @@ class NodeTuning:
         self._clock = clock
         self._publishers: dict[str, AdaptivePublisher] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
-        self._gate_at_s = -math.inf
+        self._lease = Lease()
         self._generation = 0
         self._wakeup = threading.Event()
         self._stopping = False
         node.declare_parameter(
-            GENERATION_PARAMETER, 0, ParameterDescriptor(description="generation of the plan in force; never goes back")
+            GENERATION_PARAMETER,
+            0,
+            ParameterDescriptor(description="generation of the plan in force; 0 = none, or its lease is over"),
+        )
+        node.declare_parameter(
+            LEASE_PARAMETER,
+            0.0,
+            ParameterDescriptor(
+                description="silence of arpd in s after which the publishers return to their own QoS, 0 = never"
+            ),
         )
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         node.create_subscription(
             Float64, GATE_TOPIC, self._on_gate, QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         )
+        node.create_timer(_ANNOUNCE_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._announcer = node.create_publisher(DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5))
         self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
         self._thread.start()
@@ -164,19 +181,47 @@ class NodeTuning:
     def _announce(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.status = [to_status(p.state(generation=self._generation)) for p in self._publishers.values()]
+        states = (publisher.state(generation=self._generation) for publisher in self._publishers.values())
+        message.status = [to_status(replace(state, lease_s=self._lease.granted_s)) for state in states]
         self._announcer.publish(message)
 
     def _on_gate(self, message: Any) -> None:
         if 0.0 < message.data <= 1.0:
-            self._gate_at_s = self._clock()
+            self._lease.renew(self._clock())
             for publisher in self._publishers.values():
                 publisher.set_gate(message.data)
 
     def _expire_gate(self, now_s: float) -> None:
-        if now_s - self._gate_at_s > _GATE_LEASE_S:
+        if self._lease.is_silent(now_s, for_s=_GATE_LEASE_S):
             for publisher in self._publishers.values():
                 publisher.set_gate(1.0)
+
+    def _expire_plan(self) -> None:
+        """Return every publisher to its application's QoS when the daemon is silent for longer than it granted."""
+        if self._generation == 0 or not self._lease.is_over(self._clock()):
+            return
+        self._node.get_logger().warning(
+            f"nothing heard of arpd for {self._lease.granted_s:g} s: the publishers return to their own QoS",
+            throttle_duration_sec=_COMPLAIN_S,
+        )
+        parameters = [Parameter(GENERATION_PARAMETER, value=0)]
+        for topic, publisher in self._publishers.items():
+            own = publisher.baseline
+            plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
+            parameters += [
+                Parameter(parameter_name(topic, setting), value=getattr(plan, field))
+                for setting, (field, _) in _SETTINGS.items()
+            ]
+        generation, self._generation = self._generation, 0  # whoever plans next may start anywhere
+        try:
+            result = self._node.set_parameters_atomically(parameters)
+        except ParameterNotDeclaredException:
+            result = SetParametersResult(successful=False, reason="one of them was just destroyed")
+        if not result.successful:
+            self._generation = generation  # and the next second tries again
+            self._node.get_logger().error(
+                f"the publishers keep their plan: {result.reason}", throttle_duration_sec=_COMPLAIN_S
+            )
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
@@ -184,6 +229,8 @@ class NodeTuning:
             for parameter in parameters:
                 if parameter.name == GENERATION_PARAMETER:
                     self._check_generation(parameter)
+                elif parameter.name == LEASE_PARAMETER:
+                    _check_lease(parameter)
         except ValueError as refusal:
             return SetParametersResult(successful=False, reason=str(refusal))
         return SetParametersResult(successful=True)
@@ -192,6 +239,9 @@ class NodeTuning:
         for parameter in parameters:
             if parameter.name == GENERATION_PARAMETER:
                 self._generation = int(parameter.value)
+                self._lease.renew(self._clock())  # who sends a plan is there
+            elif parameter.name == LEASE_PARAMETER:
+                self._lease.granted_s = float(parameter.value)
         for topic, plan in self._plans(parameters).items():
             self._publishers[topic].retune(plan)
 
@@ -211,6 +261,11 @@ class NodeTuning:
                     most = max(_MOST_DEPTH, publisher.baseline.depth)
                     changes.setdefault(topic, {})[field] = _checked(parameter, field, most_depth=most)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
+
+
+def _check_lease(parameter: Any) -> None:
+    if not 0 <= parameter.value < math.inf:
+        raise ValueError(f"{parameter.name} = {parameter.value} is no time; use seconds ≥ 0, 0 = never")
 
 
 def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:

@@ -44,6 +44,7 @@ class _Node:
     publishers: list[SimulatedPublisher]
     is_remote: bool
     generation: int = 0
+    lease_s: float = 0.0
     gate_at_s: float = -1e9
     asked_generation: int = -1
     asked_at_s: float = -1e9
@@ -203,7 +204,7 @@ class SimulatedWorld:
             self._results["refused"] += 1
             return
         self._results["ok"] += 1
-        node.generation = transition.generation
+        node.generation, node.lease_s = transition.generation, transition.lease_s
         by_name = {publisher.state(generation=0).topic: publisher for publisher in node.publishers}
         for topic, row in transition.topics.items():
             by_name[topic].retune(row)
@@ -213,7 +214,9 @@ class SimulatedWorld:
         if now_s - node.gate_at_s > _GATE_LEASE_S:
             for publisher in node.publishers:
                 publisher.set_gate(1.0)
-        states = tuple(publisher.state(generation=node.generation) for publisher in node.publishers)
+        states = tuple(
+            replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
+        )
         deliver = partial(self._on_announcement, node, states)
         if node.is_remote:
             self._down.send(_ANNOUNCEMENT_BYTES, 1, deliver)

@@ -106,6 +106,10 @@ class SimulatedWriter:
         """One reader, known at once: a new writer's endpoint data travels ahead of its samples."""
         return 1
 
+    def disconnects_readers(self) -> bool:
+        """No simulated reader asks for a deadline."""
+        return False
+
     def is_acknowledged(self) -> bool:
         """Whether the reader has everything, in order."""
         return self._acknowledged >= self._last

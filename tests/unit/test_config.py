@@ -20,6 +20,7 @@ from arpd.settings import (
     GraphSettings,
     HttpSettings,
     LinkSettings,
+    OnLost,
     OnStop,
     Overflow,
     ProgramSettings,
@@ -74,6 +75,8 @@ topics:
   - {name: /scan, weight: 4, payload: 6kB, source_rate_hz: 12.5}
 relay: {prefix: /air, topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]}
 on_stop: keep
+on_lost: baseline
+lost_after: 1min
 """
     default_topic = TopicSettings(
         weight=2.0, min_rate_hz=2.0, max_rate_hz=20.0, min_depth=2, max_depth=50, latency_budget_s=None
@@ -110,6 +113,8 @@ on_stop: keep
             topics=("/camera", "/scan"), prefix="/air", overflow={"/camera": Overflow.QUEUE}, depths={"/camera": 20}
         ),
         on_stop=OnStop.KEEP,
+        on_lost=OnLost.BASELINE,
+        lost_after_s=60.0,
     )
 
 

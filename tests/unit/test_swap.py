@@ -6,63 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.swap import SwapResult, SwapState, SwapTiming, WriterQos, WriterSwap
+from arpd.swap import SwapResult, SwapState, SwapTiming
+from tests.unit.swap_world import FIRST, make, qos
 
 TIMING = SwapTiming()
-FIRST = WriterQos(depth=10, deadline_ns=0)
-
-
-class Writer:
-    def __init__(self, qos, world):
-        self.qos = qos
-        self.world = world
-        self.written = []
-        self.is_alive = True
-        self.acknowledges = True
-        self.readers = world.readers
-
-    def publish(self, sample):
-        assert self.is_alive, "wrote to a destroyed writer"
-        self.written.append(sample)
-
-    def matched(self):
-        return self.readers
-
-    def is_acknowledged(self):
-        return self.acknowledges
-
-    def destroy(self):
-        assert self.is_alive, "destroyed twice"
-        self.is_alive = False
-
-
-class World:
-    """The middleware: makes writers, and remembers them all."""
-
-    def __init__(self):
-        self.readers = 1
-        self.refuses = False
-        self.writers = []
-        self.results = []
-
-    def create(self, qos):
-        if self.refuses:
-            raise RuntimeError("no memory")
-        self.writers.append(Writer(qos, self))
-        return self.writers[-1]
-
-    @property
-    def live(self):
-        return [writer for writer in self.writers if writer.is_alive]
-
-
-def make():
-    world = World()
-    return world, WriterSwap(create=world.create, on_result=world.results.append, qos=FIRST)
-
-
-def qos(depth):
-    return WriterQos(depth=depth, deadline_ns=1000 * depth)
 
 
 def run(swap, start_s, seconds):
@@ -203,15 +150,32 @@ def test_without_readers_a_swap_needs_no_acknowledgement():
     assert world.results == [SwapResult.OK]
 
 
-def test_a_newer_request_supersedes():
+def test_a_newer_request_supersedes_one_that_waits_for_readers():
     """The newest request wins, and the one it replaces is reported."""
     world, swap = make()
+    world.readers = 0
     swap.request(qos(2), hold_s=0.1)
     swap.step(0.0)
+    world.readers = 1
     swap.request(qos(3), hold_s=0.1)
     run(swap, 0.01, 1.0)
     assert world.results == [SwapResult.SUPERSEDED, SwapResult.OK]
     assert swap.qos == qos(3)
+
+
+def test_requests_that_never_cease_do_not_starve_each_other():
+    """Asked for something else every 50 ms, the swap still changes its writer, each time to what was newest then."""
+    world, swap = make()
+    now_s = 0.0
+    for depth in range(2, 200):
+        swap.request(qos(depth), hold_s=0.1)
+        now_s = run(swap, now_s, 0.05)
+    in_force = [writer.qos.depth for writer in world.writers[1:]]
+    assert len(in_force) > 50
+    assert in_force == sorted(in_force)
+    assert set(world.results) == {SwapResult.OK}
+    run(swap, now_s, 1.0)
+    assert swap.qos == qos(199)
 
 
 def test_a_request_back_to_what_is_in_force_only_abandons():
@@ -248,3 +212,100 @@ def test_a_refusing_middleware_leaves_the_old_writer():
     assert world.results == [SwapResult.FAILED]
     assert swap.qos == FIRST
     assert not swap.is_busy
+
+
+def test_a_reader_that_refuses_the_new_qos_ends_the_swap():
+    """A reader the new writer would lose is noticed at once, and the old writer stays."""
+    world, swap = make()
+    swap.request(qos(2), hold_s=0.1)
+    swap.step(0.0)
+    world.live[-1].loses_readers = True
+    swap.step(0.005)
+    assert world.results == [SwapResult.INCOMPATIBLE]
+    assert world.live == [swap.current] == world.writers[:1]
+
+
+def test_a_reader_that_joins_while_samples_are_held_is_waited_for():
+    """A reader only the old writer serves yet ends the holding, and the switch comes when both serve it."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2), hold_s=0.3)
+    swap.step(0.0)
+    swap.step(TIMING.settle_s)
+    assert swap.is_holding
+    swap.current.readers = 2
+    swap.step(TIMING.settle_s + 0.01)
+    assert swap.state is SwapState.MATCHING
+    world.live[-1].readers, swap.current.acknowledges = 2, True
+    now_s = run(swap, TIMING.settle_s + 0.02, TIMING.settle_s - 0.01)
+    assert swap.qos == FIRST, "the new reader's side has not settled"
+    run(swap, now_s, 0.05)
+    assert world.results == [SwapResult.OK]
+
+
+def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
+    """Whatever the readers do, the swap is over when matching times out."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2), hold_s=0.3)
+    for step in range(int(1.2 * TIMING.match_timeout_s / 0.05)):
+        swap.current.readers = 1 + step // 4 % 2
+        swap.step(step * 0.05)
+    assert len(world.results) == 1
+    assert swap.state is SwapState.IDLE
+
+
+def test_a_full_queue_ends_the_holding():
+    """Samples are let go, by the new writer, before one of them has to be given up."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2), hold_s=0.3)
+    run(swap, 0.0, 0.12)
+    assert swap.is_holding
+    assert swap.most_held == 2
+    swap.step(0.12, is_full=True)
+    assert world.results == [SwapResult.REORDER_POSSIBLE]
+
+
+def test_old_writers_do_not_pile_up():
+    """While old writers wait for a reader that never acknowledges, only so many are kept; requests coalesce."""
+    world, swap = make()
+    now_s = 0.0
+    for depth in range(2, 40):
+        for writer in world.live:
+            writer.acknowledges = False
+        swap.request(qos(depth), hold_s=0.0)
+        now_s = run(swap, now_s, 0.15)
+        assert len(world.live) <= TIMING.most_draining + 1
+    run(swap, now_s, TIMING.drain_s + 1.0)
+    assert swap.qos == qos(39)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.15, 0.5])
+def test_nothing_happens_after_close(seconds):
+    """Closed at any moment of a swap, no writer lives on and none is made, whoever still asks."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2), hold_s=0.2)
+    run(swap, 0.0, seconds)
+    swap.close()
+    swap.close()
+    swap.request(qos(3), hold_s=0.2)
+    swap.step(seconds + 1.0)
+    assert not world.live
+    assert not swap.is_busy
+
+
+def test_a_writer_that_fails_to_close_leaves_no_other_behind():
+    """When destroying one writer raises, the others are destroyed all the same."""
+    world, swap = make()
+    swap.request(qos(2), hold_s=0.1)
+    swap.step(0.0)
+
+    def fail():
+        raise RuntimeError("the node is gone")
+
+    world.writers[1].destroy = fail
+    with pytest.raises(RuntimeError, match="the node is gone"):
+        swap.close()
+    assert not world.writers[0].is_alive

@@ -1,0 +1,112 @@
+"""One rclpy publisher behind the swap's `arpd.swap.Writer` protocol."""
+
+from __future__ import annotations
+
+import inspect
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType, UnsupportedEventTypeError
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import qos_policy_name_from_kind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+_EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
+EventHandle = rclpy_implementation.EventHandle
+_FOREVER = Duration(seconds=-1)  # rclpy's default
+
+
+class RosWriter:
+    """A writer that stands in for the publisher the application sees.
+
+    Parameters
+    ----------
+    create : makes the rclpy publisher with the event callbacks it is given
+    event_callbacks : the application's own; they hear this writer only while it is the one samples leave by, so that
+        the application never learns that there are two for a while
+    is_current : whether samples leave by the given writer
+    disconnected : readers a writer of these settings would lose, by name
+    """
+
+    def __init__(
+        self,
+        *,
+        node: Node,
+        create: Callable[[PublisherEventCallbacks], Any],
+        event_callbacks: PublisherEventCallbacks | None,
+        is_current: Callable[[RosWriter], bool],
+        disconnected: Callable[[], list[str]],
+    ) -> None:
+        self._node = node
+        self._is_current = is_current
+        self._disconnected = disconnected
+        self.refused_policy = ""  # what the reader that refused last did not accept
+        self.publisher = create(self._filtered(event_callbacks))
+
+    def publish(self, sample: bytes) -> None:
+        """Write one serialized sample."""
+        self.publisher.publish(sample)
+
+    def matched(self) -> int:
+        """Count the matched readers."""
+        return int(self.publisher.get_subscription_count())
+
+    def is_acknowledged(self) -> bool:
+        """Whether every sample written was acknowledged."""
+        # A zero timeout only looks; anything longer would block the pacing thread (shared/SWAP.md).
+        return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
+
+    def wait_for_all_acked(self, timeout: Duration | None) -> bool:
+        """Wait until every sample written was acknowledged; None = as long as it takes."""
+        return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
+
+    def disconnects_readers(self) -> bool:
+        """Whether readers the writer in force serves have refused this one."""
+        return self.refusals() > 0 and bool(self._disconnected())
+
+    def refusals(self) -> int:
+        """Count the readers that refused this writer's QoS since it was made, be they served by another or not."""
+        # Asked for at each look, 3 µs: a swap then needs no executor and adds no waitable for one to visit in
+        # every round, and no handle of ours keeps a writer alive whose node the application destroyed.
+        handle = self.publisher.handle
+        try:
+            with handle:
+                event_handle = EventHandle(handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
+        except UnsupportedEventTypeError:
+            return 0  # then a reader that does not match shows when matching times out
+        with event_handle:
+            event = event_handle.take_event()
+        event_handle.destroy_when_not_in_use()
+        if event is None:
+            return 0
+        self.refused_policy = str(qos_policy_name_from_kind(event.last_policy_kind))
+        return int(event.total_count)
+
+    def destroy(self) -> None:
+        """Destroy the writer."""
+        self._node.destroy_publisher(self.publisher)
+
+    def _filtered(self, callbacks: PublisherEventCallbacks | None) -> PublisherEventCallbacks:
+        """Return the application's callbacks, each of them deaf unless this writer is current."""
+        # No default callbacks: each is a waitable for the executor to visit in every round, only to log a warning.
+        filtered = PublisherEventCallbacks(use_default_callbacks=False)
+        for event in _EVENTS:
+            callback = getattr(callbacks, event, None)
+            if callback is not None:
+                setattr(filtered, event, self._heard_when_current(callback))
+        return filtered
+
+    def _heard_when_current(self, callback: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def hear(event: Any) -> None:
+            if self._is_current(self):
+                callback(event)
+
+        async def hear_later(event: Any) -> None:
+            if self._is_current(self):
+                await callback(event)
+
+        return hear_later if inspect.iscoroutinefunction(callback) else hear

@@ -1,0 +1,144 @@
+"""What a node does when the daemon that planned for it is gone: real rclpy."""
+
+import math
+import threading
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64, String
+
+from arpd import AdaptivePublisher
+from arpd.model import TopicPlan, Transition
+from arpd.ros.announce import from_status
+from arpd.ros.parameters import ParameterApplier
+
+pytestmark = pytest.mark.ros
+TOPIC = "/leased"
+DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
+ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
+
+
+class Announced:
+    """What the node last announced."""
+
+    def __init__(self, node):
+        self.last = None
+        node.create_subscription(DiagnosticArray, "/arpd/publishers", self._on_announcement, 10)
+
+    def _on_announcement(self, message):
+        if message.status:
+            self.last = from_status(message.status[0])
+
+    def shows(self, **values):
+        return self.last is not None and all(getattr(self.last, key) == value for key, value in values.items())
+
+
+class FakeDaemon:
+    """Applies one plan as `arpd run` does, and says the gate until it is told to fall silent."""
+
+    def __init__(self, node, stopping):
+        self._applier = ParameterApplier(node)
+        self._gate = node.create_publisher(Float64, "/arpd/gate", 1)
+        self._is_talking = threading.Event()
+        self._thread = threading.Thread(target=self._talk, args=(stopping,), daemon=True)
+        self._transition = None
+        self._thread.start()
+
+    def plan(self, generation, lease_s):
+        self._transition = Transition(
+            node="/talker", generation=generation, topics={TOPIC: ROW}, reason="test", lease_s=lease_s
+        )
+        self._is_talking.set()
+
+    def fall_silent(self):
+        self._is_talking.clear()
+
+    def _talk(self, stopping):
+        while not stopping.wait(0.1):
+            if self._is_talking.is_set():
+                self._gate.publish(Float64(data=1.0))
+                self._applier.apply([self._transition], now_s=time.monotonic())
+
+
+@pytest.fixture
+def node(ros):
+    return ros.node("talker")
+
+
+@pytest.fixture
+def publisher(node):
+    return AdaptivePublisher(node, String, TOPIC, 10)
+
+
+@pytest.fixture
+def announced(ros, publisher):
+    return Announced(ros.node("watcher"))
+
+
+@pytest.fixture
+def daemon(ros):
+    stopping = threading.Event()
+    fake = FakeDaemon(ros.node("planner"), stopping)
+    yield fake
+    stopping.set()
+    fake._thread.join(timeout=5)
+
+
+def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(node, publisher, announced, daemon, eventually):
+    """The plan stays while the daemon speaks, ends after it fell silent, and a returning daemon plans again."""
+    daemon.plan(generation=7, lease_s=4.0)
+    eventually(lambda: announced.shows(depth=40, generation=7, lease_s=4.0))
+    time.sleep(6.0)
+    assert publisher.plan == ROW, "the daemon still speaks"
+    daemon.fall_silent()
+    eventually(lambda: announced.shows(depth=10, deadline_ns=0, rate_hz=math.inf, generation=0))
+    assert node.get_parameter(DEPTH).value == 10, "the parameters say what is in force"
+    daemon.plan(generation=1, lease_s=4.0)  # another daemon, which knows nothing of its predecessor
+    eventually(lambda: announced.shows(depth=40, generation=1))
+
+
+def test_without_a_lease_a_plan_stays(publisher, announced, daemon, eventually):
+    """By default a plan stays in force when its daemon falls silent."""
+    daemon.plan(generation=7, lease_s=0.0)
+    eventually(lambda: announced.shows(depth=40, generation=7))
+    daemon.fall_silent()
+    time.sleep(4.0)
+    assert announced.shows(depth=40, generation=7)
+
+
+def test_settings_made_by_hand_have_no_lease(node, publisher, eventually):
+    """What a person set, with no plan in force, is no daemon's to lose."""
+    node.set_parameters([Parameter("arpd.lease", value=0.5), Parameter(DEPTH, value=33)])
+    eventually(lambda: publisher.state(generation=0).depth == 33)
+    time.sleep(2.5)
+    assert publisher.plan.depth == 33
+
+
+@pytest.mark.parametrize("value", [-1.0, math.inf, math.nan])
+def test_a_lease_that_is_no_time_is_refused(node, publisher, value):
+    """A negative or infinite lease is refused with a reason."""
+    (result,) = node.set_parameters([Parameter("arpd.lease", value=value)])
+    assert not result.successful
+    assert "is no time" in result.reason
+
+
+def test_a_late_call_of_an_older_plan_changes_nothing(ros, node, publisher, announced, eventually):
+    """Calls that overtake each other leave the newest plan in force, lease and all."""
+    client = ros.node("planner").create_client(SetParametersAtomically, "/talker/set_parameters_atomically")
+    assert client.wait_for_service(timeout_sec=10)
+
+    def call(**values):
+        names = {"depth": DEPTH, "lease": "arpd.lease", "generation": "arpd.generation"}
+        parameters = [Parameter(names[key], value=value).to_parameter_msg() for key, value in values.items()]
+        return client.call_async(SetParametersAtomically.Request(parameters=parameters))
+
+    answers = [call(depth=10 + n, lease=float(n), generation=n) for n in (1, 4, 2, 3)]
+    eventually(lambda: all(answer.done() for answer in answers))
+    assert [answer.result().result.successful for answer in answers] == [True, True, False, False]
+    eventually(lambda: announced.shows(depth=14, generation=4, lease_s=4.0))

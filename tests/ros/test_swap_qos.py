@@ -1,0 +1,235 @@
+"""What a swap keeps of the application's QoS, and what the application hears of it: real rclpy and Fast DDS."""
+
+import time
+from copy import copy
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.parameter import Parameter
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSLivelinessPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import String
+
+from arpd import AdaptivePublisher
+
+pytestmark = pytest.mark.ros
+TOPIC = "/kept"
+LATCHED = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def state(publisher):
+    return publisher.state(generation=0)
+
+
+def retune(publisher, **changes):
+    publisher.retune(replace(publisher.plan, **changes))
+
+
+def swaps(publisher):
+    done = state(publisher).swaps_by_result
+    return done.get("ok", 0) + done.get("reorder_possible", 0)
+
+
+def offered_qos(ros_node):
+    infos = ros_node.get_publishers_info_by_topic(TOPIC)
+    return [info.qos_profile for info in infos if info.node_name == "talker"]
+
+
+def test_every_other_policy_survives(ros, eventually):
+    """After a swap the new writer offers the application's reliability, durability, lifespan and liveliness."""
+    profile = QoSProfile(
+        depth=5,
+        reliability=QoSReliabilityPolicy.BEST_EFFORT,
+        lifespan=Duration(seconds=7),
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=9),
+    )
+    wanted = copy(profile)
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, profile)
+    profile.lifespan = Duration(seconds=1)  # what the application does with its object later is not asked for
+    watcher = ros.node("watcher")
+    retune(publisher, depth=17, deadline_ns=10**9)
+    eventually(lambda: [qos.deadline.nanoseconds for qos in offered_qos(watcher)] == [10**9])
+    (qos,) = offered_qos(watcher)
+    assert qos.reliability == wanted.reliability
+    assert qos.durability == QoSDurabilityPolicy.VOLATILE
+    assert qos.lifespan == wanted.lifespan
+    assert qos.liveliness == wanted.liveliness
+    assert qos.liveliness_lease_duration == wanted.liveliness_lease_duration
+    publisher.assert_liveliness()
+
+
+def test_a_reader_that_would_be_lost_undoes_the_swap(ros, monkeypatch, eventually):
+    """A reader that refuses the new writer's deadline is noticed and named, and keeps getting messages."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 10)
+    retune(publisher, deadline_ns=100_000_000)
+    eventually(lambda: state(publisher).deadline_ns == 100_000_000)
+    received = []
+    demanding = QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000_000))
+    ros.node("demanding").create_subscription(String, TOPIC, received.append, demanding)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    # As if it had joined after the clamp looked at the graph.
+    monkeypatch.setattr(publisher, "_tightest_request_ns", lambda: 0)
+    retune(publisher, deadline_ns=900_000_000)
+    eventually(lambda: state(publisher).refusal)
+    refusal = state(publisher).refusal
+    assert "DEADLINE" in refusal
+    assert "/demanding requests 500000000 ns" in refusal
+    assert state(publisher).swaps_by_result["incompatible"] == 1
+    assert state(publisher).deadline_ns == 100_000_000
+    publisher.publish(String(data="still there"))
+    eventually(lambda: received)
+
+
+def test_a_reader_that_was_never_served_does_not_stop_a_swap(ros, eventually):
+    """A reader that refuses the writer in force as well has no say in its replacement."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 10)
+    impossible = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node("impossible").create_subscription(String, TOPIC, lambda _message: None, impossible)
+    served = []
+    ros.node("served").create_subscription(String, TOPIC, served.append, 10)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    eventually(lambda: publisher._writer.refusals() == 1)
+    assert publisher._writer.refused_policy == "DURABILITY"
+    retune(publisher, depth=30)
+    eventually(lambda: state(publisher).depth == 30)
+    assert publisher._writer.refusals() == 1
+    assert swaps(publisher) == 1
+    publisher.publish(String(data="x"))
+    eventually(lambda: served)
+
+
+class Events:
+    """The application's event callbacks, and what they heard."""
+
+    def __init__(self):
+        self.matched = []
+        self.missed = []
+        self.callbacks = PublisherEventCallbacks(
+            matched=self.matched.append, deadline=self.missed.append, use_default_callbacks=False
+        )
+
+
+def test_the_application_does_not_hear_of_the_second_writer(ros, eventually):
+    """Swaps tell the application of no reader twice, and a reader that joins afterwards is told once."""
+    events = Events()
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 10, event_callbacks=events.callbacks)
+    ros.node("first").create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually(lambda: len(events.matched) == 1)
+    for depth in (20, 30):
+        retune(publisher, depth=depth)
+        eventually(lambda depth=depth: state(publisher).depth == depth)
+    assert [event.current_count for event in events.matched] == [1]
+    ros.node("second").create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually(lambda: len(events.matched) == 2)
+    assert events.matched[-1].current_count == 2
+
+
+def test_a_retired_writer_misses_no_deadlines(ros, monkeypatch, eventually):
+    """The old writer, silent from the switch on, reports no missed deadline while it drains; the new one does."""
+    events = Events()
+    profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=200_000_000))
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, profile, event_callbacks=events.callbacks)
+    ros.node("reader").create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(String(data="0"))
+    eventually(lambda: events.missed)  # a writer in force that falls silent is told of
+    old = publisher._writer
+    monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains for seconds
+    retune(publisher, depth=20, deadline_ns=60_000_000_000)
+    eventually(lambda: state(publisher).depth == 20)
+    time.sleep(0.1)  # an event that was under way at the switch
+    missed = len(events.missed)
+    heard = []
+    # The old writer's deadline goes on running out, five times a second: its callbacks are called, and stay silent.
+    monkeypatch.setattr(publisher, "_is_current", lambda writer: heard.append(writer) or publisher._writer is writer)
+    old._is_current = publisher._is_current
+    eventually(lambda: heard.count(old) >= 2)
+    assert len(events.missed) == missed
+    retune(publisher, deadline_ns=100_000_000)
+    eventually(lambda: state(publisher).deadline_ns == 100_000_000)
+    publisher.publish(String(data="1"))
+    eventually(lambda: len(events.missed) > missed)
+
+
+def test_a_coroutine_hears_events_too(ros, eventually):
+    """An event callback that is a coroutine function is awaited, as rclpy does."""
+    matched = []
+
+    async def on_matched(event):
+        matched.append(event)
+
+    callbacks = PublisherEventCallbacks(matched=on_matched, use_default_callbacks=False)
+    AdaptivePublisher(ros.node("talker"), String, TOPIC, 10, event_callbacks=callbacks)
+    ros.node("reader").create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually(lambda: matched)
+
+
+def test_a_latched_topic_swaps_when_the_application_says_so(ros, eventually):
+    """Forced, a late reader gets from the new writer what the old one held, and no more than that."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, LATCHED, swap_transient_local=True)
+    for number in range(5):
+        publisher.publish(String(data=str(number)))
+    retune(publisher, depth=8)
+    eventually(lambda: state(publisher).depth == 8)
+    time.sleep(0.3)  # the old writer, which nobody reads, is gone by then
+    publisher.publish(String(data="5"))
+    received = []
+    late = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node("late").create_subscription(String, TOPIC, lambda message: received.append(message.data), late)
+    eventually(lambda: len(received) >= 4)
+    assert received == ["2", "3", "4", "5"]
+    assert state(publisher).published == 6, "what is replayed is not published again"
+
+
+def test_a_volatile_topic_is_never_replayed(ros, eventually):
+    """Where no reader may ask for old samples, letting latched topics swap doubles nothing."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 10, swap_transient_local=True)
+    received = []
+    ros.node("reader").create_subscription(String, TOPIC, lambda message: received.append(message.data), 10)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    time.sleep(0.3)
+    publisher.publish(String(data="0"))
+    retune(publisher, depth=20)
+    eventually(lambda: state(publisher).depth == 20)
+    publisher.publish(String(data="1"))
+    eventually(lambda: len(received) >= 2)
+    assert received == ["0", "1"]
+
+
+def test_a_refused_latched_topic_says_what_would_let_it(ros, eventually):
+    """Not forced, a latched topic keeps its writer, and the refusal goes when nothing is asked for any more."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, LATCHED)
+    retune(publisher, depth=8)
+    assert "swap_transient_local" in state(publisher).refusal
+    retune(publisher, depth=3)
+    assert not state(publisher).refusal
+
+
+def test_overriding_options_work_as_in_rclpy_and_leave_depth_writable(ros, eventually):
+    """Overrides of other policies are taken from parameters at the start; depth stays a parameter that can be set."""
+    overrides = [
+        Parameter(f"qos_overrides.{TOPIC}.publisher.reliability", value="best_effort"),
+        Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=40),
+    ]
+    node = ros.node("talker", parameter_overrides=overrides)
+    options = QoSOverridingOptions([QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEPTH])
+    publisher = AdaptivePublisher(node, String, TOPIC, 10, qos_overriding_options=options)
+    eventually(lambda: state(publisher).depth == 40)
+    assert publisher.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
+    (result,) = node.set_parameters([Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=50)])
+    assert result.successful
+    eventually(lambda: state(publisher).depth == 50)
+    watcher = ros.node("watcher")
+    eventually(lambda: [qos.reliability for qos in offered_qos(watcher)] == [QoSReliabilityPolicy.BEST_EFFORT])

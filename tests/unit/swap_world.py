@@ -1,0 +1,66 @@
+"""A middleware for the swap's tests: it makes writers that do as they are told, and remembers them all."""
+
+from arpd.swap import WriterQos, WriterSwap
+
+FIRST = WriterQos(depth=10, deadline_ns=0)
+
+
+class Writer:
+    def __init__(self, qos, world):
+        self.qos = qos
+        self.written = []
+        self.is_alive = True
+        self.acknowledges = True
+        self.readers = world.readers
+        self.loses_readers = False
+
+    def publish(self, sample):
+        assert self.is_alive, "wrote to a destroyed writer"
+        self.written.append(sample)
+
+    def matched(self):
+        assert self.is_alive, "looked at a destroyed writer"
+        return self.readers
+
+    def is_acknowledged(self):
+        assert self.is_alive, "looked at a destroyed writer"
+        return self.acknowledges
+
+    def disconnects_readers(self):
+        return self.loses_readers
+
+    def destroy(self):
+        assert self.is_alive, "destroyed twice"
+        self.is_alive = False
+
+
+class World:
+    """The middleware: makes writers, and remembers them all."""
+
+    def __init__(self):
+        self.readers = 1
+        self.refuses = False
+        self.writers = []
+        self.results = []
+
+    def create(self, qos):
+        if self.refuses:
+            raise RuntimeError("no memory")
+        self.writers.append(Writer(qos, self))
+        return self.writers[-1]
+
+    def note(self, result, _qos):
+        self.results.append(result)
+
+    @property
+    def live(self):
+        return [writer for writer in self.writers if writer.is_alive]
+
+
+def make():
+    world = World()
+    return world, WriterSwap(create=world.create, on_result=world.note, qos=FIRST)
+
+
+def qos(depth):
+    return WriterQos(depth=depth, deadline_ns=1000 * depth)

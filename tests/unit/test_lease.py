@@ -1,0 +1,74 @@
+"""How long a plan outlives the daemon that made it."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.lease import Lease
+from arpd.model import Direction, PublisherState, QosPlan, TopicPlan
+from arpd.planner import plan_transitions
+from arpd.settings import OnLost, Settings
+
+ROW = TopicPlan(rate_hz=10.0, min_rate_hz=1.0, deadline_ns=0, depth=20)
+PLAN = QosPlan(generation=3, topics={"/a": ROW}, level_bytes_per_second=1e6)
+CONFIRMED = PublisherState(
+    node="/talker",
+    topic="/a",
+    type_name="x",
+    direction=Direction.SENSING,
+    payload_bytes=100.0,
+    source_rate_hz=10.0,
+    offered=0,
+    published=0,
+    withheld=0,
+    queued=0,
+    blocked_s=0.0,
+    rate_hz=ROW.rate_hz,
+    depth=ROW.depth,
+    deadline_ns=ROW.deadline_ns,
+    baseline_depth=10,
+    baseline_deadline_ns=0,
+    generation=3,
+)
+
+
+@given(st.lists(st.floats(0.0, 100.0), min_size=1), st.floats(0.1, 100.0), st.floats(0.0, 200.0))
+def test_it_is_over_when_the_last_sign_of_life_is_older_than_the_grant(signs, granted_s, now_s):
+    """Only the newest sign of life counts, whatever order they are noted in."""
+    lease = Lease()
+    lease.granted_s = granted_s
+    for sign_s in signs:
+        lease.renew(sign_s)
+    assert lease.is_over(now_s) == (now_s - max(signs) > granted_s)
+
+
+@pytest.mark.parametrize("now_s", [0.0, 1e9])
+def test_without_a_grant_it_never_ends(now_s):
+    """A daemon that granted nothing lets its plan stay for good."""
+    assert not Lease().is_over(now_s)
+
+
+def test_only_the_choice_of_baseline_grants_a_lease():
+    """`on_lost: keep` tells the nodes never to give a plan up."""
+    settings = Settings(lost_after_s=12.0)
+    assert settings.lease_s == 0.0
+    assert replace(settings, on_lost=OnLost.BASELINE).lease_s == 12.0
+
+
+def test_a_changed_lease_reaches_publishers_that_run_the_plan_already():
+    """After a reload the nodes are told the new lease with the same plan, until they announce it."""
+    assert plan_transitions([CONFIRMED], PLAN, reason="test") == ()
+    (transition,) = plan_transitions([CONFIRMED], PLAN, reason="test", lease_s=30.0)
+    assert (transition.lease_s, transition.generation, transition.topics) == (30.0, 3, {"/a": ROW})
+    told = replace(CONFIRMED, lease_s=30.0)
+    assert plan_transitions([told], PLAN, reason="test", lease_s=30.0) == ()
+
+
+def test_a_publisher_that_gave_the_plan_up_is_planned_for_again():
+    """A returning daemon sees generation 0 with the application's QoS, and sets its plan."""
+    lost = replace(CONFIRMED, generation=0, rate_hz=math.inf, depth=10, lease_s=30.0)
+    (transition,) = plan_transitions([lost], PLAN, reason="test", lease_s=30.0)
+    assert transition.topics == {"/a": ROW}

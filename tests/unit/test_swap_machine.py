@@ -1,0 +1,136 @@
+"""The swap as a state machine: whatever happens, in whatever order, its invariants hold."""
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from arpd.swap import SwapResult, SwapState, WriterQos, WriterSwap
+from tests.unit.swap_world import FIRST, World, qos
+
+
+class SwapMachine(RuleBasedStateMachine):
+    """A publisher over a middleware that does what it likes; the application never stops publishing."""
+
+    def __init__(self):
+        super().__init__()
+        self.world = World()
+        self.events: list[tuple[SwapResult, WriterQos]] = []
+        self.swap = WriterSwap(create=self.world.create, on_result=lambda *event: self.events.append(event), qos=FIRST)
+        self.now_s = 0.0
+        self.held = []
+        self.samples = 0
+        self.asked = [FIRST]
+        self.told_before = 0  # events before the newest request
+        self.in_force = 0  # the newest of the requests for what is in force
+        self.is_closed = False
+
+    def step(self):
+        events_before = len(self.events)
+        self.swap.step(self.now_s, is_full=len(self.held) >= self.swap.most_held)
+        if not self.swap.is_holding:
+            self.release()
+        for result, about in self.events[events_before:]:
+            if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
+                assert about == self.swap.qos
+                # What is in force may lag behind the newest request, but never goes back to an older one.
+                newest = len(self.asked) - 1 - self.asked[::-1].index(about)
+                assert newest >= self.in_force, "an older request undid a newer one"
+                self.in_force = newest
+
+    def release(self):
+        for sample in self.held:
+            self.swap.current.publish(sample)
+        self.held.clear()
+
+    @precondition(lambda self: not self.is_closed)
+    @rule(depth=st.integers(1, 5))
+    def request(self, depth):
+        self.asked.append(qos(depth))
+        self.told_before = len(self.events)
+        self.swap.request(qos(depth), hold_s=0.2)
+
+    @precondition(lambda self: not self.is_closed)
+    @rule(seconds=st.sampled_from([0.005, 0.05, 0.11, 0.3, 1.0, 6.0]))
+    def wait(self, seconds):
+        self.now_s += seconds
+        self.step()
+
+    @precondition(lambda self: not self.is_closed)
+    @rule(samples=st.integers(1, 3))
+    def publish(self, samples):
+        for _ in range(samples):
+            self.held.append(self.samples)
+            self.samples += 1
+        if not self.swap.is_holding:
+            self.release()
+
+    @rule(data=st.data(), readers=st.integers(0, 3))
+    def some_writer_sees_other_readers(self, data, readers):
+        if self.world.live:
+            data.draw(st.sampled_from(self.world.live)).readers = readers
+
+    @rule(data=st.data(), acknowledges=st.booleans())
+    def some_writer_is_acknowledged_or_not(self, data, acknowledges):
+        if self.world.live:
+            data.draw(st.sampled_from(self.world.live)).acknowledges = acknowledges
+
+    @rule(readers=st.integers(0, 3), refuses=st.booleans())
+    def the_next_writer_will_see(self, readers, refuses):
+        self.world.readers, self.world.refuses = readers, refuses
+
+    @precondition(lambda self: self.world.live[1:])
+    @rule()
+    def a_reader_refuses_the_newest_writer(self):
+        self.world.live[-1].loses_readers = True
+
+    @precondition(lambda self: not self.is_closed)
+    @rule()
+    def the_middleware_behaves_for_a_while(self):
+        """Then every request is settled: the newest is in force, or what it came to was told."""
+        self.world.readers, self.world.refuses = 1, False
+        for _ in range(int(12.0 / 0.05)):
+            for writer in self.world.live:
+                writer.readers, writer.acknowledges = 1, True
+            self.now_s += 0.05
+            self.step()
+        assert not self.swap.is_busy
+        assert self.world.live == [self.swap.current]
+        wanted = self.asked[-1]
+        assert self.swap.qos == wanted or wanted in [about for _, about in self.events[self.told_before :]]
+
+    @precondition(lambda self: not self.is_closed)
+    @rule()
+    def close(self):
+        if self.swap.is_holding:
+            self.held.clear()  # what waits at the end is withheld, and `Flow` counts it
+        self.samples = sum(len(writer.written) for writer in self.world.writers)
+        self.swap.close()
+        self.is_closed = True
+
+    @rule()
+    def step_again(self):
+        if self.is_closed:
+            self.swap.request(qos(9), hold_s=0.1)
+            self.swap.step(self.now_s + 1.0)
+
+    @invariant()
+    def the_current_writer_lives_and_none_is_forgotten(self):
+        if self.is_closed:
+            assert not self.world.live
+            return
+        assert self.swap.current.is_alive
+        assert self.swap.current.qos == self.swap.qos
+        known = [self.swap.current, self.swap._next, *(old.writer for old in self.swap._draining)]
+        assert sorted(map(id, self.world.live)) == sorted(id(writer) for writer in known if writer is not None)
+        assert (self.swap._next is not None) == (self.swap.state is not SwapState.IDLE)
+
+    @invariant()
+    def every_sample_was_written_once_and_in_order(self):
+        written = sorted(sample for writer in self.world.writers for sample in writer.written)
+        assert written + self.held == list(range(self.samples))
+        for writer in self.world.writers:
+            assert writer.written == sorted(writer.written)
+
+
+TestSwapMachine = SwapMachine.TestCase
+TestSwapMachine.settings = settings(deadline=None, max_examples=200, stateful_step_count=40)
