@@ -6,14 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from arpd.ros.publisher import AdaptivePublisher
+    from arpd.ros.subscription import AdaptiveSubscription
 
-__all__ = ["AdaptivePublisher"]
+__all__ = ["AdaptivePublisher", "AdaptiveSubscription"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import AdaptivePublisher on first use, so that `import arpd` works where ROS does not."""
+    """Import what needs ROS on first use, so that `import arpd` works where ROS does not."""
     if name == "AdaptivePublisher":
         from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
 
         return AdaptivePublisher
+    if name == "AdaptiveSubscription":
+        from arpd.ros.subscription import AdaptiveSubscription  # noqa: PLC0415 - the same
+
+        return AdaptiveSubscription
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -20,6 +20,7 @@ from arpd.ros.announce import from_status
 from arpd.ros.graph import Crossing, read_crossings
 from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.ros.parameters import ParameterApplier
+from arpd.ros.rmw import current_rmw
 from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from arpd.model import Transition
     from arpd.probing import PeerReport, ProbeRequest
+    from arpd.ros.rmw import Rmw
     from arpd.settings import GraphSettings
 
 log = logging.getLogger(__name__)
@@ -45,6 +47,7 @@ class RosControl:
     interface : the robot's link interface
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
+    rmw : the middleware; this process's own when None
     """
 
     def __init__(
@@ -55,8 +58,12 @@ class RosControl:
         graph: GraphSettings,
         on_report: Callable[[], None],
         clock: Callable[[], float] = time.monotonic,
+        rmw: Rmw | None = None,
     ) -> None:
         self._node = node
+        self._rmw = rmw or current_rmw()
+        if self._rmw.refusal:
+            log.warning("%s", self._rmw.refusal)
         self._interface = interface
         self._graph_settings = graph
         self._on_report_arrived = on_report
@@ -104,6 +111,8 @@ class RosControl:
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
             peers=self._peers,
+            rmw=self._rmw.name,
+            rmw_refusal=self._rmw.refusal,
         )
 
     # -- act
@@ -165,7 +174,7 @@ class RosControl:
                     self._announced[key] = (now_s, state)
 
     def _read_graph(self) -> None:
-        self._crossings = read_crossings(self._node)
+        self._crossings = read_crossings(self._node, self._rmw)
         self._peers = self._node.count_publishers(REPORT_TOPIC)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from arpd.model import Direction
@@ -10,6 +11,8 @@ from arpd.ros.names import GATE_TOPIC, INFINITE_NS, is_internal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+    from arpd.ros.rmw import Rmw
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,16 +61,33 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
     )
 
 
-def read_crossings(node: Any) -> Mapping[str, Crossing]:
+def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
+    """Tell how a topic crosses where the middleware does not say which host an endpoint lives on: pure.
+
+    A reader in another process than any writer may be across the link. Such a topic counts as sensing and as one copy:
+    a topic wrongly planned for only gets a rate, one wrongly left out is neither paced nor gated, and copies that
+    are not there would take rate from everybody.
+    """
+    readers = tuple(readers)
+    processes = {writer.participant for writer in writers}
+    is_crossing = bool(processes) and any(reader.participant not in processes for reader in readers)
+    return Crossing(
+        direction=Direction.SENSING if is_crossing else Direction.LOCAL,
+        remote_readers=int(is_crossing),
+        requested_deadline_ns=min((reader.deadline_ns for reader in readers if reader.deadline_ns), default=0),
+    )
+
+
+def read_crossings(node: Any, rmw: Rmw) -> Mapping[str, Crossing]:
     """Return how every topic of the graph crosses the link, ROS's and arpd's own left out.
 
     Fast DDS GUIDs carry the host in bytes 2-3 (DESIGN §2); the robot's own host is that of this node's writer.
     """
     own = [info for info in node.get_publishers_info_by_topic(GATE_TOPIC) if info.node_name == node.get_name()]
     robot_host = _endpoint(own[0]).host if own else b""
+    tell = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
     return {
-        topic: crossing(
-            robot_host=robot_host,
+        topic: tell(
             writers=map(_endpoint, node.get_publishers_info_by_topic(topic)),
             readers=map(_endpoint, node.get_subscriptions_info_by_topic(topic)),
         )

@@ -8,22 +8,28 @@ import platform
 import re
 import threading
 import time
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.logs import configure_logging
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
+from arpd.routes import Refusal, Route, Source, choose_route, own_output
 from arpd.systemd import Notifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from arpd.ros.publisher import AdaptivePublisher
+    from arpd.ros.subscription import AdaptiveSubscription
     from arpd.settings import RelaySettings
 
 log = logging.getLogger(__name__)
 
 _DISCOVER_S = 0.5
+_KEEP_LOOKS = 20  # 10 s: a source that restarts is heard at once, and no circle is kept up by one that never comes
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # how the graph names a node it has not heard of yet
 _RECEIVE_DEPTH = 100  # on-host, so this only bridges the relay's own scheduling
 
 
@@ -49,6 +55,10 @@ def message_class(type_name: str) -> Any:
 class Relay:
     """Subscribes raw to each configured topic and republishes it, unchanged, under the prefix.
 
+    The graph decides, at every look anew: a topic is carried once somebody publishes it, its reader follows the weakest
+    writer, and a topic that returns with another type is carried as that. What cannot be carried is named, and the
+    other topics go on.
+
     Parameters
     ----------
     node : rclpy node it lives in
@@ -57,48 +67,123 @@ class Relay:
     """
 
     def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
+        from rclpy.clock import Clock, ClockType  # noqa: PLC0415 - ROS is checked in ros_node
+
         self._node = node
         self._settings = settings
         self._on_change = on_change
-        self._waiting = list(settings.topics)
-        self._refused: list[str] = []
-        on_change(self.status_line())
-        node.create_timer(_DISCOVER_S, self._discover)
+        self._carried: dict[str, _Carried] = {}
+        self._refused: dict[str, str] = {}
+        self._failed: dict[str, str] = {}  # topic → type that could not be carried
+        self._silent = dict.fromkeys(settings.topics, 0)  # topic → looks since somebody published it
+        self._once: set[str] = set()  # topics that were carried at some time
+        self._outputs: dict[str, str] = {}  # topic → what it is carried to
+        for topic in settings.topics:
+            output = str(node.resolve_topic_name(settings.prefix + topic))
+            if refusal := own_output(topic, prefix=settings.prefix, output=output):
+                self._refuse(topic, refusal.reason)
+            else:
+                self._outputs[topic] = output
+        self._status = self.status_line()
+        on_change(self._status)
+        # Steady time: a simulation that stands still must not stop the relay from following the graph.
+        node.create_timer(_DISCOVER_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def status_line(self) -> str:
         """One line a human can read, for ``systemctl status``."""
-        topics = len(self._settings.topics)
-        line = f"relaying {topics - len(self._waiting) - len(self._refused)} of {topics} topics"
-        if self._waiting:
-            line += f"; nobody publishes {', '.join(self._waiting)} yet"
-        return f"{line}; no type for {', '.join(self._refused)}" if self._refused else line
+        topics = self._settings.topics
+        flowing = sum(topic not in self._silent for topic in self._carried)
+        line = f"relaying {flowing} of {len(topics)} topics"
+        silent = [topic for topic in topics if topic in self._silent and topic not in self._refused]
+        if new := [topic for topic in silent if topic not in self._once]:
+            line += f"; nobody publishes {', '.join(new)} yet"
+        if gone := [topic for topic in silent if topic in self._once]:
+            line += f"; nobody publishes {', '.join(gone)} any more"
+        for topic, reason in sorted(self._refused.items()):
+            line += f"; refused {topic}: {reason}"
+        for topic, carried in sorted(self._carried.items()):
+            if carried.route.ignored:
+                line += f"; on {topic} ignored {carried.route.ignored}"
+        return line
 
     def _discover(self) -> None:
-        for topic in tuple(self._waiting):
-            writers = self._node.get_publishers_info_by_topic(topic)
-            if not writers:
-                continue
-            try:
-                self._carry(topic, writers)
-            except UnknownTypeError as error:
-                log.error("cannot relay %s: %s; the other topics go on", topic, error)  # noqa: TRY400 - no traceback
-                self._refused.append(topic)
-            self._waiting.remove(topic)
-            self._on_change(self.status_line())
+        for topic, output in self._outputs.items():
+            self._look(topic, output)
+        if (status := self.status_line()) != self._status:
+            self._status = status
+            self._on_change(status)
 
-    def _carry(self, topic: str, writers: list[Any]) -> None:
-        from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+    def _look(self, topic: str, output: str) -> None:
+        carried = self._carried.get(topic)
+        readers = map(_node_name, self._node.get_subscriptions_info_by_topic(output))
+        route = choose_route(
+            map(_source, self._node.get_publishers_info_by_topic(topic)),
+            carrier=self._node.get_fully_qualified_name(),
+            output=output,
+            output_readers={name for name in readers if _UNKNOWN not in name},
+            in_force=None if carried is None else carried.route,
+        )
+        if route is None:
+            self._rest(topic)
+            return
+        self._silent.pop(topic, None)
+        if isinstance(route, Refusal):
+            self._drop(topic)
+            self._refuse(topic, route.reason)
+        elif self._failed.get(topic) != route.type_name:
+            self._follow(topic, route)
+
+    def _rest(self, topic: str) -> None:
+        """Let a topic that nobody publishes wait for its source, and end it when that does not return."""
+        self._silent[topic] = self._silent.get(topic, 0) + 1
+        self._refused.pop(topic, None)
+        self._failed.pop(topic, None)
+        if self._silent[topic] > _KEEP_LOOKS:
+            self._drop(topic)
+
+    def _follow(self, topic: str, route: Route) -> None:
+        """Carry the topic by this route, whatever it was carried by before."""
+        carried = self._carried.get(topic)
+        if carried is not None and carried.route.type_name != route.type_name:
+            log.info("%s returned as %s; it was %s", topic, route.type_name, carried.route.type_name)
+            self._drop(topic)
+            # The next look carries it. With the new writer at once, 4 of 27 runs left a far reader unmatched for good.
+            return
+        try:
+            if carried is None:
+                carried = self._carried[topic] = self._carry(topic, route)
+                self._once.add(topic)
+                log.info("relaying %s to %s (%s)", topic, carried.publisher.topic_name, route.type_name)
+            else:
+                carried.follow(route)
+        except UnknownTypeError as error:
+            self._failed[topic] = route.type_name  # importing is not tried again before the type changes
+            self._refuse(topic, str(error))
+        except (RuntimeError, ValueError) as error:
+            self._refuse(topic, f"the middleware says: {error}")  # and the next look tries again
+        else:
+            self._refused.pop(topic, None)
+            self._failed.pop(topic, None)
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        if self._refused.get(topic) != reason:
+            log.error("cannot relay %s: %s; the other topics go on", topic, reason)
+        self._refused[topic] = reason
+
+    def _drop(self, topic: str) -> None:
+        if (carried := self._carried.pop(topic, None)) is not None:
+            carried.destroy()
+        self._failed.pop(topic, None)
+
+    def _carry(self, topic: str, route: Route) -> _Carried:
+        from rclpy.qos import QoSProfile  # noqa: PLC0415 - ROS is checked in ros_node
 
         from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415
+        from arpd.ros.subscription import AdaptiveSubscription  # noqa: PLC0415
         from arpd.settings import DEFAULT_RELAY_DEPTH, Overflow  # noqa: PLC0415
 
-        kind = message_class(writers[0].topic_type)
-        # A reliable reader does not match a best-effort writer, so the weakest writer decides.
-        all_reliable = all(w.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE for w in writers)
-        reliability = QoSReliabilityPolicy.RELIABLE if all_reliable else QoSReliabilityPolicy.BEST_EFFORT
-        # Latched topics (/map, /tf_static) stay latched, or late joiners on the far side would never see them.
-        all_latched = all(w.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for w in writers)
-        durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if all_latched else QoSDurabilityPolicy.VOLATILE
+        kind = message_class(route.type_name)
+        reliability, durability = _policies(route)
         publisher = AdaptivePublisher(
             self._node,
             kind,
@@ -106,14 +191,65 @@ class Relay:
             QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=durability),
             overflow=self._settings.overflow.get(topic, Overflow.LATEST),
         )
-        self._node.create_subscription(
-            kind,
-            topic,
-            publisher.offer,
-            QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
-            raw=True,
-        )
-        log.info("relaying %s to %s (%s)", topic, publisher.topic_name, writers[0].topic_type)
+        try:
+            subscription = AdaptiveSubscription(
+                self._node,
+                kind,
+                topic,
+                publisher.offer,
+                QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
+                raw=True,
+            )
+        except Exception:
+            publisher.destroy()  # half a route would announce a topic that never carries anything
+            raise
+        return _Carried(route=route, publisher=publisher, subscription=subscription)
+
+
+@dataclass(slots=True)
+class _Carried:
+    """One topic under way: the reader it comes in by and the writer it leaves by."""
+
+    route: Route
+    publisher: AdaptivePublisher
+    subscription: AdaptiveSubscription
+
+    def follow(self, route: Route) -> None:
+        """Let the reader follow the weakest writer, losing and doubling nothing."""
+        reliability, durability = _policies(route)
+        # Compared with what is in force, not with what was asked for: a handover that failed is tried again.
+        qos = replace(self.subscription.qos, reliability=reliability, durability=durability)
+        if qos != self.subscription.qos:
+            self.subscription.renew(qos)
+        self.route = route
+
+    def destroy(self) -> None:
+        self.subscription.destroy()
+        self.publisher.destroy()
+
+
+def _policies(route: Route) -> tuple[Any, Any]:
+    from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+
+    return (
+        QoSReliabilityPolicy.RELIABLE if route.is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        QoSDurabilityPolicy.TRANSIENT_LOCAL if route.is_latched else QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def _source(info: Any) -> Source:
+    from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+
+    return Source(
+        node=_node_name(info),
+        type_name=info.topic_type,
+        is_reliable=info.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
+        is_latched=info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def _node_name(info: Any) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def best_executor(context: Any = None) -> Any:

@@ -262,6 +262,11 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
     topics.add_metric(("actuation",), snapshot.observation.actuation_topics)
     topics.add_metric(("sensing",), snapshot.observation.sensing_topics)
     yield topics
+    observation = snapshot.observation
+    if observation.rmw:
+        swaps = "no" if observation.rmw_refusal else "yes"
+        labels = {"rmw": observation.rmw, "swaps": swaps}
+        yield InfoMetricFamily("arpd_rmw", "Middleware of ROS; without swaps, topics are paced and gated only.", labels)
 
 
 def _of_totals(totals: Totals) -> Iterator[Metric]:

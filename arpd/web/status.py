@@ -2,7 +2,8 @@
 
 Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite),
 in ``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan
-covers, in ``interface_counters`` an interface that cannot be read. Keys are only ever added within ``v1``.
+covers, in ``interface_counters`` an interface that cannot be read, in ``rmw`` a world without ROS. Keys are only ever
+added within ``v1``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model import LinkCounters, PublisherState, TopicAllocation, TopicPlan
+    from arpd.model import LinkCounters, Observation, PublisherState, TopicAllocation, TopicPlan
     from arpd.snapshot import Snapshot, Totals
 
 API_VERSION = "v1"
@@ -74,6 +75,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "sensing_topics": snapshot.observation.sensing_topics,
             "actuation_topics": snapshot.observation.actuation_topics,
         },
+        "rmw": _rmw(snapshot.observation),
         "gate": _finite(decision.gate),
         "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
         "plan": {
@@ -126,6 +128,12 @@ def _counters(counters: LinkCounters | None) -> dict[str, Any] | None:
         "transmit_packets": counters.tx_packets,
         "transmit_dropped_packets": counters.tx_dropped,
     }
+
+
+def _rmw(observation: Observation) -> dict[str, Any] | None:
+    if not observation.rmw:
+        return None
+    return {"name": observation.rmw, "swaps": not observation.rmw_refusal, "refusal": observation.rmw_refusal}
 
 
 def _topic(row: TopicRow) -> dict[str, Any]:

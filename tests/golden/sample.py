@@ -194,6 +194,7 @@ def make_snapshot() -> Snapshot:
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=3 * 2**30),
             sensing_topics=11,
             actuation_topics=1,
+            rmw="rmw_fastrtps_cpp",
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=500_000.0,

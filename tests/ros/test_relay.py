@@ -1,18 +1,27 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
+import os
 import time
+from contextlib import ExitStack
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 
+from arpd.ros import relay as relay_module
 from arpd.ros.relay import Relay, UnknownTypeError, best_executor, message_class
-from arpd.settings import RelaySettings
+from arpd.settings import Overflow, RelaySettings
 
 pytestmark = pytest.mark.ros
+
+BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class DeafExecutor:
@@ -99,3 +108,206 @@ def test_a_latched_topic_stays_latched(ros, lines, eventually):
     received = []
     ros.node("late").create_subscription(String, "/link/map", lambda m: received.append(m.data), latched)
     eventually(lambda: received == ["the map"])
+
+
+@pytest.fixture
+def elsewhere(ros):
+    """Make a node in a participant of its own, as every process has one: within one, a topic has one type."""
+    with ExitStack() as stack:
+
+        def node(name, executor=SingleThreadedExecutor, **options):
+            context = rclpy.Context()
+            rclpy.init(context=context, domain_id=1 + os.getpid() % 90)
+            stack.callback(rclpy.try_shutdown, context=context)
+            return type(ros)(context, stack).node(name, executor(context=context), **options)
+
+        yield node
+
+
+class Numbers:
+    """A talker that counts, and where its numbers arrive."""
+
+    def __init__(self, publisher, name, rate_hz=100):
+        self.publisher, self.name, self.rate_hz, self.sent = publisher, name, rate_hz, 0
+
+    def talk(self, stopping):
+        while not stopping.is_set():
+            self.publisher.publish(String(data=f"{self.name} {self.sent}"))
+            self.sent += 1
+            time.sleep(1 / self.rate_hz)
+
+
+def of(received, name):
+    return [int(number) for talker, number in (text.split() for text in received) if talker == name]
+
+
+def listen(node, topic):
+    received = []
+    node.create_subscription(String, topic, lambda m: received.append(m.data), 1000)
+    return received
+
+
+SETTINGS = RelaySettings(topics=("/chatter",), overflow={"/chatter": Overflow.QUEUE}, depths={"/chatter": 1000})
+
+
+@pytest.mark.parametrize("executor", [SingleThreadedExecutor, EventsExecutor])
+def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, lines, background, eventually, executor):
+    """A weaker publisher that joins is carried too, and the first one's messages are neither lost nor doubled."""
+    reliable = Numbers(elsewhere("first").create_publisher(String, "/chatter", 1000), "first")
+    received = listen(elsewhere("far"), "/link/chatter")
+    Relay(elsewhere("relay", executor), SETTINGS, on_change=lines)
+    background(reliable.talk)
+    eventually(lambda: len(of(received, "first")) > 20)
+    weak = Numbers(elsewhere("second").create_publisher(String, "/chatter", BEST_EFFORT), "second")
+    background(weak.talk)
+    eventually(lambda: len(of(received, "second")) > 20)
+    so_far = reliable.sent
+    eventually(lambda: of(received, "first")[-1] >= so_far)
+    got = of(received, "first")
+    assert got == list(range(got[0], got[0] + len(got)))
+
+
+def test_a_volatile_publisher_that_joins_a_latched_topic_is_heard(elsewhere, lines, background, eventually):
+    """A volatile publisher on a topic that was latched so far is carried, and so is the latched one."""
+    latched = Numbers(elsewhere("first").create_publisher(String, "/chatter", LATCHED), "first")
+    received = listen(elsewhere("far"), "/link/chatter")
+    Relay(elsewhere("relay"), SETTINGS, on_change=lines)
+    background(latched.talk)
+    eventually(lambda: len(of(received, "first")) > 20)
+    volatile = Numbers(elsewhere("second").create_publisher(String, "/chatter", 10), "second")
+    background(volatile.talk)
+    eventually(lambda: len(of(received, "second")) > 20)
+    so_far = latched.sent
+    eventually(lambda: of(received, "first")[-1] >= so_far)
+
+
+def test_two_types_on_one_topic_are_refused_and_named(elsewhere, lines, background, eventually):
+    """With two types on a topic it is refused and both are named; when one leaves, the other is carried."""
+    words = Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words")
+    figures = elsewhere("figures")
+    stray = figures.create_publisher(Float64, "/chatter", 10)
+    relay = elsewhere("relay")
+    eventually(lambda: len(relay.get_publishers_info_by_topic("/chatter")) == 2)
+    Relay(relay, SETTINGS, on_change=lines)
+    eventually(lambda: "refused /chatter" in lines.said[-1])
+    assert "std_msgs/msg/Float64 from /figures, std_msgs/msg/String from /words" in lines.said[-1]
+    figures.destroy_publisher(stray)
+    received = listen(elsewhere("far"), "/link/chatter")
+    background(words.talk)
+    eventually(lambda: len(received) > 5)
+    assert lines.said[-1] == "relaying 1 of 1 topics"
+
+
+def test_a_stray_publisher_of_another_type_takes_nothing_away(elsewhere, lines, background, eventually):
+    """A topic that flows goes on when somebody else publishes another type on it; who does is named."""
+    words = Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words")
+    received = listen(elsewhere("far"), "/link/chatter")
+    Relay(elsewhere("relay"), SETTINGS, on_change=lines)
+    background(words.talk)
+    eventually(lambda: len(received) > 5)
+    figures = elsewhere("figures")
+    stray = figures.create_publisher(Float64, "/chatter", 10)
+    named = "relaying 1 of 1 topics; on /chatter ignored std_msgs/msg/Float64 from /figures"
+    eventually(lambda: lines.said[-1] == named)
+    before = len(received)
+    eventually(lambda: len(received) > before + 5)
+    figures.destroy_publisher(stray)
+    eventually(lambda: lines.said[-1] == "relaying 1 of 1 topics")
+
+
+def test_a_topic_that_returns_with_another_type_is_carried_anew(elsewhere, lines, background, eventually):
+    """When a topic vanishes the status says so; when it returns with another type, that type is carried."""
+    node = elsewhere("talker")
+    old = node.create_publisher(Float64, "/chatter", 10)
+    relay = elsewhere("relay")
+    Relay(relay, SETTINGS, on_change=lines)
+    eventually(lambda: lines.said[-1] == "relaying 1 of 1 topics")
+    node.destroy_publisher(old)
+    eventually(lambda: lines.said[-1] == "relaying 0 of 1 topics; nobody publishes /chatter any more")
+    received = listen(elsewhere("far"), "/link/chatter")
+    background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
+    eventually(lambda: len(received) > 5)
+    assert lines.said[-1] == "relaying 1 of 1 topics"
+    outputs = relay.get_publishers_info_by_topic("/link/chatter")
+    assert [info.topic_type for info in outputs] == ["std_msgs/msg/String"]
+
+
+def test_a_type_that_is_not_installed_stops_no_other_topic(elsewhere, lines, background, eventually, monkeypatch):
+    """A topic whose type is missing is refused and named, the others go on, and another type is tried anew."""
+
+    def missing(name):
+        if name == "std_msgs/msg/Float64":
+            raise UnknownTypeError(f"{name} is not installed here")
+        return message_class(name)
+
+    monkeypatch.setattr(relay_module, "message_class", missing)
+    node = elsewhere("talker")
+    alien = node.create_publisher(Float64, "/alien", 10)
+    received, later = listen(elsewhere("far"), "/link/chatter"), listen(elsewhere("later"), "/link/alien")
+    Relay(elsewhere("relay"), RelaySettings(topics=("/alien", "/chatter")), on_change=lines)
+    background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
+    eventually(lambda: len(received) > 5)
+    assert lines.said[-1] == "relaying 1 of 2 topics; refused /alien: std_msgs/msg/Float64 is not installed here"
+    node.destroy_publisher(alien)
+    background(Numbers(elsewhere("known").create_publisher(String, "/alien", 10), "known").talk)
+    eventually(lambda: len(later) > 5)
+    assert lines.said[-1] == "relaying 2 of 2 topics"
+
+
+def test_its_own_output_is_no_input(elsewhere, lines):
+    """A topic under the prefix, and one that a remapping rule carries to itself, are refused and named."""
+    remapped = ["--ros-args", "-r", "/link/chatter:=/chatter"]
+    topics = ("/link/scan", "/chatter")
+    Relay(elsewhere("relay", cli_args=remapped), RelaySettings(topics=topics), on_change=lines)
+    assert lines.said[-1] == (
+        "relaying 0 of 2 topics; refused /chatter: a remapping rule carries it to itself; "
+        "refused /link/scan: it already carries the prefix /link; name the topic without it"
+    )
+
+
+def test_a_node_that_sends_the_output_back_is_named(elsewhere, lines, background, eventually):
+    """While a node publishes what it reads from the relay the topic is refused; when it leaves, it is carried."""
+    far = elsewhere("far")
+    back = far.create_publisher(String, "/chatter", 10)
+    echo = far.create_subscription(String, "/link/chatter", back.publish, 10)
+    background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
+    relay = elsewhere("relay")
+    eventually(lambda: len(relay.get_publishers_info_by_topic("/chatter")) == 2)
+    Relay(relay, SETTINGS, on_change=lines)
+    eventually(lambda: "refused /chatter: /far reads /link/chatter and publishes it" in lines.said[-1])
+    far.destroy_subscription(echo)
+    far.destroy_publisher(back)
+    received = listen(elsewhere("listener"), "/link/chatter")
+    eventually(lambda: len(received) > 5)
+    assert lines.said[-1] == "relaying 1 of 1 topics"
+
+
+def test_of_two_relays_in_a_circle_one_steps_back(elsewhere, lines, background, eventually, monkeypatch):
+    """A relay that would carry another's output back to its input refuses in the end; the other one carries."""
+    monkeypatch.setattr(relay_module, "_KEEP_LOOKS", 4)
+    received = listen(elsewhere("far"), "/a/chatter")
+    background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
+    Relay(elsewhere("one"), RelaySettings(topics=("/chatter",), prefix="/a"), on_change=lambda _line: None)
+    eventually(lambda: len(received) > 5)
+    back = elsewhere("two", cli_args=["--ros-args", "-r", "/b/a/chatter:=/chatter"])
+    Relay(back, RelaySettings(topics=("/a/chatter",), prefix="/b"), on_change=lines)
+    # Which of the two sees the circle first is discovery's choice.
+    eventually(lambda: "refused /a/chatter: /one reads /chatter and publishes it" in lines.said[-1], timeout_s=60)
+    before = len(received) + 50
+    eventually(lambda: len(received) > before + 20)
+    numbers = of(received[before:], "words")
+    assert numbers == sorted(set(numbers))
+
+
+def test_a_source_that_never_returns_frees_what_carried_it(elsewhere, lines, eventually, monkeypatch):
+    """Some time after the last publisher left, the relay's reader and writer go too."""
+    monkeypatch.setattr(relay_module, "_KEEP_LOOKS", 1)
+    node = elsewhere("talker")
+    talker = node.create_publisher(String, "/chatter", 10)
+    relay = elsewhere("relay")
+    Relay(relay, SETTINGS, on_change=lines)
+    eventually(lambda: relay.get_publishers_info_by_topic("/link/chatter"))
+    node.destroy_publisher(talker)
+    eventually(lambda: not relay.get_publishers_info_by_topic("/link/chatter"))
+    assert not relay.get_subscriptions_info_by_topic("/chatter")
+    assert lines.said[-1] == "relaying 0 of 1 topics; nobody publishes /chatter any more"

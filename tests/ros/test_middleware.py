@@ -1,0 +1,42 @@
+"""Publishers and relay on a middleware whose swaps were never measured; only its name is not real."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from std_msgs.msg import String
+
+from arpd import AdaptivePublisher
+from arpd.ros.graph import read_crossings
+from arpd.ros.rmw import current_rmw, rmw_of
+
+pytestmark = pytest.mark.ros
+OTHER = rmw_of("rmw_cyclonedds_cpp")
+
+
+def test_the_middleware_here_is_one_that_is_swapped(ros):
+    """Fast DDS is detected, and its swaps are on."""
+    assert current_rmw().can_swap
+
+
+def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
+    """New depth and rate: the rate is in force at once, the depth stays, and the announcement says why."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, "/x", 10)
+    publisher._rmw = OTHER
+    publisher.retune(replace(publisher.plan, depth=20, rate_hz=3.0))
+    state = publisher.state(generation=1)
+    assert (state.depth, state.rate_hz) == (10, 3.0)
+    assert state.refusal == OTHER.refusal
+    publisher.retune(replace(publisher.plan, depth=10))
+    assert not publisher.state(generation=1).refusal
+
+
+def test_the_graph_is_read_without_hosts(ros, eventually):
+    """Where GIDs tell no hosts, a topic whose reader is in its writer's process is local, as on Fast DDS."""
+    node = ros.node("talker")
+    node.create_publisher(String, "/x", 10)
+    ros.node("listener").create_subscription(String, "/x", lambda _m: None, 10)
+    eventually(lambda: node.count_subscribers("/x") == 1)
+    assert read_crossings(node, OTHER)["/x"] == read_crossings(node, current_rmw())["/x"]

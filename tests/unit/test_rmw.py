@@ -1,0 +1,70 @@
+"""What arpd does with a middleware, by its name."""
+
+from dataclasses import replace
+
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+
+from arpd.model import Direction
+from arpd.ros.graph import Crossing, Endpoint, crossing_without_hosts
+from arpd.ros.rmw import current_rmw, rmw_of
+from arpd.web.metrics import SnapshotCollector
+from arpd.web.status import status_document
+
+
+@pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
+def test_fast_dds_is_swapped(name):
+    """On Fast DDS swaps are on and hosts are known."""
+    rmw = current_rmw(identifier=lambda: name)
+    assert (rmw.name, rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (name, True, True, "")
+
+
+@pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
+def test_what_was_not_measured_is_paced_and_gated_only(name):
+    """On any other middleware swaps are refused by name, and its GIDs tell no hosts."""
+    rmw = rmw_of(name)
+    assert not rmw.can_swap
+    assert not rmw.tells_hosts
+    assert rmw.refusal.startswith(f"{name} is paced and gated only")
+
+
+def endpoint(process, deadline_ns=0):
+    return Endpoint(host=b"", participant=process, deadline_ns=deadline_ns)
+
+
+def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
+    """Where hosts are unknown, a reader in another process counts as one copy across the link, and as sensing."""
+    told = crossing_without_hosts(
+        writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9), endpoint(b"c", 5)]
+    )
+    assert told == Crossing(direction=Direction.SENSING, remote_readers=1, requested_deadline_ns=5)
+
+
+@pytest.mark.parametrize(("writers", "readers"), [((b"a",), (b"a",)), ((b"a",), ()), ((), (b"b",))])
+def test_without_hosts_one_process_is_local(writers, readers):
+    """A topic within one process, or with one side only, does not cross."""
+    told = crossing_without_hosts(writers=map(endpoint, writers), readers=map(endpoint, readers))
+    assert told == Crossing(direction=Direction.LOCAL, remote_readers=0, requested_deadline_ns=0)
+
+
+def exposition(snapshot):
+    registry = CollectorRegistry()
+    registry.register(SnapshotCollector(lambda: snapshot, clock=lambda: snapshot.finished_at_s))
+    return generate_latest(registry).decode()
+
+
+def test_status_and_metrics_say_that_swaps_are_off(sample_snapshot):
+    """An unsupported middleware shows, with the reason, wherever an operator looks."""
+    sample = sample_snapshot
+    rmw = rmw_of("rmw_cyclonedds_cpp")
+    snapshot = replace(sample, observation=replace(sample.observation, rmw=rmw.name, rmw_refusal=rmw.refusal))
+    assert status_document(snapshot)["rmw"] == {"name": rmw.name, "swaps": False, "refusal": rmw.refusal}
+    assert 'arpd_rmw_info{rmw="rmw_cyclonedds_cpp",swaps="no"} 1.0' in exposition(snapshot)
+
+
+def test_a_world_without_ros_names_no_middleware(sample_snapshot):
+    """A simulated world has no middleware, and says so."""
+    sample = sample_snapshot
+    snapshot = replace(sample, observation=replace(sample.observation, rmw=""))
+    assert status_document(snapshot)["rmw"] is None
+    assert "arpd_rmw" not in exposition(snapshot)
