@@ -1,0 +1,134 @@
+"""Processes of a benchmark, spoken to in lines of JSON: the parent commands and listens, the child answers."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.ros.runtime import FASTDDS_PROFILE
+from arpd.sim.namespaces import inside
+
+if TYPE_CHECKING:
+    from arpd.sim.namespaces import HostName
+    from arpd.sim.simlink import Host, SimLink
+
+REPO = Path(__file__).resolve().parents[2]
+RESULTS = Path(__file__).parent / "results"
+
+
+class ChildError(Exception):
+    """A child died, or does not answer."""
+
+
+class Child:
+    """A Python process on one host of the link.
+
+    Parameters
+    ----------
+    link, host : where it runs
+    argv : module and its arguments
+    environment : laid over that of the link
+    """
+
+    def __init__(self, link: SimLink, host: HostName, *argv: str, environment: dict[str, str] | None = None) -> None:
+        extra = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE), **(environment or {})}
+        self.name = " ".join(argv)
+        self.process: subprocess.Popen[str] = link.popen(
+            host,
+            ["env", *(f"{key}={value}" for key, value in extra.items()), sys.executable, "-u", "-m", *argv],
+            env={**os.environ, "PYTHONPATH": str(REPO)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=REPO,
+        )
+        self._said: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def tell(self, **command: Any) -> None:
+        """Send a command."""
+        assert self.process.stdin is not None
+        try:
+            print(json.dumps(command), file=self.process.stdin, flush=True)
+        except BrokenPipeError as error:
+            raise ChildError(f"{self.name} ended") from error
+
+    def hear(self, timeout_s: float = 60.0) -> dict[str, Any]:
+        """Wait for the child's next line."""
+        try:
+            said = self._said.get(timeout=timeout_s)
+        except queue.Empty as error:
+            raise ChildError(f"{self.name} says nothing for {timeout_s:.0f} s") from error
+        if said is None:
+            raise ChildError(f"{self.name} ended with code {self.process.wait()}")
+        return said
+
+    def ask(self, **command: Any) -> dict[str, Any]:
+        """Send a command and wait for its answer."""
+        self.tell(**command)
+        return self.hear()
+
+    def end(self) -> None:
+        """End the process, at once if need be."""
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
+        try:
+            self.process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if line.startswith("{"):
+                self._said.put(json.loads(line))
+        self._said.put(None)
+
+
+def commands() -> queue.SimpleQueue[dict[str, Any] | None]:
+    """Return what the parent says, in the child; None when it is gone."""
+    told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            told.put(json.loads(line))
+        told.put(None)
+
+    threading.Thread(target=listen, daemon=True).start()
+    return told
+
+
+def say(**fact: Any) -> None:
+    """Answer the parent, in the child."""
+    print(json.dumps(fact), flush=True)
+
+
+def sent_bytes(link: SimLink, host: Host, interface: str | None = None) -> int:
+    """Bytes an interface of the host sent so far; its end of the link when none is named."""
+    del link  # it must be alive
+    name = interface or host.interface
+    text = inside(host.namespace, lambda: Path("/proc/thread-self/net/dev").read_text(encoding="utf-8"))
+    for line in text.splitlines():
+        if line.strip().startswith(f"{name}:"):
+            return int(line.split(":", 1)[1].split()[8])
+    raise ChildError(f"no interface {name} on {host.name}")
+
+
+def sample_of(number: int, payload_bytes: int) -> bytes:
+    """Serialize a std_msgs/String of ``payload_bytes`` characters that begins with its number."""
+    length = (payload_bytes + 1).to_bytes(4, "little")
+    return b"\x00\x01\x00\x00" + length + b"%010d" % number + b"x" * (payload_bytes - 10) + b"\x00"
+
+
+def number_of(sample: bytes) -> int:
+    """Return the number in a sample `sample_of` made."""
+    return int(sample[8:18])

@@ -1,0 +1,157 @@
+"""The processes around a relay in its benchmark: where messages come from, where they go, and the bare relays.
+
+Usage: python -m scripts.bench.relay_nodes source|sink|bare [EXECUTOR PREFIX TOPICS]
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import time
+from contextlib import suppress
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from scripts.bench.child import commands, say
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+OUT = "/out"
+DIRECT = "direct"
+_DEPTH = 10  # of a relay's writers, as `arpd relay` has them before the first plan
+_RECEIVE_DEPTH = 100  # of a relay's readers, as `arpd relay` has them
+_SINK_DEPTH = 1000
+_MATCH_TIMEOUT_S = 40.0
+_DIGITS = 20
+
+
+def topic_names(prefix: str, topics: int) -> list[str]:
+    return [f"{prefix}/t{k}" for k in range(topics)]
+
+
+def bare(executor_name: str, prefix: str, topics: int) -> None:
+    """Relay as ten lines of rclpy do."""
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    node = rclpy.create_node(f"bare_{executor_name.lower()}")
+    for topic in topic_names(prefix, topics):
+        publisher = node.create_publisher(String, OUT + topic, QoSProfile(depth=_DEPTH))
+        node.create_subscription(String, topic, publisher.publish, QoSProfile(depth=_RECEIVE_DEPTH), raw=True)
+    executor = executor_of(executor_name)
+    executor.add_node(node)
+    while rclpy.ok():
+        executor.spin_once(timeout_sec=0.2)
+
+
+def executor_of(name: str) -> Any:
+    if name == "EventsExecutor":
+        from rclpy.experimental import EventsExecutor
+
+        return EventsExecutor()
+    from rclpy.executors import SingleThreadedExecutor
+
+    return SingleThreadedExecutor()
+
+
+def source() -> None:
+    """Publish on the topics of one prefix in turn, at the rate and for the time asked for."""
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    node = rclpy.create_node("bench_source")
+    publishers: dict[str, list[Any]] = {}
+    told = commands()
+    while (order := told.get()) is not None:
+        if "open" in order:
+            publishers = {
+                prefix: [
+                    node.create_publisher(String, topic, QoSProfile(depth=100))
+                    for topic in topic_names(prefix, order["topics"])
+                ]
+                for prefix in order["open"]
+            }
+            everyone = [publisher for group in publishers.values() for publisher in group]
+            say(matched=_all_matched([publisher.get_subscription_count for publisher in everyone]))
+        else:
+            say(sent=_publish(publishers[order["prefix"]], order["rate_hz"], order["for_s"], order["payload_bytes"]))
+
+
+def _publish(publishers: list[Any], rate_hz: float, for_s: float, payload_bytes: int) -> int:
+    length = (payload_bytes + 1).to_bytes(4, "little")
+    head, tail = b"\x00\x01\x00\x00" + length, b"x" * (payload_bytes - _DIGITS) + b"\x00"
+    due_s, until_s, sent = time.monotonic(), time.monotonic() + for_s, 0
+    while due_s < until_s:
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        publishers[sent % len(publishers)].publish(head + b"%020d" % time.time_ns() + tail)
+        sent += 1
+        due_s += 1.0 / rate_hz
+    return sent
+
+
+def sink() -> None:
+    """Take what one side relayed, and tell how old it was when DDS received it."""
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    node = rclpy.create_node("bench_sink")
+    groups: dict[str, list[Any]] = {}
+    told = commands()
+    while (order := told.get()) is not None:
+        if "open" in order:
+            groups = {
+                prefix: [
+                    node.create_subscription(
+                        String, topic, lambda _sample: None, QoSProfile(depth=_SINK_DEPTH), raw=True
+                    )
+                    for topic in topic_names(prefix, order["topics"])
+                ]
+                for prefix in order["open"]
+            }
+            say(open=True)
+        elif "match" in order:
+            everyone = [subscription for group in groups.values() for subscription in group]
+            say(matched=_all_matched([subscription.get_publisher_count for subscription in everyone]))
+        else:
+            _listen(groups[order["prefix"]], told)
+
+
+def _listen(subscriptions: list[Any], told: queue.SimpleQueue[dict[str, Any] | None]) -> None:
+    """Take until told how many were sent, and then until they are there, or nothing comes any more."""
+    ages_ns: list[int] = []
+    expected: int | None = None
+    last_s = time.monotonic()
+    while expected is None or (len(ages_ns) < expected and time.monotonic() - last_s < 1.0):
+        before = len(ages_ns)
+        for subscription in subscriptions:
+            handle = subscription.handle
+            with handle:
+                while (taken := handle.take_message(String, True)) is not None:  # noqa: FBT003 - rclpy's own signature
+                    ages_ns.append(taken[1]["received_timestamp"] - int(taken[0][8 : 8 + _DIGITS]))
+        if len(ages_ns) > before:
+            last_s = time.monotonic()
+        with suppress(queue.Empty):
+            order = told.get(timeout=0.005)
+            expected = order["sent"] if order else 0
+            last_s = time.monotonic()
+    ages_ns.sort()
+    say(
+        received=len(ages_ns),
+        median_s=median(ages_ns) * 1e-9 if ages_ns else None,
+        p95_s=ages_ns[int(0.95 * len(ages_ns))] * 1e-9 if ages_ns else None,
+    )
+
+
+def _all_matched(counts: Sequence[Callable[[], int]]) -> bool:
+    until_s = time.monotonic() + _MATCH_TIMEOUT_S
+    while time.monotonic() < until_s:
+        if all(count() >= 1 for count in counts):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "bare":
+        bare(sys.argv[2], sys.argv[3], int(sys.argv[4]))
+    else:
+        {"source": source, "sink": sink}[sys.argv[1]]()
