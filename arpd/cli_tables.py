@@ -21,7 +21,6 @@ _WORDS = {
     Binding.DESIRED_RATE: "desired",
     Binding.LATENCY_BUDGET: "latency",
     Binding.MAX_DEPTH: "max",
-    Binding.NOTHING: "-",
 }
 _HAS_WISH, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
 _LEGEND = (

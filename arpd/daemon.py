@@ -96,7 +96,7 @@ class Daemon:
         self._wall_clock = wall_clock
         self._estimator = Estimator(settings.link)
         self._governor = Governor(settings)
-        self._program = _program(settings, clock)
+        self._program = Program.of(settings, clock=clock)
         self._totals = Totals()
         self._reloads: dict[str, int] = {}
         self.snapshot: Snapshot | None = None
@@ -165,7 +165,7 @@ class Daemon:
         """
         try:
             fresh = load()
-            program = _program(fresh, self._clock)
+            program = Program.of(fresh, clock=self._clock)
         except ConfigError as error:
             for fault in error.faults:
                 log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
@@ -357,15 +357,6 @@ def _stop(daemon: Daemon) -> None:
         log.warning("stopping; %d publishers did not confirm their original QoS in time", missing)
     else:
         log.info("stopping; every publisher has its original QoS back")
-
-
-def _program(settings: Settings, clock: Callable[[], float]) -> Program:
-    return Program(
-        settings=settings.program,
-        headroom=settings.link.headroom,
-        packet_overhead_s=settings.link.packet_overhead_s,
-        clock=clock,
-    )
 
 
 def _confirmed(observation: Observation, plan: QosPlan) -> int:

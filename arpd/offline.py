@@ -41,7 +41,7 @@ class PlannedTopic:
     @property
     def has_its_wish(self) -> bool:
         """Whether it gets all it desires."""
-        return self.allocation.binding in {Binding.DESIRED_RATE, Binding.NOTHING}
+        return self.allocation.binding is Binding.DESIRED_RATE
 
     @property
     def is_below_floor(self) -> bool:
@@ -103,12 +103,7 @@ class OfflinePlanner:
         self._traffic = {each.topic: each for each in traffic}
         self._publishers = tuple(publishers)
         self._topics = rows_of_traffic(self._traffic.values(), settings)
-        self._program = Program(
-            settings=settings.program,
-            headroom=settings.link.headroom,
-            packet_overhead_s=settings.link.packet_overhead_s,
-            backend=backend,
-        )
+        self._program = Program.of(settings, backend=backend)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
         """Return what the daemon's first plan would be on a link that carries so much.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from arpd.model import Topic
-    from arpd.settings import ProgramSettings
+    from arpd.settings import ProgramSettings, Settings
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,6 +96,19 @@ class Program:
         self._solver = CheckedSolver(load(backend or settings.backend))
         self._clock = clock
         self._last: tuple[tuple[float, tuple[Topic, ...], float], Allocation] | None = None
+
+    @classmethod
+    def of(
+        cls, settings: Settings, *, backend: Backend | None = None, clock: Callable[[], float] = lambda: 0.0
+    ) -> Program:
+        """Return the program that a configuration asks for, live or offline."""
+        return cls(
+            settings=settings.program,
+            headroom=settings.link.headroom,
+            packet_overhead_s=settings.link.packet_overhead_s,
+            backend=backend,
+            clock=clock,
+        )
 
     @property
     def outcomes(self) -> Mapping[tuple[str, str], int]:
@@ -317,7 +330,7 @@ def _overall(link: _Division, memory: _Division) -> Binding:
         return Binding.LINK
     if Binding.MEMORY in memory.bindings or memory.given_up:
         return Binding.MEMORY
-    return Binding.DESIRED_RATE if Binding.DESIRED_RATE in link.bindings else Binding.NOTHING
+    return Binding.DESIRED_RATE
 
 
 def _left(part: Ratio) -> str:
