@@ -102,6 +102,11 @@ def deadline_ns_of(qos: Any) -> int:
     return 0 if nanoseconds >= INFINITE_NS else nanoseconds
 
 
+def node_name_of(info: Any) -> str:
+    """Return the fully qualified name of an endpoint's node."""
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
 def _endpoint(info: Any) -> Endpoint:
     gid = bytes(info.endpoint_gid)
     return Endpoint(host=gid[2:4], participant=gid[:12], deadline_ns=deadline_ns_of(info.qos_profile))

@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
 from arpd.planner import keeps_its_readers
-from arpd.ros.graph import deadline_ns_of
+from arpd.ros.graph import deadline_ns_of, node_name_of
 from arpd.ros.rmw import current_rmw
 from arpd.ros.tuning import NodeTuning
 from arpd.ros.writer import RosWriter
@@ -340,7 +340,7 @@ class AdaptivePublisher:
     def _readers(self) -> Iterator[tuple[str, int]]:
         """Name every reader of the topic, with the deadline it requests (ns, 0 = none)."""
         for reader in self._node.get_subscriptions_info_by_topic(self._resolved):
-            yield f"{reader.node_namespace.rstrip('/')}/{reader.node_name}", deadline_ns_of(reader.qos_profile)
+            yield node_name_of(reader), deadline_ns_of(reader.qos_profile)
 
     def _tightest_request_ns(self) -> int:
         return min((request for _, request in self._readers() if request), default=0)

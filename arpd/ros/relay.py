@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.logs import configure_logging
+from arpd.ros.graph import node_name_of
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
 from arpd.routes import Refusal, Route, Source, choose_route, own_output
 from arpd.systemd import Notifier
@@ -115,7 +116,7 @@ class Relay:
 
     def _look(self, topic: str, output: str) -> None:
         carried = self._carried.get(topic)
-        readers = map(_node_name, self._node.get_subscriptions_info_by_topic(output))
+        readers = map(node_name_of, self._node.get_subscriptions_info_by_topic(output))
         route = choose_route(
             map(_source, self._node.get_publishers_info_by_topic(topic)),
             carrier=self._node.get_fully_qualified_name(),
@@ -241,15 +242,11 @@ def _source(info: Any) -> Source:
     from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
 
     return Source(
-        node=_node_name(info),
+        node=node_name_of(info),
         type_name=info.topic_type,
         is_reliable=info.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
         is_latched=info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
     )
-
-
-def _node_name(info: Any) -> str:
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def best_executor(context: Any = None) -> Any:
@@ -288,7 +285,7 @@ def best_executor(context: Any = None) -> Any:
     return SingleThreadedExecutor(context=context)
 
 
-def default_node_name(host: str) -> str:
+def defaultnode_name_of(host: str) -> str:
     """Return a node name of this host's own: two relays of one name would receive each other's parameters."""
     return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
 
@@ -306,7 +303,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    with ros_node(node_name or default_node_name(platform.node())) as node:
+    with ros_node(node_name or defaultnode_name_of(platform.node())) as node:
         executor = best_executor()
         executor.add_node(node)
         Relay(node, settings.relay, on_change=notifier.status)

@@ -17,8 +17,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
 from arpd.handover import Handover, HandoverResult, Key
-from arpd.ros.graph import deadline_ns_of
-from arpd.ros.names import INFINITE_NS
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.ros.graph import deadline_ns_of, node_name_of
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 _Sample = tuple[Any, Any]  # message and MessageInfo
 
 _POLL_S = 0.02  # how often a handover looks at its readers
-_MOST_DEPTH = 5000
 _WITH_INFO = inspect.signature(lambda _message, _info: None)
 _SETTINGS = {
     "depth": ("depth", "KEEP_LAST depth, 1..5000 samples"),
@@ -338,7 +337,9 @@ class AdaptiveSubscription:
         changes: dict[str, int] = {}
         for parameter in parameters:
             if (field := self._parameters.get(parameter.name)) is not None:
-                changes[field] = _checked(parameter, field, most_depth=max(_MOST_DEPTH, self._baseline.depth))
+                most_depth = max(MOST_DEPTH, self._baseline.depth)
+                is_depth = field == "depth"
+                changes[field] = checked_depth(parameter, most_depth) if is_depth else checked_deadline_ns(parameter)
         return replace(qos, **changes)
 
     def _check(self, wanted: ReaderQos) -> None:
@@ -352,7 +353,7 @@ class AdaptiveSubscription:
         if wanted.depth != self.qos.depth and self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL:
             raise ValueError(f"{self._resolved} is KEEP_ALL: it has no depth")
         lost = sorted(
-            f"{writer.node_namespace.rstrip('/')}/{writer.node_name} offers "
+            f"{node_name_of(writer)} offers "
             f"{f'{offered} ns' if (offered := deadline_ns_of(writer.qos_profile)) else 'none'}"
             for writer in self._node.get_publishers_info_by_topic(self._resolved)
             if wanted.deadline_ns and not 0 < deadline_ns_of(writer.qos_profile) <= wanted.deadline_ns
@@ -389,12 +390,3 @@ def _arguments(callback: Callable[..., Any]) -> int:
             continue
         return count
     raise RuntimeError("a subscription's callback takes the message, or the message and its MessageInfo")
-
-
-def _checked(parameter: Any, field: str, *, most_depth: int) -> int:
-    value = int(parameter.value)  # of the declared type: rclpy refuses any other before it asks
-    if field == "depth" and not 1 <= value <= most_depth:
-        raise ValueError(f"{parameter.name} = {value} is outside 1..{most_depth}")
-    if field == "deadline_ns" and value < 0:
-        raise ValueError(f"{parameter.name} = {value} is negative; 0 means infinite")
-    return 0 if field == "deadline_ns" and value >= INFINITE_NS else value

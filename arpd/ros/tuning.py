@@ -21,12 +21,12 @@ from std_msgs.msg import Float64
 from arpd.lease import Lease
 from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
 from arpd.ros.names import (
     DEADLINE,
     DEPTH,
     GATE_TOPIC,
     GENERATION_PARAMETER,
-    INFINITE_NS,
     LEASE_PARAMETER,
     MIN_RATE,
     PUBLISHERS_TOPIC,
@@ -46,7 +46,6 @@ InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or w
 _ATTRIBUTE = "_arpd_tuning"
 _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
-_MOST_DEPTH = 5000
 _RETRY_S = 0.1
 _COMPLAIN_S = 5.0
 
@@ -258,7 +257,7 @@ class NodeTuning:
             if parameter.name in self._parameters:
                 topic, field = self._parameters[parameter.name]
                 if (publisher := self._publishers.get(topic)) is not None:
-                    most = max(_MOST_DEPTH, publisher.baseline.depth)
+                    most = max(MOST_DEPTH, publisher.baseline.depth)
                     changes.setdefault(topic, {})[field] = _checked(parameter, field, most_depth=most)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
 
@@ -270,12 +269,10 @@ def _check_lease(parameter: Any) -> None:
 
 def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:
     value = parameter.value  # of the declared type: rclpy refuses any other before it asks
-    if field == "depth" and not 1 <= value <= most_depth:
-        raise ValueError(f"{parameter.name} = {value} is outside 1..{most_depth}")
+    if field == "depth":
+        return checked_depth(parameter, most_depth)
     if field == "deadline_ns":
-        if value < 0:
-            raise ValueError(f"{parameter.name} = {value} is negative; 0 means infinite")
-        return 0 if value >= INFINITE_NS else int(value)
+        return checked_deadline_ns(parameter)
     if field == "rate_hz" and (math.isnan(value) or value < 0):
         raise ValueError(f"{parameter.name} = {value} is not a rate; use Hz ≥ 0, 0 = paused, .inf = unpaced")
     if field == "min_rate_hz" and not 0 <= value < math.inf:
