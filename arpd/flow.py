@@ -4,39 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.model import TopicPlan
+from arpd.model import FlowState, TopicPlan
 from arpd.pacing import Pacer
 from arpd.source_rate import SourceRate
 from arpd.swap import SwapResult, Writer, WriterQos, WriterSwap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from arpd.settings import Overflow
 
 _POLL_S = 0.005  # how often a swap looks at its writers
 
 W = TypeVar("W", bound=Writer)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FlowState:
-    """What a flow counts and runs with; the fields mean what they mean in `arpd.model.PublisherState`."""
-
-    payload_bytes: float
-    source_rate_hz: float
-    offered: int
-    published: int
-    withheld: int
-    queued: int
-    blocked_s: float
-    rate_hz: float
-    depth: int
-    deadline_ns: int
-    swaps_by_result: Mapping[str, int]
 
 
 class Flow(Generic[W]):

@@ -213,4 +213,4 @@ def _wire_bytes(publisher: PublisherState, rate_hz: float) -> float:
     """Bytes one sample of it puts on the link, as in `arpd.topics`; 0 when nobody on the other host reads it."""
     if publisher.direction is Direction.LOCAL:
         return 0.0
-    return wire_size(publisher.payload_bytes, rate_hz=rate_hz)[0] * max(1, publisher.remote_readers)
+    return wire_size(publisher.payload_bytes, rate_hz=rate_hz)[0] * publisher.copies

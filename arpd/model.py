@@ -89,12 +89,11 @@ class MemoryState:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PublisherState:
-    """What one AdaptivePublisher announced, joined with what the graph says of its readers.
+class FlowState:
+    """What one adaptive publisher counts and runs with.
 
     Parameters
     ----------
-    node : fully qualified node name; with ``topic`` the publisher's identity
     payload_bytes : mean serialized size of recent samples (bytes)
     source_rate_hz : rate at which the application calls ``publish()`` (Hz)
     offered : samples the application gave
@@ -103,12 +102,34 @@ class PublisherState:
     queued : samples waiting in the pacing queue now
     blocked_s : time spent inside the middleware's ``publish()`` since start (s)
     rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
+    swaps_by_result : QoS swaps since start, by result
+    """
+
+    payload_bytes: float
+    source_rate_hz: float
+    offered: int = 0
+    published: int = 0
+    withheld: int = 0
+    queued: int = 0
+    blocked_s: float = 0.0
+    rate_hz: float = math.inf
+    depth: int
+    deadline_ns: int = 0
+    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PublisherState(FlowState):
+    """What one AdaptivePublisher announced, joined with what the graph says of its readers.
+
+    Parameters
+    ----------
+    node : fully qualified node name; with ``topic`` the publisher's identity
     baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
     generation : generation of the plan these settings came from, 0 = the application's own
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    swaps_by_result : QoS swaps since start, by result
     refusal : why the last request was refused, empty if it was not
-    remote_readers : off-host participants that read the topic (unicast copies)
+    remote_readers : off-host participants that read the topic
     requested_deadline_ns : tightest deadline a reader requests, 0 when none does
     age_s : time since the announcement (s)
     """
@@ -117,25 +138,19 @@ class PublisherState:
     topic: str
     type_name: str
     direction: Direction
-    payload_bytes: float
-    source_rate_hz: float
-    offered: int
-    published: int
-    withheld: int
-    queued: int
-    blocked_s: float
-    rate_hz: float
-    depth: int
-    deadline_ns: int
     baseline_depth: int
-    baseline_deadline_ns: int
-    generation: int
+    baseline_deadline_ns: int = 0
+    generation: int = 0
     lease_s: float = 0.0
-    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     refusal: str = ""
     remote_readers: int = 0
     requested_deadline_ns: int = 0
     age_s: float = 0.0
+
+    @property
+    def copies(self) -> int:
+        """Times each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
+        return max(1, self.remote_readers)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

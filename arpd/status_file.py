@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from typing import TYPE_CHECKING, Any
 
 from arpd.config_source import printable
@@ -86,17 +85,8 @@ def _publisher(row: Any, where: str, path: Path) -> PublisherState:
         remote_readers=int(number("remote_readers")),
         requested_deadline_ns=0 if row.get("requested_deadline_ns") is None else int(number("requested_deadline_ns")),
         # What the robot ran with when the file was saved is no part of what it would be given now.
-        offered=0,
-        published=0,
-        withheld=0,
-        queued=0,
-        blocked_s=0.0,
-        rate_hz=math.inf,
         depth=1,
-        deadline_ns=0,
         baseline_depth=1,
-        baseline_deadline_ns=0,
-        generation=0,
     )
 
 

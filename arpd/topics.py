@@ -59,7 +59,7 @@ def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...
             topic=name,
             payload_bytes=max(publisher.payload_bytes for publisher in publishers),
             source_rate_hz=max(publisher.source_rate_hz for publisher in publishers),
-            copies=sum(max(1, publisher.remote_readers) for publisher in publishers),
+            copies=sum(publisher.copies for publisher in publishers),
         )
         for name, publishers in by_topic.items()
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -89,17 +88,8 @@ class SimulatedPublisher:
             direction=topic.direction,
             payload_bytes=0.0,
             source_rate_hz=0.0,
-            offered=0,
-            published=0,
-            withheld=0,
-            queued=0,
-            blocked_s=0.0,
-            rate_hz=math.inf,
             depth=RCLPY_DEPTH,
-            deadline_ns=0,
             baseline_depth=RCLPY_DEPTH,
-            baseline_deadline_ns=0,
-            generation=0,
             remote_readers=1,
         )
 

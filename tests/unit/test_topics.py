@@ -29,17 +29,9 @@ def publisher(topic="/scan", **fields):
         "direction": Direction.SENSING,
         "payload_bytes": 6000.0,
         "source_rate_hz": 20.0,
-        "offered": 0,
-        "published": 0,
-        "withheld": 0,
-        "queued": 0,
-        "blocked_s": 0.0,
         "rate_hz": 20.0,
         "depth": 10,
-        "deadline_ns": 0,
         "baseline_depth": 10,
-        "baseline_deadline_ns": 0,
-        "generation": 0,
         "remote_readers": 1,
     }
     return PublisherState(**{**neutral, **fields})
