@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
     from arpd.settings import Overflow
 
-_POLL_S = 0.005  # how often a swap looks at its writers
+# What a swap held leaves at twice the rate it came at: a burst would push samples out of a small history, the
+# writer's or a reader's, and crowd the link.
+_CATCH_UP = 0.5
+_LEAST_CATCH_UP_HZ = 10.0
 
 W = TypeVar("W", bound=Writer)
 
@@ -60,6 +63,8 @@ class Flow(Generic[W]):
         self._published = self._withheld = 0
         self._blocked_s = 0.0
         self._payload_bytes = 0.0
+        self._held: deque[bytes] = deque()  # through the pacing, but not through the swap
+        self._catch_up_s = -math.inf  # when the next of them may leave
         self._history: deque[bytes] | None = None
         self._replay: deque[bytes] = deque()
 
@@ -85,8 +90,8 @@ class Flow(Generic[W]):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether samples wait in the pacing queue."""
-        return len(self._pacer) > 0
+        """Whether samples wait, for pacing or for a swap."""
+        return bool(len(self._pacer) or self._held)
 
     def publish(self, sample: bytes) -> None:
         """Send a sample, now or when pacing lets it."""
@@ -102,14 +107,28 @@ class Flow(Generic[W]):
         self._pacer.offer(sample, now_s)
 
     def end_full_hold(self) -> None:
-        """Switch rather than give up a sample that a swap holds; `replay` comes next."""
-        now_s = self._clock()
-        if self._swap.is_holding and self._pacer.is_dammed(self._swap.most_held, now_s):
-            self.step(now_s)
+        """Let a swap use the moment before a sample leaves; `replay` comes next."""
+        # Just before a sample leaves, the one before it is likeliest to be acknowledged: most swaps need no holding.
+        if self._swap.awaits_silence and self.is_waiting:
+            self.step(self._clock())
 
     def take(self) -> bytes | None:
         """Return the next sample if it may leave now: pacing lets it, and no swap holds it."""
-        return None if self._swap.is_holding else self._pacer.take(self._clock())
+        now_s = self._clock()
+        sample = self._pacer.take(now_s)
+        if not self._held and not self._swap.is_holding:
+            return sample
+        # A swap holds behind the pacing, so that no sample is conflated for it.
+        while sample is not None:
+            self._held.append(sample)
+            sample = self._pacer.take(now_s)
+        if self._swap.is_holding or now_s < self._catch_up_s:
+            return None
+        spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
+        self._catch_up_s = (
+            max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
+        )  # who looks late may take two more
+        return self._held.popleft()
 
     def write(self, sample: bytes) -> None:
         """Write a sample that was taken; may block while the link's queue is full."""
@@ -121,13 +140,15 @@ class Flow(Generic[W]):
             raise
         self._blocked_s += self._clock() - before_s
         self._published += 1
-
+        if self._swap.awaits_silence:
+            self._swap.wrote(self._clock())
         if self._history is not None:
             self._history.append(sample)
 
     def keep_history(self) -> None:
         """Let a new writer first have what the old one held, for the late readers of a TRANSIENT_LOCAL topic."""
         self._history = deque(maxlen=self.qos.depth)
+        self._swap.needs_proof = False  # a reader that matches late gets all of it
 
     def replay(self) -> None:
         """Give a new writer what the old one held; may block like `write`, and comes before the next `take`."""
@@ -145,9 +166,7 @@ class Flow(Generic[W]):
         now_s = self._clock()
         self._plan = plan
         self._pace(now_s)
-        # Two periods of what flows, so that the acknowledgement a next sample provokes can come back.
-        period_s = 1.0 / max(min(plan.rate_hz, self._source.rate_hz(now_s)), 1e-3)
-        self._swap.request(qos, hold_s=2.0 * period_s)
+        self._swap.request(qos)
 
     def set_gate(self, gate: float) -> None:
         """Scale the paced rate, not below its floor."""
@@ -171,15 +190,17 @@ class Flow(Generic[W]):
         if not self._swap.is_busy:
             return
         before = self._swap.current
-        self._swap.step(now_s, is_full=self._pacer.is_dammed(self._swap.most_held, now_s))
+        self._swap.step(now_s)
         if self._swap.current is not before and self._history is not None:
             self._replay = deque(self._history)
             self._history = deque(self._history, maxlen=self._swap.qos.depth)
 
     def due_s(self, now_s: float) -> float:
         """When to look again, ``inf`` = not before something changes (s)."""
-        due_s = math.inf if self._swap.is_holding else self._pacer.due_s(now_s)
-        return min(due_s, now_s + _POLL_S) if self._swap.is_busy else due_s
+        due_s = self._pacer.due_s(now_s)
+        if self._held and not self._swap.is_holding:
+            due_s = min(due_s, max(now_s, self._catch_up_s))
+        return min(due_s, now_s + self._swap.poll_s) if self._swap.is_busy else due_s
 
     def state(self) -> FlowState:
         """Return what is in force and counted; called about once a second."""
@@ -192,7 +213,7 @@ class Flow(Generic[W]):
             offered=self.offered,
             published=self._published,
             withheld=self._withheld,
-            queued=len(self._pacer),
+            queued=len(self._pacer) + len(self._held),
             blocked_s=self._blocked_s,
             rate_hz=self._plan.rate_hz,
             depth=self.qos.depth,
@@ -203,6 +224,8 @@ class Flow(Generic[W]):
     def close(self) -> None:
         """Give up what waits, and destroy every writer a swap may have in flight."""
         self._pacer.clear()
+        self._withheld += len(self._held)
+        self._held.clear()
         self._replay.clear()
         self._swap.close()
 
@@ -212,12 +235,16 @@ class Flow(Generic[W]):
         while (sample := self.take()) is not None:
             self.write(sample)
 
-    def _pace(self, now_s: float) -> None:
+    def _flowing_hz(self, now_s: float) -> float:
+        """Return the rate of what leaves, or would if nothing held it, as far as it is known."""
         rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)
+        # A rate planned with room to spare would swallow the first part of a gate.
+        return min(rate_hz, source_hz) if source_hz > 0 else rate_hz
+
+    def _pace(self, now_s: float) -> None:
+        rate_hz = self._plan.rate_hz
         if self._gate < 1.0:
-            # The gate scales what really flows: a rate planned with room to spare would swallow the first part of it.
-            flowing_hz = min(rate_hz, source_hz) if source_hz > 0 else rate_hz
-            rate_hz = max(flowing_hz * self._gate, min(self._plan.min_rate_hz, rate_hz))
+            rate_hz = max(self._flowing_hz(now_s) * self._gate, min(self._plan.min_rate_hz, rate_hz))
         self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s)
 
     def _on_withheld(self, samples: int) -> None:

@@ -80,11 +80,6 @@ class Pacer:
         self._credit -= 1.0
         return self._queue.popleft()
 
-    def is_dammed(self, bound: int, now_s: float) -> bool:
-        """Whether ``bound`` samples wait for somebody else: pacing would neither conflate nor delay them."""
-        is_conflating = self._overflow is Overflow.LATEST and not math.isinf(self._rate_hz)
-        return not is_conflating and len(self._queue) >= bound and self.due_s(now_s) <= now_s
-
     def clear(self) -> None:
         """Give up everything that waits, counted as withheld."""
         withheld = len(self._queue)
@@ -104,7 +99,7 @@ class Pacer:
         # What may leave at once is not waiting for credit, only for the thread that writes it.
         bound = max(1, int(self._credit)) if self._overflow is Overflow.LATEST else self._depth
         if math.isinf(self._rate_hz) and self._overflow is Overflow.LATEST:
-            bound = self._depth  # unpaced samples wait only while a swap holds them: lose none of them
+            bound = self._depth  # unpaced samples wait only for the thread that writes them: lose none of them
         excess = len(self._queue) - bound
         if excess > 0:
             for _ in range(excess):

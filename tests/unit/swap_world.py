@@ -8,6 +8,7 @@ FIRST = WriterQos(depth=10, deadline_ns=0)
 class Writer:
     def __init__(self, qos, world):
         self.qos = qos
+        self.log = world.log
         self.written = []
         self.is_alive = True
         self.acknowledges = True
@@ -17,6 +18,7 @@ class Writer:
     def publish(self, sample):
         assert self.is_alive, "wrote to a destroyed writer"
         self.written.append(sample)
+        self.log.append(sample)
 
     def matched(self):
         assert self.is_alive, "looked at a destroyed writer"
@@ -42,6 +44,7 @@ class World:
         self.refuses = False
         self.writers = []
         self.results = []
+        self.log = []  # what was written, by whichever writer
 
     def create(self, qos):
         if self.refuses:
@@ -57,9 +60,9 @@ class World:
         return [writer for writer in self.writers if writer.is_alive]
 
 
-def make():
+def make(timing=None):
     world = World()
-    return world, WriterSwap(create=world.create, on_result=world.note, qos=FIRST)
+    return world, WriterSwap(create=world.create, on_result=world.note, qos=FIRST, timing=timing)
 
 
 def qos(depth):

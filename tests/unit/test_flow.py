@@ -16,8 +16,9 @@ STEP_S = 0.005
 class Writer:
     """Acknowledges only when told to, and one reader matches it at once."""
 
-    def __init__(self, qos):
+    def __init__(self, qos, log):
         self.qos = qos
+        self.log = log
         self.written = []
         self.is_acknowledging = False
         self.is_alive = True
@@ -25,6 +26,7 @@ class Writer:
     def publish(self, sample):
         assert self.is_alive
         self.written.append(sample)
+        self.log.append(sample)
 
     def matched(self):
         return 1
@@ -43,6 +45,7 @@ class World:
     def __init__(self, *, depth=10, overflow=Overflow.LATEST):
         self.now_s = 100.0
         self.writers = []
+        self.log = []  # what was written, by whichever writer
         self.flow = Flow(
             create=self.create,
             qos=WriterQos(depth=depth, deadline_ns=0),
@@ -51,7 +54,7 @@ class World:
         )
 
     def create(self, qos):
-        self.writers.append(Writer(qos))
+        self.writers.append(Writer(qos, self.log))
         return self.writers[-1]
 
     def retune(self, **changes):
@@ -71,17 +74,52 @@ def name(number):
 @pytest.mark.parametrize("overflow", Overflow)
 @pytest.mark.parametrize("depth", [1, 2, 10])
 def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
-    """A writer that is never acknowledged is held for only as long as the queue has room for every sample."""
+    """Where the old writer is never acknowledged, samples are held and let go, all of them, in order."""
     world = World(depth=depth, overflow=overflow)
-    for number in range(400):
+    for number in range(2000):
         if number == 50:
             world.retune(depth=depth + 1)
         world.flow.publish(name(number))
+        world.writers[-1].is_acknowledging = len(world.writers) > 1
         world.wait(STEP_S)
-    written = [sample for writer in world.writers for sample in writer.written]
     assert len(world.writers) == 2
-    assert written == [name(number) for number in range(400)]
+    assert world.flow.qos.depth == depth + 1
+    assert world.log == [name(number) for number in range(2000)]
     assert world.flow.state().withheld == 0
+
+
+def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
+    """No burst crowds the link or a reader's history, and what comes meanwhile queues behind."""
+    world = World()
+    departures = []
+    number = 0
+    while number < 1000:
+        if number == 100:
+            world.retune(depth=11)
+        world.flow.publish(name(number))
+        number += 1
+        for _ in range(4):
+            world.now_s += STEP_S / 2
+            before = len(world.log)
+            world.flow.service(world.now_s)
+            departures.append(len(world.log) - before)
+    assert world.log == [name(number) for number in range(len(world.log))]
+    assert max(departures) <= 3
+    assert world.flow.state().queued <= 30
+
+
+def test_a_hold_conflates_nothing_that_pacing_lets_through():
+    """Held samples wait behind the pacing: a slow conflating topic loses none of them to a swap."""
+    world = World()
+    world.retune(rate_hz=10.0)
+    for number in range(200):
+        if number == 20:
+            world.retune(depth=11)
+        world.flow.publish(name(number))
+        world.writers[-1].is_acknowledging = len(world.writers) > 1
+        world.wait(0.11)
+    assert len(world.writers) == 2
+    assert world.log == [name(number) for number in range(200)]
 
 
 @settings(deadline=None, max_examples=100)
@@ -92,7 +130,7 @@ def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
             st.tuples(st.just("depth"), st.integers(1, 8)),
             st.tuples(st.just("rate"), st.sampled_from([0.0, 1.0, 20.0, float("inf")])),
             st.tuples(st.just("gate"), st.sampled_from([0.1, 0.5, 1.0])),
-            st.tuples(st.just("wait"), st.sampled_from([0.005, 0.1, 0.5])),
+            st.tuples(st.just("wait"), st.sampled_from([0.005, 0.1, 0.5, 2.0])),
             st.tuples(st.just("acknowledge"), st.booleans()),
         ),
         max_size=40,
@@ -119,9 +157,8 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
         else:
             world.writers[-1].is_acknowledging = value
     state = world.flow.state()
-    written = [sample for writer in world.writers for sample in writer.written]
-    assert len(set(written)) == len(written) == state.published
-    assert written == sorted(written)
+    assert len(set(world.log)) == len(world.log) == state.published
+    assert world.log == sorted(world.log)
     assert offered == state.offered == state.published + state.withheld + state.queued
     world.flow.close()
     assert not any(writer.is_alive for writer in world.writers)

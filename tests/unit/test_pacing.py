@@ -121,8 +121,8 @@ def test_queue_drops_its_oldest_beyond_the_depth():
 
 
 @pytest.mark.parametrize("overflow", Overflow)
-def test_unpaced_samples_leave_at_once_and_held_ones_are_kept(overflow):
-    """Without a rate nothing waits on its own, and what a swap holds back is kept up to the depth."""
+def test_unpaced_samples_leave_at_once_and_waiting_ones_are_kept(overflow):
+    """Without a rate nothing waits on its own, and what waits for the thread that writes is kept up to the depth."""
     pacer, withheld = make(overflow, depth=4)
     for number in range(4):
         pacer.offer(name(number), 0.0)
@@ -165,37 +165,3 @@ def test_clear_counts_what_it_gives_up():
     pacer.clear()
     assert withheld == [2]
     assert not len(pacer)
-
-
-@pytest.mark.parametrize(
-    ("overflow", "rate_hz", "is_dammed"),
-    [
-        (Overflow.LATEST, math.inf, True),
-        (Overflow.QUEUE, math.inf, True),
-        (Overflow.QUEUE, 10.0, True),
-        (Overflow.LATEST, 10.0, False),  # it conflates by itself
-        (Overflow.QUEUE, 0.0, False),  # it is paused, whoever else holds it
-    ],
-)
-def test_a_queue_that_only_others_hold_back_is_dammed(overflow, rate_hz, is_dammed):
-    """Full, due and not conflating: only then would it shed what it need not."""
-    pacer, _ = make(overflow, depth=3)
-    pacer.retune(rate_hz=rate_hz, depth=3, now_s=0.0)
-    for number in range(2):
-        pacer.offer(name(number), 0.0)
-    assert not pacer.is_dammed(3, 0.0)
-    pacer.offer(name(2), 0.0)
-    assert pacer.is_dammed(3, 0.0) == is_dammed
-
-
-def test_a_full_queue_that_earns_its_next_credit_is_not_dammed():
-    """What sheds because its source is too fast sheds with a swap or without."""
-    pacer, _ = make(Overflow.QUEUE, depth=3)
-    pacer.retune(rate_hz=10.0, depth=3, now_s=0.0)
-    for number in range(9):
-        pacer.offer(name(number), 0.0)
-    drain(pacer, 0.0)
-    pacer.offer(name(9), 0.0)
-    assert len(pacer) == 3
-    assert not pacer.is_dammed(3, 0.0)
-    assert pacer.is_dammed(3, 0.2)
