@@ -1,0 +1,179 @@
+"""What others do while a swap is under way, in every state of it: join, set parameters by hand, plan as well."""
+
+import re
+import time
+from types import SimpleNamespace
+
+import pytest
+from chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
+from chaos.world import Log, ended, insist, is_gapless, settle, status, wait
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+
+DEADLINE_NS = 800_000_000
+RIVAL_DEPTH = 250
+FOUGHT = "/chaos/fought"
+FIGHT_S = 20.0  # an unconfirmed plan is sent again after 1.5, 3, 6 and 12 s
+every_state = pytest.mark.parametrize("where", WHERE)
+
+
+def join(world):
+    """One subscriber joins while every swap is stopped, another one just when they go on."""
+    there = Log(world, "there")
+    talker = world.talker(stops=TOPICS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
+    insist(lambda: talker.stopped == set(TOPICS.values()), "every swap is stopped")
+    early = Log(world, "early")
+    insist(lambda: min(talker.tell("matched").values()) == 2, "the early reader matches")
+    late = Log(world, "late")
+    talker.tell("release")
+    wait(lambda: world.has_settled(TOPICS.values(), swaps=1))
+    insist(lambda: all("3" in first for first in talker.tell("first").values()), "all three readers are published to")
+    sent = settle(world, talker, there, early, late)
+    first = {
+        readers: {
+            topic: min(number for count, number in of.items() if int(count) >= readers)
+            for topic, of in talker.tell("first").items()
+        }
+        for readers in (2, 3)
+    }
+    return SimpleNamespace(
+        now=world.picture(),
+        sent=sent,
+        there=there.numbers,
+        early=SimpleNamespace(numbers=early.numbers, first=first[2]),
+        late=SimpleNamespace(numbers=late.numbers, first=first[3]),
+    )
+
+
+@every_state
+@pytest.mark.parametrize("name", ["early", "late"])
+def test_who_joins_during_a_swap_gets_everything_from_then_on(played, where, name):
+    """A joining reader has every sample published since it matched, once and in order, and is not left behind."""
+    joined = getattr(played(join), name)
+    numbers = joined.numbers[TOPICS[where]]
+    assert is_gapless(numbers)
+    assert numbers[0] <= joined.first[TOPICS[where]]
+    assert numbers[-1] == played(join).sent - 1
+
+
+@every_state
+def test_who_joins_during_a_swap_harms_nobody(played, where):
+    """The swap comes into force or is refused with a reason; who was there loses, doubles and reorders nothing."""
+    came = played(join)
+    now = came.now[TOPICS[where]]
+    stated = (BASELINE_DEPTH, 0) if now.last.refusal else (DEPTH, DEADLINE_NS)
+    assert (now.last.depth, now.last.deadline_ns, ended(now.last)) == (*stated, 1)
+    assert now.writers == [now.last.deadline_ns]
+    assert came.there[TOPICS[where]] == list(range(came.sent))
+    assert (now.last.published, now.last.withheld) == (came.sent, 0)
+
+
+def set_by_hand(world):
+    """Parameters are set one by one while every swap is stopped."""
+    reader = Log(world, "reader")
+    talker = world.talker(stops=TOPICS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
+    insist(lambda: talker.stopped == set(TOPICS.values()), "every swap is stopped")
+    for topic in TOPICS.values():
+        for setting, value in (("depth", 150), ("deadline", 700_000_000), ("depth", 250)):
+            world.param_set("/talker", topic, setting, value)
+    talker.tell("release")
+    wait(lambda: world.has_settled(TOPICS.values(), depth=250, swaps=2))
+    sent = settle(world, talker, reader)
+    return SimpleNamespace(now=world.picture(), sent=sent, received=reader.numbers)
+
+
+@every_state
+def test_what_was_set_last_during_a_swap_is_in_force(played, where):
+    """The last value of each parameter wins, the ones before cost no swap, and one writer is left."""
+    now = played(set_by_hand).now[TOPICS[where]]
+    assert (now.last.depth, now.last.deadline_ns, now.last.refusal) == (250, 700_000_000, "")
+    assert now.writers == [700_000_000]
+    assert ended(now.last) == 2, "the swap that was under way, and one for all that was set"
+
+
+@every_state
+def test_setting_parameters_during_a_swap_loses_nothing(played, where):
+    """Every sample arrives once and in order, as many as were announced as published."""
+    came = played(set_by_hand)
+    last = came.now[TOPICS[where]].last
+    assert came.received[TOPICS[where]] == list(range(came.sent))
+    assert (last.published, last.withheld) == (came.sent, 0)
+
+
+def fight(world, *, is_at_once):
+    """Let two daemons plan for one publisher; then stop the one whose plan is in force."""
+    reader = Log(world, "reader", [FOUGHT])
+    daemons = {depth: world.daemon(depth=depth) for depth in ([DEPTH, RIVAL_DEPTH] if is_at_once else [DEPTH])}
+    insist(lambda: all(status(daemon) for daemon in daemons.values()), "the daemons are there")
+    talker = world.talker(FOUGHT)
+    insist(lambda: any(world.shows(FOUGHT, depth=depth) for depth in daemons), "a plan is in force")
+    if not is_at_once:
+        daemons[RIVAL_DEPTH] = world.daemon(depth=RIVAL_DEPTH)
+        insist(lambda: status(daemons[RIVAL_DEPTH]), "the rival is there")
+    time.sleep(FIGHT_S)
+    fought = world.last(FOUGHT)
+    insist(lambda: world.last(FOUGHT).depth in daemons, "one of the plans is in force")
+    winner = world.last(FOUGHT).depth
+    (loser,) = set(daemons) - {winner}
+    daemons[winner].terminate()
+    time.sleep(2.0)  # what it did last is announced
+    wait(lambda: world.shows(FOUGHT, depth=loser), 20.0)
+    sent = talker.tell("publish", is_on=False)
+    insist(lambda: world.shows(FOUGHT, offered=sent, queued=0), "the queue is empty")
+    wait(lambda: len(reader.numbers[FOUGHT]) == sent, 10.0)
+    logs = [daemon.log() for daemon in daemons.values()]
+    print(dict(fought.swaps_by_result), [(s.depth, s.generation) for s in world.announced(FOUGHT)], *logs, sep="\n")
+    return SimpleNamespace(
+        fought=fought, last=world.last(FOUGHT), loser=loser, logs=logs, received=reader.numbers[FOUGHT], sent=sent
+    )
+
+
+def fight_at_once(world):
+    """Start both daemons before the publisher."""
+    return fight(world, is_at_once=True)
+
+
+def fight_later(world):
+    """Start the second daemon when the first one's plan is in force."""
+    return fight(world, is_at_once=False)
+
+
+each_fight = pytest.mark.parametrize("fought", [fight_at_once, fight_later])
+
+
+@each_fight
+def test_two_daemons_cost_no_sample(played, fought):
+    """However often they swap, every sample arrives once and in order, as many as were announced as published."""
+    came = played(fought)
+    assert came.received == list(range(came.sent))
+    assert (came.last.published, came.last.withheld) == (came.sent, 0)
+
+
+@each_fight
+def test_two_daemons_swap_at_a_bounded_rate(played, fought):
+    """Each of them sends its plan again at growing intervals only, so a fight costs few swaps."""
+    assert 1 <= ended(played(fought).fought) <= 10
+
+
+@each_fight
+def test_two_daemons_come_to_rest(played, fought):
+    """One of the two plans stays in force: at most each daemon's own plan costs a swap, and one in return."""
+    assert ended(played(fought).fought) <= 3, played(fought).fought
+
+
+@each_fight
+def test_two_daemons_are_told_of(played, fought):
+    """At least one of the two logs that another daemon plans for the same publishers."""
+    assert any(re.search(r"(another|second|two|other) (arpd|daemon)", log) for log in played(fought).logs)
+
+
+@each_fight
+def test_of_two_daemons_the_one_that_stays_takes_over(played, fought):
+    """When the one whose plan is in force stops, the other's plan comes into force."""
+    came = played(fought)
+    assert came.last.depth == came.loser, (BASELINE_DEPTH, came.last)
+
+
+SCENARIOS = (fight_at_once, fight_later, join, set_by_hand)

@@ -1,0 +1,363 @@
+"""The test's side of a chaos test: it starts processes, kills them, and sees what any other process would see."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections import defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+
+import rclpy
+from chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from arpd.ros.announce import from_status
+from arpd.ros.graph import deadline_ns_of
+from arpd.ros.names import PUBLISHERS_TOPIC, parameter_name
+from arpd.ros.runtime import FASTDDS_PROFILE, spinning
+from scripts.bench.child import number_of, sample_of
+
+REPO = Path(__file__).resolve().parents[2]
+START_S = 40.0  # generous: the machine is shared and noisy
+_DOMAINS = set(range(1, 100))
+SHORT_LEASE = """
+    <participant profile_name="mortal" is_default_profile="true">
+      <rtps><builtin><discovery_config>
+        <leaseDuration><sec>3</sec></leaseDuration>
+        <leaseAnnouncement><sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement>
+      </discovery_config></builtin></rtps>
+    </participant>
+"""
+
+
+def wait(condition, timeout_s=START_S):
+    """Wait until a condition holds; return whether it did."""
+    until_s = time.monotonic() + timeout_s
+    while time.monotonic() < until_s:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return bool(condition())
+
+
+def insist(condition, what, timeout_s=START_S):
+    """Wait for what the test is built on."""
+    assert wait(condition, timeout_s), f"did not happen in time: {what}"
+
+
+class Process:
+    """One process of `nodes.py`."""
+
+    def __init__(self, argv, environment, log):
+        self._log = log
+        with log.open("w") as stderr:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-u", str(Path(__file__).with_name("nodes.py")), *map(str, argv)],
+                env=environment,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                text=True,
+                cwd=REPO,
+            )
+        self.stopped = set()  # topics whose swap is stopped
+        self._answers = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def tell(self, do, **arguments):
+        """Give a command, wait for its answer."""
+        print(json.dumps({"do": do, **arguments}), file=self._popen.stdin, flush=True)
+        return self._answers.get(timeout=START_S)
+
+    def stop(self, topics):
+        """Let the next swap of each topic stop where the topic says; ``stopped`` tells when it has."""
+        self.stopped.clear()
+        self.tell("stop", at={topic: where for where, topic in topics.items()})
+
+    def terminate(self):
+        """Stop it as systemd does, and wait until it has done what it does then."""
+        self._popen.terminate()
+        self._popen.wait(timeout=START_S)
+
+    def kill(self):
+        """Kill -9."""
+        self._popen.send_signal(signal.SIGKILL)
+        self._popen.wait()
+
+    def log(self):
+        """Return what it wrote to stderr so far."""
+        return self._log.read_text()
+
+    def _listen(self):
+        for line in self._popen.stdout:
+            if line.startswith("{"):
+                said = json.loads(line)
+                if "stopped" in said:
+                    self.stopped.add(said["stopped"])
+                else:
+                    self._answers.put(said["answer"])
+
+
+class World:
+    """A domain of its own, with processes in it and an observer who is none of them."""
+
+    def __init__(self, workdir):
+        self._workdir = workdir
+        self._stack = ExitStack()
+        self._domain = free_domain()
+        self._announcements = defaultdict(list)  # topic → all states announced
+        self._clients = {}
+        self._starts = 0
+
+    def __enter__(self):
+        self._node = self.node("observer")
+        self._node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_announcement, 100)
+        return self
+
+    def __exit__(self, *failure):
+        self._stack.close()
+
+    def node(self, name):
+        """Return a node in a participant of its own, as every process has one."""
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=self._domain)
+        self._stack.callback(rclpy.try_shutdown, context=context)
+        node = rclpy.create_node(name, context=context)
+        self._stack.callback(node.destroy_node)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        self._stack.enter_context(spinning(executor))
+        return node
+
+    def start(self, *argv, has_short_lease=False):
+        """Start a process of `nodes.py`.
+
+        Parameters
+        ----------
+        has_short_lease : others take it for dead 3 s after its end, not 20 s
+        """
+        profile = self._workdir / "short_lease.xml"
+        profile.write_text(FASTDDS_PROFILE.read_text().replace("<profiles>", "<profiles>" + SHORT_LEASE))
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(REPO),
+            "ROS_DOMAIN_ID": str(self._domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile if has_short_lease else FASTDDS_PROFILE),
+        }
+        self._starts += 1
+        process = Process(argv, environment, self._workdir / f"{self._starts}-{argv[0]}.log")
+        self._stack.callback(process.kill)
+        return process
+
+    def talker(self, *topics, readers=1, number=0, stops=None, **options):
+        """Start the talker and let it publish, from ``number`` on, once every topic has its readers.
+
+        Parameters
+        ----------
+        stops : topic by where its next swap shall stop
+        """
+        talker = self.start("talker", "talker", *(topics or TOPICS.values()), **options)
+        talker.stop(stops or {})
+        insist(lambda: all(count >= readers for count in talker.tell("matched").values()), "readers match the talker")
+        talker.tell("publish", is_on=True, number=number)
+        return talker
+
+    def daemon(self, **config):
+        """Start `arpd run`; planned are a depth of ``depth`` on every topic and a finite deadline."""
+        depth = config.pop("depth", DEPTH)
+        config = {
+            "link": {"interface": "lo", "capacity": "10gbit"},
+            "http": {"port": free_port()},
+            "governor": {"hold": "1h"},  # one plan each: the test's own jitter is no change of demand
+            "defaults": {"min_depth": depth, "max_depth": depth, "latency_budget": "none"},
+            **config,
+        }
+        path = self._workdir / f"{self._starts}.yaml"
+        path.write_text(json.dumps(config))  # JSON is YAML
+        daemon = self.start("daemon", path)
+        daemon.url = f"http://127.0.0.1:{config['http']['port']}"
+        return daemon
+
+    def relay_config(self):
+        """Write the configuration of a relay that carries all topics; return its path."""
+        path = self._workdir / "relay.yaml"
+        topics = [{"name": topic, "overflow": "queue", "depth": BASELINE_DEPTH} for topic in TOPICS.values()]
+        path.write_text(json.dumps({"relay": {"topics": topics}}))
+        return path
+
+    # -- what anybody can see and do
+
+    def announced(self, topic):
+        """Return all that was announced of a topic's publisher, oldest first."""
+        return tuple(self._announcements[topic])
+
+    def last(self, topic):
+        """Return what was announced last, None before the first time."""
+        return self._announcements[topic][-1] if self._announcements[topic] else None
+
+    def has_settled(self, topics, *, swaps, **values):
+        """Whether each topic announces these values after so many swaps, and its only writer has its deadline."""
+        return all(
+            self.shows(topic, **values)
+            and ended(self.last(topic)) >= swaps
+            and self.writers(topic) == [self.last(topic).deadline_ns]
+            for topic in topics
+        )
+
+    def rests(self, topic):
+        """Whether nothing was offered and nothing has left the queue between the last two announcements."""
+        last = self.announced(topic)[-2:]
+        return len(last) == 2 and len({(state.offered, state.published) for state in last}) == 1
+
+    def shows(self, topic, **values):
+        """Whether the topic's publisher last announced these values."""
+        last = self.last(topic)
+        return last is not None and all(getattr(last, key) == value for key, value in values.items())
+
+    def writers(self, topic):
+        """Deadlines of all writers the graph knows on a topic (ns)."""
+        return [deadline_ns_of(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
+
+    def picture(self):
+        """Return what everybody sees now, by topic: what was announced, and the graph's writers."""
+        return {
+            topic: SimpleNamespace(last=self.last(topic), writers=self.writers(topic))
+            for topic in tuple(self._announcements)
+        }
+
+    def ask(self, node, topics, **settings):
+        """Set ``depth`` and ``deadline`` of all these publishers in one atomic call, as a daemon does."""
+        parameters = [_parameter(topic, setting, value) for topic in topics for setting, value in settings.items()]
+        answer = self._call(
+            SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters
+        ).result.successful
+        assert answer, f"{node} refused {settings}"
+
+    def param_set(self, node, topic, setting, value):
+        """Set one parameter by hand, as `ros2 param set` does."""
+        (result,) = self._call(
+            SetParameters, f"{node}/set_parameters", parameters=[_parameter(topic, setting, value)]
+        ).results
+        assert result.successful, result.reason
+
+    def _call(self, kind, service, **request):
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(kind, service)
+        insist(self._clients[service].service_is_ready, f"{service} is there")
+        answer = self._clients[service].call_async(kind.Request(**request))
+        insist(answer.done, f"{service} answers")
+        return answer.result()
+
+    def _on_announcement(self, message):
+        for status in message.status:
+            state = from_status(status)
+            self._announcements[state.topic].append(state)
+
+
+class Log:
+    """What arrives on each topic, in order, in a participant of its own."""
+
+    def __init__(self, world, name, topics=()):
+        self.numbers = {topic: [] for topic in (topics or TOPICS.values())}
+        node = world.node(name)
+        for topic, numbers in self.numbers.items():
+            node.create_subscription(
+                String, topic, lambda s, n=numbers: n.append(number_of(s)), QoSProfile(depth=5000), raw=True
+            )
+
+
+class Source:
+    """A node that knows nothing of arpd and publishes the same numbers on every topic."""
+
+    def __init__(self, world, name, topics):
+        node = world.node(name)
+        self._publishers = [node.create_publisher(String, topic, 200) for topic in topics]
+        self.sent = 0
+        self.is_publishing = False
+        self._lock = threading.Lock()
+        node.create_timer(1 / RATE_HZ, self._publish)
+
+    def _publish(self):
+        with self._lock:
+            if self.is_publishing:
+                for publisher in self._publishers:
+                    publisher.publish(sample_of(self.sent, PAYLOAD_BYTES))
+                self.sent += 1
+
+    def pause(self):
+        """Stop publishing; return how many numbers there were so far."""
+        with self._lock:
+            self.is_publishing = False
+            return self.sent
+
+    def is_heard(self, readers):
+        return all(publisher.get_subscription_count() >= readers for publisher in self._publishers)
+
+
+def _parameter(topic, setting, value):
+    return Parameter(parameter_name(topic, setting), value=value).to_parameter_msg()
+
+
+def settle(world, talker, *logs, first=0):
+    """Stop publishing and wait until the logs have all there is; return how many numbers there were, from 0 on."""
+    sent = talker.tell("publish", is_on=False)
+    insist(lambda: all(world.shows(t, offered=sent - first, queued=0) for t in TOPICS.values()), "the queues are empty")
+    wait(lambda: all(log.numbers[t][-1:] == [sent - 1] for log in logs for t in TOPICS.values()), 10.0)
+    time.sleep(0.3)  # for a double to show
+    return sent
+
+
+def status(daemon):
+    """Return the daemon's status document, empty while it does not answer."""
+    try:
+        with urllib.request.urlopen(f"{daemon.url}/api/v1/status", timeout=3.0) as answer:
+            return json.load(answer)
+    except OSError:
+        return {}
+
+
+def ended(state):
+    """Count the swaps that ended; ``undelivered`` stands beside a swap's own result."""
+    return sum(count for result, count in state.swaps_by_result.items() if result != "undelivered")
+
+
+def is_gapless(numbers):
+    """Whether these are consecutive numbers, each once and in order."""
+    return bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def free_domain():
+    """Return a domain that nobody on this host uses, nor another world: its first participant's port is free."""
+    for domain in random.sample(sorted(_DOMAINS), len(_DOMAINS)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+        _DOMAINS.discard(domain)
+        return domain
+    raise AssertionError("no domain is free")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
