@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from arpd.model import FlowState, TopicPlan
 from arpd.pacing import Pacer
 from arpd.source_rate import SourceRate
-from arpd.swap import SwapResult, Writer, WriterQos, WriterSwap
+from arpd.swap import SwapResult, SwapTiming, Writer, WriterQos, WriterSwap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +36,7 @@ class Flow(Generic[W]):
     overflow : what gives way when samples come faster than they may leave
     clock : monotonic clock (s)
     on_swap : told how every swap ended, and the QoS it was about
+    timing : timeouts of a swap
 
     Notes
     -----
@@ -51,11 +52,12 @@ class Flow(Generic[W]):
         overflow: Overflow,
         clock: Callable[[], float],
         on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
+        timing: SwapTiming | None = None,
     ) -> None:
         self._clock = clock
         self._on_swap = on_swap
         self._swaps: Counter[str] = Counter()
-        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos)
+        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
         self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._gate = 1.0

@@ -10,18 +10,19 @@ from arpd.model import Direction
 from arpd.ros.names import GATE_TOPIC, INFINITE_NS, is_internal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
     from arpd.ros.rmw import Rmw
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
-    """One writer or reader: the host it lives on, its participant, the deadline it asks for (ns, 0 = infinite)."""
+    """One writer or reader: the host it lives on, its participant, its deadline (ns, 0 = infinite), its node."""
 
     host: bytes
     participant: bytes
     deadline_ns: int
+    node: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,12 +33,22 @@ class Crossing:
     ----------
     direction : which way; a topic with writers on both sides counts as sensing
     remote_readers : participants on the far side that read it: as many unicast copies
-    requested_deadline_ns : tightest deadline any of its readers requests, 0 = none does
+    requests : node and requested deadline of every reader (ns, 0 = infinite)
+    offers_ns : deadlines its writers offer, each once (ns, 0 = infinite)
     """
 
     direction: Direction
     remote_readers: int
-    requested_deadline_ns: int
+    requests: tuple[tuple[str, int], ...] = ()
+    offers_ns: tuple[int, ...] = ()
+
+    def tightest_request_ns(self, *, besides: Collection[str] = ()) -> int:
+        """Return the tightest deadline a reader of another node than these requests, 0 = none does (ns)."""
+        return min((ns for node, ns in self.requests if ns and node not in besides), default=0)
+
+    def requests_of(self, node: str) -> tuple[int, ...]:
+        """Return the deadlines that readers of a node request (ns, 0 = infinite)."""
+        return tuple(ns for name, ns in self.requests if name == node)
 
 
 def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
@@ -45,7 +56,6 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
     writers, readers = tuple(writers), tuple(readers)
     writer_hosts = {writer.host for writer in writers}
     remote = {reader.participant for reader in readers if writer_hosts - {reader.host}}
-    requests = [reader.deadline_ns for reader in readers if reader.deadline_ns]
     if not remote or not writer_hosts:
         direction = Direction.LOCAL
     elif robot_host in writer_hosts:
@@ -57,7 +67,8 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
     return Crossing(
         direction=direction,
         remote_readers=len(remote) if direction is not Direction.LOCAL else 0,
-        requested_deadline_ns=min(requests, default=0),
+        requests=_requests(readers),
+        offers_ns=_offers_ns(writers),
     )
 
 
@@ -68,13 +79,14 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
     a topic wrongly planned for only gets a rate, one wrongly left out is neither paced nor gated, and copies that
     are not there would take rate from everybody.
     """
-    readers = tuple(readers)
+    writers, readers = tuple(writers), tuple(readers)
     processes = {writer.participant for writer in writers}
     is_crossing = bool(processes) and any(reader.participant not in processes for reader in readers)
     return Crossing(
         direction=Direction.SENSING if is_crossing else Direction.LOCAL,
         remote_readers=int(is_crossing),
-        requested_deadline_ns=min((reader.deadline_ns for reader in readers if reader.deadline_ns), default=0),
+        requests=_requests(readers),
+        offers_ns=_offers_ns(writers),
     )
 
 
@@ -107,6 +119,22 @@ def node_name_of(info: Any) -> str:
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
+def type_name_of(msg_type: Any) -> str:
+    """Return the ROS name of a message class, ``sensor_msgs/msg/LaserScan``."""
+    package = msg_type.__module__.split(".")[0]
+    return f"{package}/msg/{msg_type.__name__}"
+
+
 def _endpoint(info: Any) -> Endpoint:
     gid = bytes(info.endpoint_gid)
-    return Endpoint(host=gid[2:4], participant=gid[:12], deadline_ns=deadline_ns_of(info.qos_profile))
+    return Endpoint(
+        host=gid[2:4], participant=gid[:12], deadline_ns=deadline_ns_of(info.qos_profile), node=node_name_of(info)
+    )
+
+
+def _requests(readers: Iterable[Endpoint]) -> tuple[tuple[str, int], ...]:
+    return tuple(sorted((reader.node, reader.deadline_ns) for reader in readers))
+
+
+def _offers_ns(writers: Iterable[Endpoint]) -> tuple[int, ...]:
+    return tuple(sorted({writer.deadline_ns for writer in writers}))

@@ -2,34 +2,40 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from copy import copy
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
-from rclpy.qos import QoSDurabilityPolicy, QoSPolicyKind, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
 from arpd.flow import Flow
-from arpd.model import Direction, PublisherState
+from arpd.model import Direction, FlowState, PublisherState
 from arpd.planner import keeps_its_readers
-from arpd.ros.graph import deadline_ns_of, node_name_of
-from arpd.ros.rmw import current_rmw
-from arpd.ros.tuning import NodeTuning
-from arpd.ros.writer import RosWriter
+from arpd.refusal import NO_REFUSAL, Refusal, RefusalReason
+from arpd.ros.graph import deadline_ns_of, type_name_of
+from arpd.ros.requests import Requests
+from arpd.ros.rmw import current_rmw, lasting_refusal
+from arpd.ros.tuning import QUICK_S, NodeTuning
+from arpd.ros.writer import RosWriter, without_ours
 from arpd.settings import Overflow
 from arpd.swap import SwapResult, WriterQos
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.node import Node
+    from rclpy.qos_overriding_options import QoSOverridingOptions
 
     from arpd.model import TopicPlan
+    from arpd.swap import SwapTiming
+
+_FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
 
 
 class AdaptivePublisher:
@@ -48,6 +54,7 @@ class AdaptivePublisher:
     overflow : what gives way when samples come faster than the paced rate
     swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first gets the samples the old
         one held, for readers to come; readers that are there see those twice. False = pace such a topic only
+    swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
 
     Notes
     -----
@@ -72,6 +79,7 @@ class AdaptivePublisher:
         qos_overriding_options: QoSOverridingOptions | None = None,
         overflow: Overflow = Overflow.LATEST,
         swap_transient_local: bool = False,
+        swap_timing: SwapTiming | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.msg_type = msg_type
@@ -83,10 +91,12 @@ class AdaptivePublisher:
         self._event_callbacks = event_callbacks
         self._swap_transient_local = swap_transient_local
         self._rmw = current_rmw()
-        self._overrides = _without_ours(qos_overriding_options)
+        self._overrides = without_ours(qos_overriding_options)
         # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
         self._lock = threading.RLock()
         self._writing = threading.RLock()
+        self._clock = clock
+        self._visit_s = math.inf  # the pacing thread comes no later than this
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._flow = Flow(
             create=self._create_writer,
@@ -94,15 +104,17 @@ class AdaptivePublisher:
             overflow=overflow,
             clock=clock,
             on_swap=self._on_swap,
+            timing=swap_timing,
         )
         self._overrides = None  # they are part of the profile by now, and rclpy declares each only once
         if self._is_latched and swap_transient_local:
             self._flow.keep_history()
-        self._refusal = ""
-        self._clamp = ""
+        self._refusal = self._clamp = NO_REFUSAL
         self._refusals = 0  # readers that refused, as far as the application was warned
-        self._type_name = _type_name(msg_type)
+        self._type_name = type_name_of(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
+        self._requests = Requests(node, self._resolved)
+        self._node_name = node.get_fully_qualified_name()
         self._tuning = NodeTuning.of(node)
         try:
             self._tuning.adopt(self)
@@ -151,16 +163,13 @@ class AdaptivePublisher:
             self._flow.offer(sample)
         with self._writing:
             self._drain()
-        with self._lock:
-            is_waiting = self._flow.is_waiting
-        if is_waiting:
-            self._tuning.wake()
 
     def offer(self, msg: Any) -> None:
-        """Publish without ever blocking: the pacing thread writes.
+        """Publish without waiting for another write, and without writing where writers block at present.
 
         For a caller that serves many topics, as the relay does: while the link's queue is full, a writer blocks, and
-        what comes meanwhile is conflated here instead of growing old, or getting lost, further up.
+        what comes meanwhile is conflated here instead of growing old, or getting lost, further up. To hand every
+        sample to the pacing thread would cost more than the sample itself, so the caller writes while that is quick.
 
         Parameters
         ----------
@@ -169,7 +178,13 @@ class AdaptivePublisher:
         sample = self._serialized(msg)
         with self._lock:
             self._flow.offer(sample)
-        self._tuning.wake()
+        if self._clock() >= self._tuning.quick_from_s and self._writing.acquire(blocking=False):
+            try:
+                self._drain()
+            finally:
+                self._writing.release()
+        else:
+            self._leave_rest()
 
     def get_subscription_count(self) -> int:
         """Count the matched readers."""
@@ -211,36 +226,33 @@ class AdaptivePublisher:
         plan : settings to run with; an offered deadline longer than a reader requests is clamped to that request,
             because the reader would silently disconnect (DESIGN §2)
         """
-        requested_ns = self._tightest_request_ns()
+        requested_ns = self._requests.tightest_ns()
         is_clamped = not keeps_its_readers(plan, requested_ns)
-        qos = WriterQos(depth=plan.depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
+        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to the {requested_ns} ns a reader requests")
+        depth = self._baseline.depth if self._keeps_all else plan.depth  # another would be a new writer for nothing
+        qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
+        latched = (
+            f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; "
+            "swap_transient_local=True lets it"
+        )
         with self._lock:
-            self._clamp = f"deadline clamped to the {requested_ns} ns a reader requests" if is_clamped else ""
+            self._clamp = clamp if is_clamped else NO_REFUSAL
+            is_fixed = self._is_latched and not self._swap_transient_local
             if qos == self._flow.qos:
-                self._refusal = ""  # nothing is refused any more
-            elif self._rmw.refusal:
-                self._refusal, qos = self._rmw.refusal, self._flow.qos
-            elif self._is_latched and not self._swap_transient_local:
-                self._refusal = (
-                    f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; "
-                    "swap_transient_local=True lets it"
-                )
-                qos = self._flow.qos
+                self._refusal = NO_REFUSAL  # nothing is refused any more
+            elif refusal := lasting_refusal(self._rmw, latched=latched if is_fixed else ""):
+                self._refusal, qos = refusal, self._flow.qos
             self._flow.retune(plan, qos=qos)
-        self._tuning.wake()
+        self._tuning.wake(self)
 
     def set_gate(self, gate: float) -> None:
         """Scale the paced rate, not below its floor."""
         with self._lock:
             self._flow.set_gate(gate)
+        self._leave_rest()  # it may now leave sooner
 
     def service(self, now_s: float) -> float:
-        """Do what is due: a step of the swap, samples whose time has come.
-
-        Returns
-        -------
-        When to be called again (s).
-        """
+        """Do what is due, a step of the swap or samples whose time has come; return when to be called again (s)."""
         if not self._writing.acquire(blocking=False):
             return now_s + 0.001  # the application is inside publish(); never queue the others behind it
         try:
@@ -248,32 +260,36 @@ class AdaptivePublisher:
                 self._flow.step(now_s)
             self._drain()
             with self._lock:
-                return self._flow.due_s(now_s)
+                self._visit_s = self._flow.due_s(now_s)
+                return self._visit_s
         finally:
             self._writing.release()
 
-    def state(self, *, generation: int) -> PublisherState:
+    def state(self, *, generation: int, lease_s: float = 0.0) -> PublisherState:
         """Picture of what is in force, for the announcement; called about once a second."""
         with self._lock:
-            flow, refusal = self._flow.state(), self._refusal or self._clamp
+            flow, refusal = self._flow.state(), self._refusal if self._refusal.words else self._clamp
             self._warn_of_refusals()
         return PublisherState(
-            node=self._node.get_fully_qualified_name(),
+            node=self._node_name,
             topic=self._resolved,
             type_name=self._type_name,
             direction=Direction.LOCAL,
             baseline_depth=self._baseline.depth,
             baseline_deadline_ns=self._baseline.deadline_ns,
             generation=generation,
-            refusal=refusal,
-            **{field.name: getattr(flow, field.name) for field in fields(flow)},
+            lease_s=lease_s,
+            refusal=refusal.words,
+            refusal_reason=refusal.reason,
+            keeps_all=self._keeps_all,
+            **{name: getattr(flow, name) for name in _FLOW_FIELDS},
         )
 
     def _serialized(self, msg: Any) -> bytes:
-        if isinstance(msg, self.msg_type):
-            return bytes(serialize_message(msg))
         if isinstance(msg, bytes):
             return msg
+        if isinstance(msg, self.msg_type):
+            return bytes(serialize_message(msg))
         raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
 
     def _warn_of_refusals(self) -> None:
@@ -289,15 +305,33 @@ class AdaptivePublisher:
 
     def _drain(self) -> None:
         """Write all that may leave; the caller holds ``_writing``, so that samples keep their order."""
-        with self._lock:
-            self._flow.end_full_hold()
-        self._flow.replay()
-        while True:
+        before_s = self._clock()
+        is_waiting = True
+        try:
             with self._lock:
-                sample = self._flow.take()
-            if sample is None:
+                self._flow.end_full_hold()
+            self._flow.replay()
+            while is_waiting:
+                with self._lock:
+                    sample = self._flow.take()
+                if sample is None:
+                    break
+                self._flow.write(sample)
+                is_waiting = self._flow.is_waiting  # what is offered after this look, another thread sees to
+        finally:  # whatever a write raised, what waits behind it is not forgotten
+            if is_waiting:
+                self._leave_rest()
+            if (took_s := self._clock() - before_s) > QUICK_S:
+                self._tuning.shun_writing(took_s)
+
+    def _leave_rest(self) -> None:
+        """Let the pacing thread come for what still waits, unless it comes in time anyway."""
+        with self._lock:
+            due_s = self._flow.due_s(self._clock())
+            if due_s >= self._visit_s:
                 return
-            self._flow.write(sample)
+            self._visit_s = due_s
+        self._tuning.wake(self)
 
     @property
     def _writer(self) -> RosWriter:
@@ -306,6 +340,10 @@ class AdaptivePublisher:
     @property
     def _is_latched(self) -> bool:
         return bool(self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+    @property
+    def _keeps_all(self) -> bool:
+        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
         profile = copy(self.qos_profile)  # every other policy is the application's
@@ -337,47 +375,22 @@ class AdaptivePublisher:
         flow = getattr(self, "_flow", None)
         return flow is None or flow.writer is writer  # while the flow is being made there is only the first
 
-    def _readers(self) -> Iterator[tuple[str, int]]:
-        """Name every reader of the topic, with the deadline it requests (ns, 0 = none)."""
-        for reader in self._node.get_subscriptions_info_by_topic(self._resolved):
-            yield node_name_of(reader), deadline_ns_of(reader.qos_profile)
-
-    def _tightest_request_ns(self) -> int:
-        return min((request for _, request in self._readers() if request), default=0)
-
     def _lost_to(self, qos: WriterQos) -> list[str]:
         """Name the readers that the writer in force serves and one with these settings would not."""
-        offered, offer = (replace(self.plan, deadline_ns=ns) for ns in (self._flow.qos.deadline_ns, qos.deadline_ns))
-        return sorted(
-            f"{name} requests {request} ns"
-            for name, request in self._readers()
-            if keeps_its_readers(offered, request) and not keeps_its_readers(offer, request)
-        )
+        return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
-            self._refusal = ""
+            self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
-            self._refusal = f"swap of {self._resolved}: {self._reason(result, qos)}"
-            self._node.get_logger().warning(self._refusal)
+            words = f"swap of {self._resolved}: {self._reason(result, qos)}"
+            self._refusal = Refusal(RefusalReason(result.value), words)
+            self._node.get_logger().warning(words)
 
     def _reason(self, result: SwapResult, qos: WriterQos) -> str:
         if result is SwapResult.FAILED:
             return f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
         if lost := self._lost_to(qos):
             return f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
-        readers = ", ".join(sorted(name for name, _ in self._readers()))
+        readers = ", ".join(self._requests.names())
         return f"not all readers matched in time ({readers or 'none is left in the graph'})"
-
-
-def _without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
-    """Return the options without the two policies whose parameters stay writable here."""
-    if options is None:
-        return None
-    kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]
-    return QoSOverridingOptions(kinds, callback=options.callback, entity_id=options.entity_id)
-
-
-def _type_name(msg_type: Any) -> str:
-    package = msg_type.__module__.split(".")[0]
-    return f"{package}/msg/{msg_type.__name__}"

@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.ros.publisher import AdaptivePublisher
+    from arpd.ros.reader import ReaderQos
     from arpd.ros.subscription import AdaptiveSubscription
     from arpd.settings import RelaySettings
 
 log = logging.getLogger(__name__)
 
 _DISCOVER_S = 0.5
+_EVERY_LOOK = 10  # one in so many looks at a topic is a whole one, whatever its endpoints' number says
 _KEEP_LOOKS = 20  # 10 s: a source that restarts is heard at once, and no circle is kept up by one that never comes
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # how the graph names a node it has not heard of yet
 _RECEIVE_DEPTH = 100  # on-host, so this only bridges the relay's own scheduling
@@ -58,7 +60,7 @@ class Relay:
 
     The graph decides, at every look anew: a topic is carried once somebody publishes it, its reader follows the weakest
     writer, and a topic that returns with another type is carried as that. What cannot be carried is named, and the
-    other topics go on.
+    other topics go on. Most looks at a topic that is settled only count its endpoints.
 
     Parameters
     ----------
@@ -76,8 +78,10 @@ class Relay:
         self._carried: dict[str, _Carried] = {}
         self._refused: dict[str, str] = {}
         self._failed: dict[str, str] = {}  # topic → type that could not be carried
+        self._looks = 0
         self._silent = dict.fromkeys(settings.topics, 0)  # topic → looks since somebody published it
         self._once: set[str] = set()  # topics that were carried at some time
+        self._inputs = {topic: node.resolve_topic_name(topic) for topic in settings.topics}  # counting does not remap
         self._outputs: dict[str, str] = {}  # topic → what it is carried to
         for topic in settings.topics:
             output = str(node.resolve_topic_name(settings.prefix + topic))
@@ -108,20 +112,41 @@ class Relay:
         return line
 
     def _discover(self) -> None:
-        for topic, output in self._outputs.items():
-            self._look(topic, output)
+        self._looks += 1
+        for place, (topic, output) in enumerate(self._outputs.items()):
+            # To read all endpoints of 100 topics twice a second would cost what relaying 100 messages costs.
+            if (self._looks + place) % _EVERY_LOOK == 0 or not self._is_settled(topic):
+                self._look(topic, output)
         if (status := self.status_line()) != self._status:
             self._status = status
             self._on_change(status)
 
+    def _is_settled(self, topic: str) -> bool:
+        """Whether the topic is carried as its last whole look wanted it, and has as many endpoints as then."""
+        carried = self._carried.get(topic)
+        return (
+            carried is not None
+            and topic not in self._silent
+            and topic not in self._refused
+            and carried.settled_with == self._endpoints(topic, carried)
+        )
+
+    def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int]:
+        """Count the topic's writers, and the readers of what it is carried to."""
+        sources = self._node.count_publishers(self._inputs[topic])
+        return sources, 0 if carried is None else carried.publisher.get_subscription_count()
+
     def _look(self, topic: str, output: str) -> None:
         carried = self._carried.get(topic)
-        readers = map(node_name_of, self._node.get_subscriptions_info_by_topic(output))
+        endpoints = self._endpoints(topic, carried)  # first: what comes from here on is another number at the next look
+        sources = [_source(info) for info in self._node.get_publishers_info_by_topic(topic)]
+        readers = {node_name_of(info) for info in self._node.get_subscriptions_info_by_topic(output)}
+        unknown = {name for name in (*readers, *(source.node for source in sources)) if _UNKNOWN in name}
         route = choose_route(
-            map(_source, self._node.get_publishers_info_by_topic(topic)),
+            sources,
             carrier=self._node.get_fully_qualified_name(),
             output=output,
-            output_readers={name for name in readers if _UNKNOWN not in name},
+            output_readers=readers - unknown,
             in_force=None if carried is None else carried.route,
         )
         if route is None:
@@ -133,6 +158,8 @@ class Relay:
             self._refuse(topic, route.reason)
         elif self._failed.get(topic) != route.type_name:
             self._follow(topic, route)
+        if (carried := self._carried.get(topic)) is not None:
+            carried.settled_with = endpoints if carried.is_followed and not unknown else None
 
     def _rest(self, topic: str) -> None:
         """Let a topic that nobody publishes wait for its source, and end it when that does not return."""
@@ -214,15 +241,24 @@ class _Carried:
     route: Route
     publisher: AdaptivePublisher
     subscription: AdaptiveSubscription
+    settled_with: tuple[int, int] | None = None  # the endpoints there were when nothing was left to do
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether nothing is left to do for the route: its reader is in force, and nobody is ignored."""
+        return self._wanted(self.route) == self.subscription.qos and not self.route.ignored
 
     def follow(self, route: Route) -> None:
         """Let the reader follow the weakest writer, losing and doubling nothing."""
-        reliability, durability = _policies(route)
         # Compared with what is in force, not with what was asked for: a handover that failed is tried again.
-        qos = replace(self.subscription.qos, reliability=reliability, durability=durability)
+        qos = self._wanted(route)
         if qos != self.subscription.qos:
             self.subscription.renew(qos)
         self.route = route
+
+    def _wanted(self, route: Route) -> ReaderQos:
+        reliability, durability = _policies(route)
+        return replace(self.subscription.qos, reliability=reliability, durability=durability)
 
     def destroy(self) -> None:
         self.subscription.destroy()

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64
 from arpd.lease import Lease
 from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
-from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_lease_s
 from arpd.ros.names import (
     DEADLINE,
     DEPTH,
@@ -33,6 +33,7 @@ from arpd.ros.names import (
     RATE,
     parameter_name,
 )
+from arpd.ros.visits import Visits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,6 +48,8 @@ _ATTRIBUTE = "_arpd_tuning"
 _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
 _RETRY_S = 0.1
+QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 to 9 ms on loopback
+_SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
 _COMPLAIN_S = 5.0
 
 _SETTINGS = {
@@ -72,7 +75,9 @@ class NodeTuning:
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._lease = Lease()
         self._generation = 0
-        self._wakeup = threading.Event()
+        self._visits: Visits[AdaptivePublisher] = Visits()
+        self._suspect_until_s = -math.inf
+        self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
         self._stopping = False
         node.declare_parameter(
             GENERATION_PARAMETER,
@@ -124,7 +129,7 @@ class NodeTuning:
         plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
         if plan != publisher.plan:
             publisher.retune(plan)
-        self.wake()
+        self.wake(publisher)
 
     def release(self, publisher: AdaptivePublisher) -> None:
         """Forget a publisher and its parameters."""
@@ -135,53 +140,60 @@ class NodeTuning:
             if self._parameters.pop(name, None) and self._node.context.ok():
                 self._node.undeclare_parameter(name)
 
-    def wake(self) -> None:
-        """Let the pacing thread look again."""
-        self._wakeup.set()
+    def wake(self, publisher: AdaptivePublisher) -> None:
+        """Let the pacing thread visit a publisher at once."""
+        self._visits.wake(publisher)
+
+    def shun_writing(self, took_s: float) -> None:
+        """Have callers who must not block hand over for a while: writes take long, and all share the link's queue."""
+        now_s = self._clock()
+        if now_s < self._suspect_until_s:  # one alone may be the scheduler's doing; a full link blocks the next one too
+            self.quick_from_s = max(self.quick_from_s, now_s + _SHUN * took_s)
+        self._suspect_until_s = now_s + _SHUN * took_s
 
     def stop(self) -> None:
         """End the pacing thread; its publishers stay as they are."""
         self._stopping = True
-        self.wake()
+        self._visits.end()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
         announce_s = self._clock()
         while not self._stopping and self._node.context.ok():
-            self._wakeup.clear()
-            now_s = self._clock()
             try:
-                next_s = min(announce_s, self._service(now_s))
+                self._service(self._clock())
+                now_s = self._clock()
                 if now_s >= announce_s:
                     announce_s = now_s + _ANNOUNCE_S
                     self._expire_gate(now_s)
                     self._announce()
-                    continue
             except InvalidHandle:
                 return  # the application destroyed the node: nothing is left to pace
-            self._wakeup.wait(max(0.0, next_s - self._clock()))
+            self._visits.wait(min(announce_s, self._visits.next_s()) - self._clock())
 
-    def _service(self, now_s: float) -> float:
-        """Serve every publisher, whatever happens to another; return when to look again (s)."""
-        next_s = math.inf
-        for publisher in self._publishers.values():
+    def _service(self, now_s: float) -> None:
+        """Serve every publisher that is due, whatever happens to another."""
+        for publisher in self._visits.take_due(now_s):
+            if self._publishers.get(publisher.topic_name) is not publisher:
+                continue  # destroyed meanwhile
             try:
-                next_s = min(next_s, publisher.service(now_s))
+                due_s = publisher.service(now_s)
             except InvalidHandle:
                 raise
             except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
                 self._node.get_logger().error(
                     f"{publisher.topic_name}: {error}", throttle_duration_sec=_COMPLAIN_S, skip_first=False
                 )
-                next_s = min(next_s, now_s + _RETRY_S)
-        return next_s
+                due_s = now_s + _RETRY_S
+            self._visits.set(publisher, due_s)
 
     def _announce(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        states = (publisher.state(generation=self._generation) for publisher in self._publishers.values())
-        message.status = [to_status(replace(state, lease_s=self._lease.granted_s)) for state in states]
+        generation, lease_s = self._generation, self._lease.granted_s
+        publishers = self._publishers.values()
+        message.status = [to_status(one.state(generation=generation, lease_s=lease_s)) for one in publishers]
         self._announcer.publish(message)
 
     def _on_gate(self, message: Any) -> None:
@@ -229,7 +241,7 @@ class NodeTuning:
                 if parameter.name == GENERATION_PARAMETER:
                     self._check_generation(parameter)
                 elif parameter.name == LEASE_PARAMETER:
-                    _check_lease(parameter)
+                    checked_lease_s(parameter)
         except ValueError as refusal:
             return SetParametersResult(successful=False, reason=str(refusal))
         return SetParametersResult(successful=True)
@@ -260,11 +272,6 @@ class NodeTuning:
                     most = max(MOST_DEPTH, publisher.baseline.depth)
                     changes.setdefault(topic, {})[field] = _checked(parameter, field, most_depth=most)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
-
-
-def _check_lease(parameter: Any) -> None:
-    if not 0 <= parameter.value < math.inf:
-        raise ValueError(f"{parameter.name} = {parameter.value} is no time; use seconds ≥ 0, 0 = never")
 
 
 def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType, UnsupportedEventTypeError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.qos import qos_policy_name_from_kind
+from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +50,9 @@ class RosWriter:
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
-        self.publisher.publish(sample)
+        handle = self.publisher.handle
+        with handle:
+            handle.publish_raw(sample)  # rclpy's own publish would ask again what the sample is
 
     def matched(self) -> int:
         """Count the matched readers."""
@@ -110,3 +113,11 @@ class RosWriter:
                 await callback(event)
 
         return hear_later if inspect.iscoroutinefunction(callback) else hear
+
+
+def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
+    """Return the options without the two policies whose parameters stay writable here."""
+    if options is None:
+        return None
+    kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]
+    return QoSOverridingOptions(kinds, callback=options.callback, entity_id=options.entity_id)

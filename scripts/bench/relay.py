@@ -1,6 +1,6 @@
 """What `arpd relay` costs over a bare rclpy relay of ten lines: CPU per message, and added latency.
 
-Usage: .venv/bin/python scripts/bench/relay.py [--quick] [--json FILE] [--plot FILE]
+Usage: .venv/bin/python scripts/bench/relay.py [--quick] [--against TREE] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
@@ -8,7 +8,8 @@ One source, one sink, and between them at the same time: `arpd relay` unpaced, a
 nothing. They take short turns with the same messages, in turning order, so that a neighbour on the machine slows all
 of them. CPU is the scheduler's own account of all threads of the relay's process, divided by the messages that came
 out; latency is from just before `publish` in the source to reception by DDS in the sink, less that without a relay.
-Transport is what Fast DDS chooses on one host. Only ratios within one run mean anything.
+Transport is what Fast DDS chooses on one host. Only ratios within one run mean anything; so another state of the
+source tree is compared by letting its `arpd relay` take turns too (``--against``).
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import RESULTS, Child
+from scripts.bench.child import REPO, RESULTS, Child
 
 ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")
+OTHER = "other tree"
+PREFIXES = {ARPD: "/ours", SINGLE: "/single", EVENTS: "/events", DIRECT: "/none", OTHER: "/other"}
 TARGET = 1.25
 TURN_S = 1.5
 TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
@@ -92,22 +95,17 @@ class Bench:
     ----------
     link : of which one host is used
     cell : what is published
-    workdir : for the relay's configuration
+    workdir : for the relays' configuration
+    trees : source trees whose relay is measured, by side
     """
 
-    def __init__(self, link: SimLink, cell: Cell, workdir: Path) -> None:
+    def __init__(self, link: SimLink, cell: Cell, workdir: Path, trees: Mapping[str, Path]) -> None:
         self._cell = cell
-        self._prefix = {
-            side: f"/{name}" for side, name in zip(SIDES, ("ours", "single", "events", "none"), strict=True)
-        }
-        topics = [f"{self._prefix[ARPD]}/t{k}" for k in range(cell.topics)]
-        config = workdir / f"relay-{cell.payload_bytes}-{cell.topics}.yaml"
-        # JSON is YAML.
-        config.write_text(json.dumps({"relay": {"prefix": "/out", "topics": [{"name": topic} for topic in topics]}}))
+        self._prefix = {side: PREFIXES[side] for side in (*SIDES, *trees)}
         self._stack = ExitStack()
 
-        def child(*argv: str) -> Child:
-            process = Child(link, "robot", *argv, environment=TRANSPORT)
+        def child(*argv: str, **environment: str) -> Child:
+            process = Child(link, "robot", *argv, environment={**TRANSPORT, **environment})
             self._stack.callback(process.end)
             return process
 
@@ -115,9 +113,14 @@ class Bench:
         self._relays = {
             side: child(NODES, "bare", side, self._prefix[side], str(cell.topics)) for side in (SINGLE, EVENTS)
         }
-        self._relays[ARPD] = child("arpd", "relay", "--config", str(config), "--log-level", "warning")
-        outs = [self._out(side) for side in SIDES]
-        self._sink.ask(open=outs, topics=cell.topics)
+        for side, tree in trees.items():
+            topics = [{"name": f"{self._prefix[side]}/t{k}"} for k in range(cell.topics)]
+            config = workdir / f"{self._prefix[side].strip('/')}-{cell.payload_bytes}-{cell.topics}.yaml"
+            config.write_text(json.dumps({"relay": {"prefix": "/out", "topics": topics}}))  # JSON is YAML
+            argv = ("arpd", "relay", "--config", str(config), "--node-name", PREFIXES[side].strip("/"))
+            # The safe path, or `-m` would take the arpd of the working directory.
+            self._relays[side] = child(*argv, "--log-level", "warning", PYTHONPATH=str(tree), PYTHONSAFEPATH="1")
+        self._sink.ask(open=[self._out(side) for side in self._prefix], topics=cell.topics)
         matched = self._source.ask(open=list(self._prefix.values()), topics=cell.topics)["matched"]
         matched = self._sink.ask(match=True)["matched"] and matched
         if not matched:
@@ -149,15 +152,16 @@ class Bench:
         return self._prefix[side] if side == DIRECT else f"/out{self._prefix[side]}"
 
 
-def measure(cell: Cell, link: SimLink, workdir: Path, rounds: int) -> dict[str, Tally]:
-    bench = Bench(link, cell, workdir)
-    tallies = {side: Tally() for side in SIDES}
+def measure(cell: Cell, link: SimLink, workdir: Path, trees: Mapping[str, Path], rounds: int) -> dict[str, Tally]:
+    bench = Bench(link, cell, workdir, trees)
+    sides = [*SIDES, *(side for side in trees if side not in SIDES)]
+    tallies = {side: Tally() for side in sides}
     try:
-        for side in SIDES:
+        for side in sides:
             bench.turn(side, 0.5)
         for k in range(rounds):
-            first = k % len(SIDES)
-            for side in SIDES[first:] + SIDES[:first]:
+            first = k % len(sides)
+            for side in sides[first:] + sides[:first]:
                 found, tally = bench.turn(side, TURN_S), tallies[side]
                 tally.sent += found["sent"]
                 tally.received += found["received"]
@@ -171,9 +175,9 @@ def measure(cell: Cell, link: SimLink, workdir: Path, rounds: int) -> dict[str, 
     return tallies
 
 
-def ratio(tallies: dict[str, Tally]) -> float:
-    """CPU per message of `arpd relay` over that of the bare relay on its better executor."""
-    return median(tallies[ARPD].cpu_s) / min(median(tallies[side].cpu_s) for side in (SINGLE, EVENTS))
+def ratio(tallies: dict[str, Tally], side: str = ARPD) -> float:
+    """CPU per message of an `arpd relay` over that of the bare relay on its better executor."""
+    return median(tallies[side].cpu_s) / min(median(tallies[side].cpu_s) for side in (SINGLE, EVENTS))
 
 
 def table(measured: Sequence[tuple[Cell, dict[str, Tally]]]) -> str:
@@ -201,6 +205,7 @@ def table(measured: Sequence[tuple[Cell, dict[str, Tally]]]) -> str:
                 for side in relays
             )
             + "".join(f"{tallies[side].sent - tallies[side].received:>7}" for side in relays)
+            + (f"  other tree: ratio {ratio(tallies, OTHER):.2f}" if OTHER in tallies else "")
         )
     missed = sum(ratio(tallies) > TARGET for _cell, tallies in measured)
     lines += [
@@ -238,14 +243,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two cells, a minute")
     parser.add_argument("--rounds", type=int, default=4, metavar="N", help="turns of each side per cell (default 4)")
+    parser.add_argument("--against", type=Path, metavar="TREE", help="source tree whose relay takes turns too")
     parser.add_argument("--json", type=Path, default=RESULTS / "relay.json", metavar="FILE")
     parser.add_argument("--plot", type=Path, default=RESULTS / "relay.png", metavar="FILE")
     options = parser.parse_args()
+    trees = {ARPD: REPO} | ({OTHER: options.against.resolve()} if options.against else {})
     measured: list[tuple[Cell, dict[str, Tally]]] = []
     started_s = time.monotonic()
     with SimLink(f"relay-{time.monotonic_ns() % 10**9}") as link, tempfile.TemporaryDirectory() as workdir:
         for cell in QUICK if options.quick else DEFAULT:
-            measured.append((cell, measure(cell, link, Path(workdir), options.rounds)))
+            measured.append((cell, measure(cell, link, Path(workdir), trees, options.rounds)))
             print(f"{time.monotonic() - started_s:5.0f} s {table(measured[-1:]).splitlines()[2]}", flush=True)
             options.json.parent.mkdir(parents=True, exist_ok=True)
             document = [

@@ -18,10 +18,12 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
+from arpd.swap import SwapTiming
 
 pytestmark = pytest.mark.ros
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]
 TOPIC = "/busy"
+QUICK = SwapTiming(settle_s=0.1)  # this host loses nothing, so that readers match at once
 SECONDS = 4.0
 
 
@@ -67,7 +69,7 @@ def swap_all_the_time(publisher):
 
 def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
     """Under each executor, swaps of a 100 Hz topic one upon the other lose and double nothing, and leave no thread."""
-    publisher = AdaptivePublisher(talker, String, TOPIC, 1000)
+    publisher = AdaptivePublisher(talker, String, TOPIC, 1000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     before = os_threads()
     stopping = threading.Event()
@@ -92,7 +94,7 @@ def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
 
 def test_readers_that_join_and_leave_mid_swap_miss_nothing(ros, background, eventually):
     """Whenever a reader joins, it gets every message from its first one on, and one that leaves disturbs no other."""
-    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 1000)
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 1000, swap_timing=QUICK)
     background(swap_all_the_time(publisher))
     numbers = []
 
@@ -119,9 +121,10 @@ def test_readers_that_join_and_leave_mid_swap_miss_nothing(ros, background, even
         assert sorted(received) == list(range(min(received), max(received) + 1))
 
 
-def test_many_threads_publish_at_once(ros, talker, background, eventually):
+@pytest.mark.parametrize("method", ["publish", "offer"])
+def test_many_threads_publish_at_once(ros, talker, background, eventually, method):
     """Messages of several threads all arrive once, each thread's in its order, typed and raw mixed, through swaps."""
-    publisher = AdaptivePublisher(talker, String, TOPIC, 5000)
+    publisher = AdaptivePublisher(talker, String, TOPIC, 5000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     background(swap_all_the_time(publisher))
     per_thread, threads = 100, 4
@@ -129,7 +132,7 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually):
     def publish(thread):
         for number in range(per_thread):
             message = String(data=f"{thread} {number}")
-            publisher.publish(serialize_message(message) if number % 2 else message)
+            getattr(publisher, method)(serialize_message(message) if number % 2 else message)
             time.sleep(0.01)
 
     workers = [threading.Thread(target=publish, args=(thread,)) for thread in range(threads)]

@@ -311,3 +311,56 @@ def test_a_source_that_never_returns_frees_what_carried_it(elsewhere, lines, eve
     eventually(lambda: not relay.get_publishers_info_by_topic("/link/chatter"))
     assert not relay.get_subscriptions_info_by_topic("/chatter")
     assert lines.said[-1] == "relaying 0 of 1 topics; nobody publishes /chatter any more"
+
+
+@pytest.fixture
+def looks(ros, monkeypatch):
+    """Make a relay whose every look is the test's own; tell the topics it looked at as a whole."""
+    node = rclpy.create_node("relay", context=ros.context)  # not spun, so its timer never fires
+    whole = []
+    ask = node.get_publishers_info_by_topic
+    monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda topic: whole.append(topic) or ask(topic))
+    yield Relay(node, RelaySettings(topics=("/a", "/b")), on_change=lambda _line: None), whole
+    node.destroy_node()
+
+
+def test_a_settled_topic_is_only_counted(elsewhere, looks, eventually):
+    """Endpoints are read when one came or went, and of settled topics now and then; others are read at every look."""
+    relay, whole = looks
+    talker = elsewhere("talker")
+    talker.create_publisher(String, "/a", 10)
+
+    def is_settled():
+        relay._discover()
+        return relay._is_settled("/a")
+
+    eventually(is_settled)
+    whole.clear()
+    for _ in range(2 * relay_module._EVERY_LOOK):
+        relay._discover()
+    assert whole.count("/a") == 2
+    assert whole.count("/b") == 2 * relay_module._EVERY_LOOK
+    talker.create_publisher(String, "/a", BEST_EFFORT)
+    eventually(lambda: not relay._is_settled("/a"))
+    relay._discover()
+    assert relay._carried["/a"].route.is_reliable is False
+
+
+def test_a_source_replaced_between_two_looks_is_heard(elsewhere, looks, eventually):
+    """A publisher in whose place a weaker one came, unnoticed by counting, is followed at the next whole look."""
+    relay, _whole = looks
+    talker = elsewhere("talker")
+    first = talker.create_publisher(String, "/a", 10)
+
+    def is_settled():
+        relay._discover()
+        return relay._is_settled("/a")
+
+    eventually(is_settled)
+    talker.create_publisher(String, "/a", BEST_EFFORT)
+    eventually(lambda: not relay._is_settled("/a"))
+    talker.destroy_publisher(first)
+    eventually(lambda: relay._is_settled("/a"))
+    for _ in range(relay_module._EVERY_LOOK):
+        relay._discover()
+    assert relay._carried["/a"].route.is_reliable is False

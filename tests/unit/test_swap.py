@@ -259,7 +259,7 @@ def test_a_newer_request_supersedes_one_that_waits_for_readers():
     swap.step(0.0)
     world.readers = 1
     swap.request(qos(3))
-    run(swap, 0.01, 3.0, publishing=True)
+    run(swap, 0.01, TIMING.settle_s + 1.0, publishing=True)
     assert world.results == [SwapResult.SUPERSEDED, SwapResult.OK]
     assert swap.qos == qos(3)
 
