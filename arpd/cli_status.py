@@ -14,6 +14,7 @@ from arpd.config_source import printable
 from arpd.errors import ArpdError, DaemonUnreachableError, UsageError
 from arpd.quantities import format_duration, format_rate, format_size
 from arpd.settings import HttpSettings
+from arpd.web.status import LASTING, confirmed, lease
 
 _TIMEOUT_S = 3.0
 _MAX_BYTES = 16 * 2**20
@@ -110,10 +111,7 @@ def screen(status: dict[str, Any]) -> str:
         f"{_rate(link['capacity_bytes_per_second'])} ({link['kind']}, {link['state']}), "
         f"delivering {_rate(link['delivery_rate_bytes_per_second'])}, queueing {_duration(link['queue_delay_seconds'])}"
     )
-    in_force = (
-        f"{plan['generation']} for {_rate(status['level_bytes_per_second'])}: "
-        f"{plan['confirmed']} of {plan['publishers']} publishers confirmed"
-    )
+    in_force = f"{plan['generation']} for {_rate(status['level_bytes_per_second'])}: {confirmed(plan)} confirmed"
     solved = f"bound by {allocation['binding']}, solved by {allocation['backend']} in"
     lines = [
         f"arpd {status['version']} on {status['interface']}, {_age(status['age_seconds'])}",
@@ -127,12 +125,15 @@ def screen(status: dict[str, Any]) -> str:
         *(f"         refused: {refusal}" for refusal in plan["refusals"]),
         f"program  {allocation['status']}, {solved} {_duration(allocation['solve_seconds'])}",
         *([f"         given up: {allocation['degradation']}"] if allocation["degradation"] else []),
+        *([f"lease    {lease(status)}"] if "lease" in status else []),
+        *([f"rmw      {status['rmw']['refusal']}"] if status.get("rmw") and not status["rmw"]["swaps"] else []),
         f"memory   {format_size(memory['available_bytes'])} of {format_size(memory['total_bytes'])} available",
     ]
     if error := status["config"]["error"]:
         lines.append(f"config   the last reload was refused: {error}")
     lines.append("")
     lines += _topics(status["topics"])
+    lines += _readers(status.get("readers", []))
     # Names and reasons come from other hosts; none of them may steer the terminal.
     return "\n".join(printable(line, longest=_LONGEST_LINE) for line in lines)
 
@@ -146,8 +147,19 @@ def _topics(topics: list[dict[str, Any]]) -> list[str]:
     if not topics:
         return ["no publisher announces itself; use arpd.AdaptivePublisher, or name topics under relay.topics"]
     head = ("TOPIC", "RATE Hz", "planned", "source", "DEPTH", "planned", "DEADLINE", "planned", "WITHHELD", "BOUND BY")
-    rows = [head, *(_row(topic) for topic in topics)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    return _table([head, *(_row(topic) for topic in topics)])
+
+
+def _readers(readers: list[dict[str, Any]]) -> list[str]:
+    if not readers:
+        return []
+    head = ("READER OF", "DEPTH", "planned", "DEADLINE", "planned", "NODE")
+    return ["", *_table([head, *(_reader_row(reader) for reader in readers)])]
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    """Lay rows out under their first; all columns but the first and the last are numbers."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
     for row in rows:
         numbers = (text.rjust(width) for text, width in zip(row[1:-1], widths[1:-1], strict=True))
@@ -168,8 +180,26 @@ def _row(topic: dict[str, Any]) -> tuple[str, ...]:
         _deadline(now["deadline_ns"]),
         _deadline(planned["deadline_ns"]) if planned else "-",
         f"{topic['withheld']} ({topic['withheld'] / offered:.0%})" if offered else str(topic["withheld"]),
-        topic["refusal"] or topic["binding"] or "-",
+        _bound_by(topic),
     )
+
+
+def _reader_row(reader: dict[str, Any]) -> tuple[str, ...]:
+    now, planned = reader["confirmed"], reader["planned"]
+    return (
+        reader["topic"],
+        str(now["depth"]),
+        str(planned["depth"]) if planned else "-",
+        _deadline(now["deadline_ns"]),
+        _deadline(planned["deadline_ns"]) if planned else "-",
+        f"{reader['node']}: {reader['refusal']}" if reader["refusal"] else str(reader["node"]),
+    )
+
+
+def _bound_by(topic: dict[str, Any]) -> str:
+    if topic["refusal"]:
+        return f"{LASTING}{topic['refusal']}" if topic.get("refusal_lasts") else str(topic["refusal"])
+    return topic["binding"] or "-"
 
 
 def _paced(rate_hz: float | None) -> str:

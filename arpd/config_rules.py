@@ -38,6 +38,7 @@ def broken_rules(source: Source, *, interfaces: Collection[str] | None) -> Itera
     yield from _repeated_names(source, ("topics",), TopicEntry)
     yield from _repeated_names(source, ("relay", "topics"), RelayTopic)
     yield from _long_relayed_names(source)
+    yield from _relayed_outputs(source)
 
 
 def _missing_interface(source: Source, interfaces: Collection[str]) -> Iterator[Fault]:
@@ -97,6 +98,21 @@ def _long_relayed_names(source: Source) -> Iterator[Fault]:
         name = _value(RelayTopic, "name", _mapping(source, location))
         if prefix and name and len(prefix) + len(name) > LONGEST_TOPIC:
             wrong = f"with its prefix is {len(prefix) + len(name)} characters long; ROS allows {LONGEST_TOPIC}"
+            yield _fault(source, (*location, "name"), wrong)
+
+
+def _relayed_outputs(source: Source) -> Iterator[Fault]:
+    """Report a topic that is relayed already, by its name: carried again, it would nest as ``/link/link/…``."""
+    prefix = _value(Relay, "prefix", _mapping(source, ("relay",)))
+    for location in _items(source, ("relay", "topics")):
+        name = _value(RelayTopic, "name", _mapping(source, location))
+        if not prefix or not name:
+            continue
+        if name == prefix:
+            wrong = f"'{name}' is relay.prefix itself; name a topic, or change prefix"
+            yield _fault(source, (*location, "name"), wrong)
+        elif name.startswith(f"{prefix}/"):
+            wrong = f"'{name}' lies under relay.prefix {prefix}, where relayed topics go; write {name[len(prefix) :]}"
             yield _fault(source, (*location, "name"), wrong)
 
 

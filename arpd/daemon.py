@@ -17,8 +17,10 @@ from arpd.estimator import Estimator
 from arpd.governor import Governor
 from arpd.host.counters import choose_interface, list_interfaces
 from arpd.logs import configure_logging
-from arpd.planner import is_confirmed, plan_transitions, restore_plan
+from arpd.ordering import Ordering
+from arpd.planner import restore_plan
 from arpd.program import Program
+from arpd.readers import plan_readers, restore_readers
 from arpd.settings import OnStop
 from arpd.snapshot import Snapshot, Totals
 from arpd.systemd import Notifier
@@ -38,6 +40,7 @@ log = logging.getLogger(__name__)
 TICK_S = 0.1
 _LEAST_PAUSE_S = 0.02  # however many reports arrive
 _RESTORE_S = 4.0
+_RESTORE_READERS_S = 4.0  # what readers that go first may take beyond that
 
 
 class World(Protocol):
@@ -97,6 +100,7 @@ class Daemon:
         self._estimator = Estimator(settings.link)
         self._governor = Governor(settings)
         self._program = Program.of(settings, clock=clock)
+        self._ordering = Ordering()
         self._totals = Totals()
         self._reloads: dict[str, int] = {}
         self.snapshot: Snapshot | None = None
@@ -114,13 +118,25 @@ class Daemon:
         memory = memory_budget_bytes(observation.memory, self._settings.program)
         allocation = self._program.solve(link.available_bytes_per_second, topics, memory)
         decision = self._governor.decide(
-            now_s, link=link, allocation=allocation, topics=topics, publishers=observation.publishers
+            now_s,
+            link=link,
+            allocation=allocation,
+            topics=topics,
+            publishers=observation.publishers,
+            newest=max((reader.generation for reader in observation.readers), default=0),
         )
         self._world.set_gate(decision.gate)
-        transitions = plan_transitions(
-            observation.publishers, decision.plan, reason=decision.reason, lease_s=self._settings.lease_s
+        reader_plans = plan_readers(observation.readers, decision.plan)
+        steps = self._ordering.steps(
+            now_s,
+            publishers=observation.publishers,
+            readers=observation.readers,
+            plan=decision.plan,
+            reader_plans=reader_plans,
+            reason=decision.reason,
+            lease_s=self._settings.lease_s,
         )
-        self._world.apply(transitions, now_s=now_s)
+        self._world.apply(steps.transitions, now_s=now_s)
         for request in self._estimator.wanted_probes(now_s):
             self._world.probe(request)
         if decision.level_changed:
@@ -140,7 +156,10 @@ class Daemon:
             totals=self._totals,
             config_path=self._config_path,
             config_error=self._config_error,
-            confirmed=_confirmed(observation, decision.plan),
+            confirmed=steps.confirmed,
+            reader_plans=MappingProxyType(reader_plans),
+            readers_confirmed=steps.readers_confirmed,
+            lease_s=self._settings.lease_s,
         )
         return decision
 
@@ -186,7 +205,7 @@ class Daemon:
         return True
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
-        """Give every managed publisher its application's QoS back, and wait for the announcements.
+        """Give every managed publisher and reader its application's QoS back, and wait for the announcements.
 
         Parameters
         ----------
@@ -194,9 +213,10 @@ class Daemon:
 
         Returns
         -------
-        Number of publishers that did not confirm in time.
+        Number of publishers and readers that did not confirm in time.
         """
-        until_s = self._clock() + _RESTORE_S
+        begun_s = self._clock()
+        ordering = Ordering(patience_s=_RESTORE_READERS_S)
         generation = self._governor.plan.generation + 1
         while True:
             now_s = self._clock()
@@ -204,13 +224,22 @@ class Daemon:
             # Whatever carries a plan, be it a predecessor's, or of a topic whose far reader has left.
             publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
             generation = max([generation, *(publisher.generation for publisher in publishers)])
-            plan = restore_plan(publishers, generation=generation)
-            transitions = plan_transitions(publishers, plan, reason="stop")
-            missing = sum(len(transition.topics) for transition in transitions)
-            if not transitions or now_s > until_s:
+            generation = max([generation, *(reader.generation for reader in observation.readers)])
+            reader_plans = restore_readers(observation.readers)
+            steps = ordering.steps(
+                now_s,
+                publishers=publishers,
+                readers=observation.readers,
+                plan=restore_plan(publishers, generation=generation),
+                reader_plans=reader_plans,
+                reason="stop",
+            )
+            missing = len(publishers) - steps.confirmed + len(reader_plans) - steps.readers_confirmed
+            patience_s = _RESTORE_S + (_RESTORE_READERS_S if reader_plans else 0.0)
+            if not (missing or steps.transitions) or now_s - begun_s > patience_s:
                 return missing
             self._world.set_gate(1.0)
-            self._world.apply(transitions, now_s=now_s)
+            self._world.apply(steps.transitions, now_s=now_s)
             wait(TICK_S)
 
     def status_line(self) -> str:
@@ -354,16 +383,9 @@ def _stop(daemon: Daemon) -> None:
         return
     missing = daemon.restore(wait=time.sleep)
     if missing:
-        log.warning("stopping; %d publishers did not confirm their original QoS in time", missing)
+        log.warning("stopping; %d publishers or readers did not confirm their original QoS in time", missing)
     else:
         log.info("stopping; every publisher has its original QoS back")
-
-
-def _confirmed(observation: Observation, plan: QosPlan) -> int:
-    return sum(
-        (row := plan.topics.get(publisher.topic)) is not None and is_confirmed(publisher, row)
-        for publisher in observation.publishers
-    )
 
 
 def _describe(plan: QosPlan) -> str:

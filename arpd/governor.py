@@ -80,12 +80,13 @@ class Governor:
         allocation: Allocation,
         topics: Sequence[Topic],
         publishers: Sequence[PublisherState],
+        newest: int = 0,
     ) -> Decision:
-        """Decide gate and plan for this tick."""
+        """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
         refusals = [refusal] if refusal else []
         if cause:
-            plan = self._next_plan(allocation, topics, publishers)
+            plan = self._next_plan(allocation, topics, publishers, newest)
             swaps = sum(_changes_qos(self._plan.topics.get(name), row) for name, row in plan.topics.items())
             if self._is_over_budget(now_s, swaps):
                 refusals.append("budget")
@@ -175,7 +176,7 @@ class Governor:
         )
 
     def _next_plan(
-        self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState]
+        self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState], newest: int
     ) -> QosPlan:
         # A restarted daemon finds publishers with a generation of its predecessor: never fall behind it.
         known = max((publisher.generation for publisher in publishers), default=0)
@@ -184,7 +185,7 @@ class Governor:
             topics,
             publishers,
             previous=self._plan,
-            generation=max(known, self._plan.generation) + 1,
+            generation=max(known, newest, self._plan.generation) + 1,
             settings=self._settings,
         )
 

@@ -8,10 +8,13 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.refusal import RefusalReason
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.probing import PeerReport
+    from arpd.readers import ReaderPlan, ReaderState
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
@@ -128,9 +131,10 @@ class PublisherState(FlowState):
     baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
     generation : generation of the plan these settings came from, 0 = the application's own
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    refusal : why the last request was refused, empty if it was not
+    refusal, refusal_reason : why the last request was refused, in words and by name; empty and ``none`` if it was not
+    keeps_all : whether its history is KEEP_ALL, so that a depth means nothing
     remote_readers : off-host participants that read the topic
-    requested_deadline_ns : tightest deadline a reader requests, 0 when none does
+    requested_deadline_ns : tightest deadline a reader requests that arpd does not drive, 0 when none does
     age_s : time since the announcement (s)
     """
 
@@ -143,6 +147,8 @@ class PublisherState(FlowState):
     generation: int = 0
     lease_s: float = 0.0
     refusal: str = ""
+    refusal_reason: RefusalReason = RefusalReason.NONE
+    keeps_all: bool = False
     remote_readers: int = 0
     requested_deadline_ns: int = 0
     age_s: float = 0.0
@@ -163,6 +169,7 @@ class Observation:
     counters : the robot's link interface, None while it cannot be read
     reports : peer reports that arrived since the last tick, oldest first
     publishers : live AdaptivePublishers
+    readers : live AdaptiveSubscriptions
     memory : memory of the robot computer
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
@@ -178,6 +185,7 @@ class Observation:
     sensing_topics: int
     actuation_topics: int
     peers: int | None = None
+    readers: tuple[ReaderState, ...] = ()
     rmw: str = ""
     rmw_refusal: str = ""
 
@@ -344,13 +352,14 @@ class QosPlan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Transition:
-    """One atomic step towards a plan: all of one node's publishers at once.
+    """One atomic step towards a plan: all of one node's publishers at once, or all of its readers.
 
     Parameters
     ----------
     node : fully qualified node name
     generation : plan generation the step belongs to
-    topics : topic name → row to set there
+    topics : topic name → row to set on the publisher there
+    readers : topic name → row to set on the reader there; a step has either these or ``topics``
     reason : why, in words
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     """
@@ -360,6 +369,7 @@ class Transition:
     topics: Mapping[str, TopicPlan]
     reason: str
     lease_s: float = 0.0
+    readers: Mapping[str, ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

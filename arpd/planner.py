@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from arpd.model import Allocation, PublisherState, Topic, TopicAllocation
+    from arpd.readers import ReaderState
     from arpd.settings import Settings
 
 # A topic that gets all it wants is paced above its source, so that jitter and a little growth are not throttled;
@@ -75,7 +76,12 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
 
 def keeps_its_readers(plan: TopicPlan, requested_deadline_ns: int) -> bool:
     """Whether the offered deadline is no longer than what the most demanding reader requests (0 = none does)."""
-    return requested_deadline_ns == 0 or 0 < plan.deadline_ns <= requested_deadline_ns
+    return is_kept(plan.deadline_ns, requested_deadline_ns)
+
+
+def is_kept(offered_ns: int, requested_ns: int) -> bool:
+    """Whether a reader that requests a deadline hears a writer that offers one (ns, 0 = infinite)."""
+    return requested_ns == 0 or 0 < offered_ns <= requested_ns
 
 
 def _spared(allocation: Allocation) -> frozenset[str]:
@@ -91,34 +97,42 @@ def _spared(allocation: Allocation) -> frozenset[str]:
 
 
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
-    """Whether an announcement shows the row in force; announced rates carry six digits."""
-    same_rate = publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)
-    return same_rate and publisher.depth == row.depth and publisher.deadline_ns == row.deadline_ns
+    """Whether an announcement shows the row in force, as far as it ever will; announced rates carry six digits.
+
+    A publisher that refuses new QoS for good is paced and gated, and with the rate it has all of the row it can have.
+    """
+    if not (publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)):
+        return False
+    if publisher.refusal_reason.is_lasting:
+        return True
+    same_depth = publisher.keeps_all or publisher.depth == row.depth
+    return same_depth and publisher.deadline_ns == row.deadline_ns
 
 
-def plan_transitions(
-    publishers: Iterable[PublisherState], plan: QosPlan, *, reason: str, lease_s: float = 0.0
+def publisher_transitions(
+    due: Iterable[tuple[PublisherState, TopicPlan]], *, generation: int, reason: str, lease_s: float
 ) -> tuple[Transition, ...]:
-    """Return the steps that bring every managed publisher to the plan: one per node, slowing nodes first.
+    """Return one step per node that brings these publishers to these rows, slowing nodes first.
 
-    Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and no
-    prefix that starts with the slowing steps puts more on the link than the larger of the two plans.
+    Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and puts no
+    more on the link than the larger of the two.
     """
     wanted: dict[str, dict[str, TopicPlan]] = {}
     change_hz: dict[str, float] = {}
-    for publisher in publishers:
-        row = plan.topics.get(publisher.topic)
-        if row is None:
-            continue
-        if not is_confirmed(publisher, row) or not math.isclose(publisher.lease_s, lease_s, rel_tol=1e-4):
-            wanted.setdefault(publisher.node, {})[publisher.topic] = row
-            now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
-            cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
-            change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
+    for publisher, row in due:
+        wanted.setdefault(publisher.node, {})[publisher.topic] = row
+        now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
+        cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
+        change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
     return tuple(
-        Transition(node=node, generation=plan.generation, topics=wanted[node], reason=reason, lease_s=lease_s)
+        Transition(node=node, generation=generation, topics=wanted[node], reason=reason, lease_s=lease_s)
         for node in sorted(wanted, key=lambda name: (change_hz[name], name))
     )
+
+
+def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
+    """Whether an endpoint announces the lease; announced times carry six digits."""
+    return math.isclose(endpoint.lease_s, lease_s, rel_tol=1e-4)
 
 
 def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.model import Allocation, Decision, LinkEstimate, Observation
+    from arpd.readers import ReaderPlan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,6 +60,9 @@ class Snapshot:
     config_path : file in force
     config_error : first line of why the last reload was refused, empty when it was not
     confirmed : number of managed publishers whose announcement matches the plan
+    reader_plans : what the plan wants of the readers of its topics, by node and topic
+    readers_confirmed : number of those whose announcement matches it
+    lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     """
 
     version: str
@@ -74,3 +78,6 @@ class Snapshot:
     config_path: str = ""
     config_error: str = ""
     confirmed: int = 0
+    reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
+    readers_confirmed: int = 0
+    lease_s: float = 0.0

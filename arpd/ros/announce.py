@@ -1,16 +1,27 @@
-"""Announcements of live publishers on /arpd/publishers, to and from diagnostic_msgs."""
+"""Announcements of live publishers and of live readers, each on a topic of its own, to and from diagnostic_msgs.
+
+Keys that a daemon does not know it passes over, and what was added since the first version may be missing.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import Any
+from itertools import islice
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from arpd.model import Direction, PublisherState
+from arpd.readers import ReaderState
+from arpd.refusal import RefusalReason
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _SWAP_PREFIX = "swaps_"
+_HANDOVER_PREFIX = "handovers_"
+_KEEP_ALL = "keep_all"
 _FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
 _INTEGERS = (
     "offered",
@@ -23,7 +34,10 @@ _INTEGERS = (
     "baseline_deadline_ns",
     "generation",
 )
+_READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
 _MAX_INTEGER = 2**63 - 1
+_MOST_RESULTS = 32  # of swaps or handovers; each becomes a label of a metric
+_MAX_RESULT = 40
 _MAX_NAME = 256
 _NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
@@ -31,6 +45,7 @@ _NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 def to_status(state: PublisherState) -> Any:
     """Encode one publisher as a DiagnosticStatus; a refusal shows as WARN in any diagnostics viewer."""
     values = [("node", state.node), ("topic", state.topic), ("type", state.type_name), ("refusal", state.refusal)]
+    values += _remarks(state)
     values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
     values += [(key, str(getattr(state, key))) for key in _INTEGERS]
     values += [(_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
@@ -38,6 +53,24 @@ def to_status(state: PublisherState) -> Any:
         level=DiagnosticStatus.WARN if state.refusal else DiagnosticStatus.OK,
         name=f"{state.node}: {state.topic}",
         message=state.refusal or f"{state.rate_hz:.3g} Hz, depth {state.depth}",
+        hardware_id="",
+        values=[KeyValue(key=key, value=value) for key, value in values],
+    )
+
+
+def reader_to_status(state: ReaderState) -> Any:
+    """Encode one reader; small, because most readers live across the link."""
+    values = [("node", state.node), ("topic", state.topic), ("lease_s", f"{state.lease_s:.6g}")]
+    values += [("refusal", state.refusal)] if state.refusal else []
+    values += _remarks(state)
+    values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
+    values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.handovers_by_result.items())]
+    # What never changes is no fault of the moment.
+    is_warning = state.refusal and state.is_driven
+    return DiagnosticStatus(
+        level=DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK,
+        name=f"{state.node}: {state.topic}",
+        message=state.refusal if is_warning else f"depth {state.depth}",
         hardware_id="",
         values=[KeyValue(key=key, value=value) for key, value in values],
     )
@@ -56,28 +89,67 @@ def from_status(status: Any) -> PublisherState:
         node, topic, type_name = values["node"], values["topic"], values["type"]
         floats = {key: _finite_or_inf(key, values[key]) for key in _FLOATS}
         integers = {key: _bounded(key, values[key]) for key in _INTEGERS}
-        swaps = {
-            key.removeprefix(_SWAP_PREFIX): _bounded(key, value)
-            for key, value in values.items()
-            if key.startswith(_SWAP_PREFIX)
-        }
     except KeyError as missing:
         raise ValueError(f"announcement without {missing}") from missing
-    for name in (node, topic):
-        if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
-            raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
-    if not 1 <= integers["depth"] <= 100_000 or not 1 <= integers["baseline_depth"] <= 100_000:
-        raise ValueError(f"announcement of {topic} with a depth outside 1..100000")
+    _check(node, topic, integers)
     return PublisherState(
         node=node,
         topic=topic,
         type_name=type_name[:_MAX_NAME],
         direction=Direction.LOCAL,
-        swaps_by_result=swaps,
-        refusal=values.get("refusal", "")[:_MAX_NAME],
+        swaps_by_result=_counts(values, _SWAP_PREFIX),
+        refusal=(refusal := values.get("refusal", "")[:_MAX_NAME]),
+        refusal_reason=RefusalReason.told(values.get("refusal_reason"), words=refusal),
+        keeps_all=values.get("history") == _KEEP_ALL,
         **floats,  # type: ignore[arg-type]
         **integers,
     )
+
+
+def reader_from_status(status: Any) -> ReaderState:
+    """Decode one reader's announcement, checked as a publisher's is.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing, malformed or out of range; the message names it.
+    """
+    values = {pair.key: pair.value for pair in status.values}
+    try:
+        node, topic, lease_s = values["node"], values["topic"], _finite_or_inf("lease_s", values["lease_s"])
+        integers = {key: _bounded(key, values[key]) for key in _READER_INTEGERS}
+    except KeyError as missing:
+        raise ValueError(f"announcement without {missing}") from missing
+    _check(node, topic, integers)
+    return ReaderState(
+        node=node,
+        topic=topic,
+        lease_s=lease_s,
+        handovers_by_result=_counts(values, _HANDOVER_PREFIX),
+        refusal=(refusal := values.get("refusal", "")[:_MAX_NAME]),
+        refusal_reason=RefusalReason.told(values.get("refusal_reason"), words=refusal),
+        keeps_all=values.get("history") == _KEEP_ALL,
+        **integers,  # type: ignore[arg-type]
+    )
+
+
+def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
+    """Return what only some endpoints have to say."""
+    refused = [("refusal_reason", str(state.refusal_reason))] if state.refusal else []
+    return [*refused, ("history", _KEEP_ALL)] if state.keeps_all else refused
+
+
+def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
+    found = ((key, value) for key, value in values.items() if key.startswith(prefix))
+    return {key.removeprefix(prefix)[:_MAX_RESULT]: _bounded(key, value) for key, value in islice(found, _MOST_RESULTS)}
+
+
+def _check(node: str, topic: str, integers: Mapping[str, int]) -> None:
+    for name in (node, topic):
+        if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
+            raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
+    if not 1 <= integers["depth"] <= 100_000 or not 1 <= integers["baseline_depth"] <= 100_000:
+        raise ValueError(f"announcement of {topic} with a depth outside 1..100000")
 
 
 def _finite_or_inf(key: str, text: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from arpd.ros.names import INFINITE_NS
@@ -33,3 +34,16 @@ def checked_deadline_ns(parameter: Any) -> int:
     if parameter.value < 0:
         raise ValueError(f"{parameter.name} = {parameter.value} is negative; 0 means infinite")
     return 0 if parameter.value >= INFINITE_NS else int(parameter.value)
+
+
+def checked_lease_s(parameter: Any) -> float:
+    """Return how long a plan outlives its daemon, 0 = for good (s).
+
+    Raises
+    ------
+    ValueError
+        If it is no such time; the message names the parameter.
+    """
+    if not 0 <= parameter.value < math.inf:
+        raise ValueError(f"{parameter.name} = {parameter.value} is no time; use seconds ≥ 0, 0 = never")
+    return float(parameter.value)

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -15,10 +15,11 @@ from std_msgs.msg import Float64, UInt8MultiArray
 
 from arpd.host.counters import read_counters, read_memory
 from arpd.model import Direction, Observation, PublisherState
+from arpd.readers import ReaderState
 from arpd.ros import report as wire_format
-from arpd.ros.announce import from_status
+from arpd.ros.announce import from_status, reader_from_status
 from arpd.ros.graph import Crossing, read_crossings
-from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
+from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.ros.parameters import ParameterApplier
 from arpd.ros.rmw import current_rmw
 from arpd.wire import probe_wire_bytes
@@ -35,7 +36,10 @@ log = logging.getLogger(__name__)
 
 _GRAPH_S = 1.0
 _STALE_S = 3.5  # three announcements missed: the publisher is gone
-_MOST_PUBLISHERS = 2000  # more than any robot has; a liar on the network cannot take our memory
+_READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three seconds
+_MOST_ENDPOINTS = 2000  # more than any robot has; a liar on the network cannot take our memory
+
+S = TypeVar("S", PublisherState, ReaderState)
 
 
 class RosControl:
@@ -70,7 +74,8 @@ class RosControl:
         self._clock = clock
         self._lock = threading.Lock()
         self._reports: list[PeerReport] = []
-        self._announced: dict[tuple[str, str], tuple[float, PublisherState]] = {}
+        self._announced: _Announced[PublisherState] = _Announced(_STALE_S)
+        self._readers: _Announced[ReaderState] = _Announced(_READER_STALE_S)
         self._crossings: Mapping[str, Crossing] = {}
         self._peers: int | None = None
         self._probes = 0
@@ -80,7 +85,8 @@ class RosControl:
         self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest)
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         node.create_subscription(UInt8MultiArray, REPORT_TOPIC, self._on_report, best_effort)
-        node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_announcement, best_effort)
+        node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_publishers, best_effort)
+        node.create_subscription(DiagnosticArray, READERS_TOPIC, self._on_readers, best_effort)
         node.create_timer(_GRAPH_S, self._read_graph, callback_group=ReentrantCallbackGroup())
         self._applier = ParameterApplier(node)
 
@@ -94,10 +100,7 @@ class RosControl:
         """Return everything one tick sees."""
         with self._lock:
             reports, self._reports = tuple(self._reports), []
-            self._announced = {
-                key: (at_s, state) for key, (at_s, state) in self._announced.items() if now_s - at_s <= _STALE_S
-            }
-            announced = sorted(self._announced.items())
+            publishers, readers = self._announced.live(now_s), self._readers.live(now_s)
         crossings = self._crossings
         pinned = self._graph_settings
         directions = [crossing.direction for crossing in crossings.values()]
@@ -106,7 +109,8 @@ class RosControl:
             now_s=now_s,
             counters=read_counters(self._interface),
             reports=reports,
-            publishers=tuple(_join(state, now_s - at_s, crossings) for _, (at_s, state) in announced),
+            publishers=_join_publishers(publishers, readers, crossings),
+            readers=_join_readers(readers, crossings),
             memory=read_memory(),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
@@ -160,32 +164,70 @@ class RosControl:
             del self._reports[:-100]
         self._on_report_arrived()
 
-    def _on_announcement(self, message: Any) -> None:
+    def _on_publishers(self, message: Any) -> None:
+        self._hear(message, from_status, self._announced)
+
+    def _on_readers(self, message: Any) -> None:
+        self._hear(message, reader_from_status, self._readers)
+
+    def _hear(self, message: Any, decode: Callable[[Any], S], heard: _Announced[S]) -> None:
         now_s = self._clock()
         for status in message.status:
             try:
-                state = from_status(status)
+                state = decode(status)
             except ValueError as fault:
                 log.debug("ignored an announcement: %s", fault)
                 continue
             with self._lock:
-                key = (state.node, state.topic)
-                if key in self._announced or len(self._announced) < _MOST_PUBLISHERS:
-                    self._announced[key] = (now_s, state)
+                heard.note(state, now_s)
 
     def _read_graph(self) -> None:
         self._crossings = read_crossings(self._node, self._rmw)
         self._peers = self._node.count_publishers(REPORT_TOPIC)
 
 
-def _join(state: PublisherState, age_s: float, crossings: Mapping[str, Crossing]) -> PublisherState:
-    crossing = crossings.get(state.topic)
-    if crossing is None:
-        return replace(state, age_s=age_s)
-    return replace(
-        state,
-        age_s=age_s,
-        direction=crossing.direction,
-        remote_readers=crossing.remote_readers,
-        requested_deadline_ns=crossing.requested_deadline_ns,
+class _Announced(Generic[S]):
+    """The last announcement of every live endpoint."""
+
+    def __init__(self, stale_s: float) -> None:
+        self._stale_s = stale_s
+        self._states: dict[tuple[str, str], tuple[float, S]] = {}
+
+    def note(self, state: S, now_s: float) -> None:
+        key = state.node, state.topic
+        if key in self._states or len(self._states) < _MOST_ENDPOINTS:
+            self._states[key] = now_s, state
+
+    def live(self, now_s: float) -> list[S]:
+        """Return who announced itself lately, with the age of that (s), sorted by node and topic."""
+        self._states = {key: (at_s, s) for key, (at_s, s) in self._states.items() if now_s - at_s <= self._stale_s}
+        return [replace(state, age_s=now_s - at_s) for _, (at_s, state) in sorted(self._states.items())]
+
+
+def _join_publishers(
+    publishers: Iterable[PublisherState], readers: Iterable[ReaderState], crossings: Mapping[str, Crossing]
+) -> tuple[PublisherState, ...]:
+    driven: dict[str, set[str]] = {}
+    for reader in readers:
+        if reader.is_driven:
+            driven.setdefault(reader.topic, set()).add(reader.node)
+    return tuple(
+        replace(
+            state,
+            direction=crossing.direction,
+            remote_readers=crossing.remote_readers,
+            requested_deadline_ns=crossing.tightest_request_ns(besides=driven.get(state.topic, ())),
+        )
+        if (crossing := crossings.get(state.topic)) is not None
+        else state
+        for state in publishers
+    )
+
+
+def _join_readers(readers: Iterable[ReaderState], crossings: Mapping[str, Crossing]) -> tuple[ReaderState, ...]:
+    return tuple(
+        replace(state, requests_ns=crossing.requests_of(state.node), offers_ns=crossing.offers_ns)
+        if (crossing := crossings.get(state.topic)) is not None
+        else state
+        for state in readers
     )

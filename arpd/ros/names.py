@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 PUBLISHERS_TOPIC = "/arpd/publishers"
+READERS_TOPIC = "/arpd/subscriptions"
 GATE_TOPIC = "/arpd/gate"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 GENERATION_PARAMETER = "arpd.generation"
 LEASE_PARAMETER = "arpd.lease"
+READERS_GENERATION_PARAMETER = "arpd.readers.generation"
+READERS_LEASE_PARAMETER = "arpd.readers.lease"
 
 INFINITE_NS = 2**63 - 1  # how ROS 2 says "no deadline"
 
@@ -26,6 +29,11 @@ def parameter_name(topic: str, setting: str) -> str:
     if setting in {DEPTH, DEADLINE}:
         return f"qos_overrides.{topic}.publisher.{setting}"
     return f"arpd.{topic}.publisher.{setting}"
+
+
+def reader_parameter_name(topic: str, setting: str) -> str:
+    """Full parameter name of depth or deadline of the reader of ``topic``, by the same standard."""
+    return f"qos_overrides.{topic}.subscription.{setting}"
 
 
 def is_internal(topic: str) -> bool:

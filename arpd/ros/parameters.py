@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.srv import SetParametersAtomically
@@ -17,13 +17,17 @@ from arpd.ros.names import (
     LEASE_PARAMETER,
     MIN_RATE,
     RATE,
+    READERS_GENERATION_PARAMETER,
+    READERS_LEASE_PARAMETER,
     parameter_name,
+    reader_parameter_name,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from arpd.model import TopicPlan, Transition
+    from arpd.readers import ReaderPlan
 
 log = logging.getLogger(__name__)
 
@@ -40,13 +44,15 @@ class _Node:
     sent_at_s: float = 0.0
     next_at_s: float = 0.0
     backoff_s: float = _FIRST_BACKOFF_S
+    told: dict[str, TopicPlan | ReaderPlan] = field(default_factory=dict)  # by topic, under this generation
 
 
 class ParameterApplier:
     """Sends transitions and remembers what is under way, per node.
 
     A transition is repeated by the caller at every tick until the node announces its settings; this class decides
-    when to send it again. A newer generation is sent at once, an unconfirmed one after a growing back-off.
+    when to send it again. What a node was not told yet is sent at once, what it did not confirm after a growing
+    back-off. A node's publishers and its readers are told apart, so that what one side refuses never holds the other's.
 
     Parameters
     ----------
@@ -55,7 +61,7 @@ class ParameterApplier:
 
     def __init__(self, node: Any) -> None:
         self._ros = node
-        self._nodes: dict[str, _Node] = {}
+        self._nodes: dict[tuple[str, bool], _Node] = {}  # by name, and whether it is about readers
         self._results: Counter[str] = Counter()
 
     @property
@@ -66,21 +72,25 @@ class ParameterApplier:
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
         """Send what is new or due again; returns at once."""
         for transition in transitions:
-            node = self._nodes.get(transition.node) or self._add(transition.node)
-            if transition.generation > node.generation:
+            key = transition.node, bool(transition.readers)
+            node = self._nodes.get(key) or self._add(*key)
+            rows: dict[str, TopicPlan | ReaderPlan] = {**transition.topics, **transition.readers}
+            is_newer = transition.generation > node.generation
+            if is_newer or any(node.told.get(topic) != row for topic, row in rows.items()):
                 # Whatever an older call may still answer, the newest plan goes out now.
                 self._forget(node)
                 node.generation = transition.generation
                 node.next_at_s, node.backoff_s = now_s, _FIRST_BACKOFF_S
+                node.told = rows if is_newer else {**node.told, **rows}
             self._expire(transition.node, node, now_s)
             if node.future is None and now_s >= node.next_at_s:
                 node.sent_at_s, node.next_at_s = now_s, now_s + node.backoff_s
                 node.backoff_s = min(2 * node.backoff_s, _MAX_BACKOFF_S)
                 self._send(transition, node)
 
-    def _add(self, name: str) -> _Node:
+    def _add(self, name: str, is_about_readers: bool) -> _Node:  # noqa: FBT001 - a part of the key
         client = self._ros.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
-        self._nodes[name] = node = _Node(client=client)
+        self._nodes[name, is_about_readers] = node = _Node(client=client)
         return node
 
     def _send(self, transition: Transition, node: _Node) -> None:
@@ -88,14 +98,7 @@ class ParameterApplier:
             self._results["unreachable"] += 1
             log.info("%s does not offer its parameter service yet", transition.node)
             return
-        parameters = [
-            parameter.to_parameter_msg()
-            for topic, row in transition.topics.items()
-            for parameter in _parameters(topic, row)
-        ]
-        parameters.append(Parameter(GENERATION_PARAMETER, value=transition.generation).to_parameter_msg())
-        parameters.append(Parameter(LEASE_PARAMETER, value=float(transition.lease_s)).to_parameter_msg())
-        request = SetParametersAtomically.Request(parameters=parameters)
+        request = SetParametersAtomically.Request(parameters=[p.to_parameter_msg() for p in _parameters(transition)])
         node.future = node.client.call_async(request)
         node.future.add_done_callback(lambda future: self._on_answer(transition, node, future))
 
@@ -127,7 +130,25 @@ class ParameterApplier:
             self._forget(node)
 
 
-def _parameters(topic: str, row: TopicPlan) -> list[Any]:
+def _parameters(transition: Transition) -> list[Any]:
+    if transition.readers:
+        generation, lease = READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER
+    else:
+        generation, lease = GENERATION_PARAMETER, LEASE_PARAMETER
+    return [
+        *(parameter for topic, row in transition.topics.items() for parameter in _of_publisher(topic, row)),
+        *(parameter for topic, row in transition.readers.items() for parameter in _of_reader(topic, row)),
+        Parameter(generation, value=transition.generation),
+        Parameter(lease, value=float(transition.lease_s)),
+    ]
+
+
+def _of_reader(topic: str, row: ReaderPlan) -> list[Any]:
+    values = {DEPTH: row.depth, DEADLINE: row.deadline_ns}
+    return [Parameter(reader_parameter_name(topic, setting), value=value) for setting, value in values.items()]
+
+
+def _of_publisher(topic: str, row: TopicPlan) -> list[Any]:
     values: dict[str, int | float] = {
         DEPTH: row.depth,
         DEADLINE: row.deadline_ns,

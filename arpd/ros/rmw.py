@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.refusal import Refusal, RefusalReason
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -40,6 +42,18 @@ def rmw_of(name: str) -> Rmw:
     """Return what is known of a middleware, by its identifier; nothing is assumed of one that was never measured."""
     is_fast_dds = name in _FAST_DDS
     return Rmw(name=name, can_swap=is_fast_dds, tells_hosts=is_fast_dds)
+
+
+def lasting_refusal(rmw: Rmw, *, latched: str) -> Refusal | None:
+    """Return why an endpoint is never replaced, None if it is.
+
+    Parameters
+    ----------
+    latched : what is wrong with replacing a TRANSIENT_LOCAL endpoint, in words; empty if it is none
+    """
+    if rmw.refusal:
+        return Refusal(RefusalReason.MIDDLEWARE, rmw.refusal)
+    return Refusal(RefusalReason.TRANSIENT_LOCAL, latched) if latched else None
 
 
 def _identifier() -> str:

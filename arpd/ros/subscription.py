@@ -7,28 +7,33 @@ import threading
 import time
 from collections import Counter
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
-from arpd.handover import Handover, HandoverResult, Key
+from arpd.handover import Handover, HandoverResult
+from arpd.planner import is_kept
+from arpd.readers import ReaderState
+from arpd.refusal import NO_REFUSAL, Refusal, RefusalReason
 from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
 from arpd.ros.graph import deadline_ns_of, node_name_of
-from arpd.ros.rmw import current_rmw
+from arpd.ros.listening import NodeListening
+from arpd.ros.names import reader_parameter_name
+from arpd.ros.reader import ReaderQos, RosReader, Sample, SubscriptionState, arguments_of, key_of
+from arpd.ros.rmw import current_rmw, lasting_refusal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from rclpy.node import Node
 
     from arpd.ros.rmw import Rmw
-
-_Sample = tuple[Any, Any]  # message and MessageInfo
 
 _POLL_S = 0.02  # how often a handover looks at its readers
 _WITH_INFO = inspect.signature(lambda _message, _info: None)
@@ -38,56 +43,12 @@ _SETTINGS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReaderQos:
-    """What a handover may change: depth (samples), requested deadline (ns, 0 = infinite), and the kind of reader."""
-
-    depth: int
-    deadline_ns: int
-    reliability: Any
-    durability: Any
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SubscriptionState:
-    """What is in force.
-
-    Parameters
-    ----------
-    depth, deadline_ns : of the reader in force; ``deadline_ns`` 0 = infinite
-    handovers_by_result : handovers so far
-    refusal : why the last one was refused, empty if it was not
-    """
-
-    depth: int
-    deadline_ns: int
-    handovers_by_result: Mapping[str, int]
-    refusal: str
-
-
-class _RosReader:
-    """One rclpy subscription behind the `arpd.handover.Reader` protocol."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self.subscription: Any = None
-
-    def matched(self) -> int:
-        return int(self.subscription.get_publisher_count())
-
-    def take(self) -> tuple[Key, _Sample] | None:
-        with self.subscription.handle:
-            taken = self.subscription.handle.take_message(self.subscription.msg_type, self.subscription.raw)
-        return None if taken is None else (_key(taken), taken)
-
-    def destroy(self) -> None:
-        self._node.destroy_subscription(self.subscription)
-
-
 class AdaptiveSubscription:
     """A subscription that can be re-tuned live; same attributes as `rclpy.subscription.Subscription`.
 
-    Its settings are the writable parameters ``qos_overrides.<topic>.subscription.depth`` and ``….deadline`` (ns).
+    Its settings are the writable parameters ``qos_overrides.<topic>.subscription.depth`` and ``….deadline`` (ns). Its
+    node announces it on ``/arpd/subscriptions``, and where `arpd run` has a plan for the topic it sets
+    them: as deep as the writer, and, if the application requests a deadline at all, one that the writer keeps.
 
     Parameters
     ----------
@@ -126,13 +87,13 @@ class AdaptiveSubscription:
         self._event_callbacks = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
         self._clock = clock
         self._lock = threading.Lock()
-        self._handover: Handover[ReaderQos, _Sample] | None = None
+        self._handover: Handover[ReaderQos, Sample] | None = None
         self._timer: Any = None
         self._results: Counter[str] = Counter()
-        self._refusal = ""
+        self._refusal = NO_REFUSAL
         self._resolved = str(node.resolve_topic_name(topic))
         self._parameters = {
-            f"qos_overrides.{self._resolved}.subscription.{setting}": field for setting, (field, _) in _SETTINGS.items()
+            reader_parameter_name(self._resolved, setting): field for setting, (field, _) in _SETTINGS.items()
         }
         self.callback = callback
         self._baseline = ReaderQos(
@@ -149,6 +110,8 @@ class AdaptiveSubscription:
             raise
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
+        self._listening = NodeListening.of(node)
+        self._listening.adopt(self)
 
     # -- what rclpy.subscription.Subscription offers
 
@@ -159,7 +122,7 @@ class AdaptiveSubscription:
 
     @callback.setter
     def callback(self, value: Callable[..., Any]) -> None:
-        self._arguments = _arguments(value)
+        self._arguments = arguments_of(value)
         self._callback = value
 
     @property
@@ -189,6 +152,7 @@ class AdaptiveSubscription:
 
     def destroy(self) -> None:
         """Destroy the subscription and everything a handover may have in flight."""
+        self._listening.release(self)
         self._node.remove_on_set_parameters_callback(self._validate)
         self._node.remove_post_set_parameters_callback(self._apply)
         self._undeclare()
@@ -220,30 +184,54 @@ class AdaptiveSubscription:
     def state(self) -> SubscriptionState:
         """Picture of what is in force."""
         with self._lock:
-            qos = self.qos
+            qos, refusal = self.qos, self._lasting_refusal(self.qos) or self._refusal
             return SubscriptionState(
                 depth=qos.depth,
                 deadline_ns=qos.deadline_ns,
                 handovers_by_result=dict(self._results),
-                refusal=self._refusal,
+                refusal=refusal.words,
+                refusal_reason=refusal.reason,
             )
 
+    def announced(self, *, generation: int, lease_s: float) -> ReaderState:
+        """Picture of what is in force, for the announcement."""
+        state = self.state()
+        return ReaderState(
+            node=self._node.get_fully_qualified_name(),
+            topic=self._resolved,
+            baseline_depth=self._baseline.depth,
+            baseline_deadline_ns=self._baseline.deadline_ns,
+            generation=generation,
+            lease_s=lease_s,
+            keeps_all=self._keeps_all,
+            **{field.name: getattr(state, field.name) for field in fields(state)},
+        )
+
+    def return_to_baseline(self) -> str | None:
+        """Ask for the application's own QoS; return why that is refused for now, None if it is not."""
+        values = (getattr(self._baseline, field) for field in self._parameters.values())
+        wanted = [Parameter(name, value=value) for name, value in zip(self._parameters, values, strict=True)]
+        if all(self._node.get_parameter(each.name).value == each.value for each in wanted):
+            return None
+        result = self._node.set_parameters_atomically(wanted)
+        return None if result.successful else str(result.reason)
+
     @property
-    def _reader(self) -> _RosReader:
+    def _reader(self) -> RosReader:
         assert self._handover is not None
         current = self._handover.current
-        assert isinstance(current, _RosReader)
+        assert isinstance(current, RosReader)
         return current
 
     # -- samples
 
-    def _create_reader(self, qos: ReaderQos) -> _RosReader:
+    def _create_reader(self, qos: ReaderQos) -> RosReader:
         profile = copy(self.qos_profile)
         profile.depth = qos.depth
         profile.deadline = Duration(nanoseconds=qos.deadline_ns)
         profile.reliability = qos.reliability
         profile.durability = qos.durability
-        reader = _RosReader(self._node)
+        reader = RosReader(self._node)
         reader.subscription = self._node.create_subscription(
             self.msg_type,
             self.topic,
@@ -255,13 +243,21 @@ class AdaptiveSubscription:
         )
         return reader
 
-    def _tap(self, reader: _RosReader) -> Callable[..., Any]:
+    def _tap(self, reader: RosReader) -> Callable[..., Any]:
         """Return the rclpy callback of one reader."""
-        tap: Any = self._deliverer(lambda *taken: self._sift(reader, taken))
+        sifted = self._deliverer(lambda *taken: self._sift(reader, taken))
+
+        def direct(*taken: Any) -> None:
+            if self._handover is None or self._handover.is_tracking:
+                sifted(*taken)
+            else:  # nearly always, so this is what a sample costs
+                self._callback(*(taken if len(taken) == 2 else taken[0])[: self._arguments])
+
+        tap: Any = sifted if inspect.iscoroutinefunction(sifted) else direct
         tap.__signature__ = _WITH_INFO  # rclpy asks it whether to pass MessageInfo
         return tap  # type: ignore[no-any-return]
 
-    def _deliverer(self, samples: Callable[..., Sequence[_Sample]]) -> Callable[..., Any]:
+    def _deliverer(self, samples: Callable[..., Sequence[Sample]]) -> Callable[..., Any]:
         """Return what gives the application the samples a function returns; a coroutine if its callback is one."""
 
         def deliver(*taken: Any) -> None:
@@ -274,16 +270,16 @@ class AdaptiveSubscription:
 
         return deliver_async if inspect.iscoroutinefunction(self._callback) else deliver
 
-    def _sift(self, reader: _RosReader, taken: tuple[Any, ...]) -> Sequence[_Sample]:
+    def _sift(self, reader: RosReader, taken: tuple[Any, ...]) -> Sequence[Sample]:
         # EventsExecutor of rclpy 7.1 passes message and info as one tuple where the others pass two arguments.
-        sample: _Sample = taken if len(taken) == 2 else taken[0]
+        sample: Sample = taken if len(taken) == 2 else taken[0]
         handover = self._handover
         if handover is None or not handover.is_tracking:
             return (sample,)
         with self._lock:
-            return handover.accept(reader, _key(sample), sample, now_s=self._clock())
+            return handover.accept(reader, key_of(sample), sample, now_s=self._clock())
 
-    def _step(self) -> Sequence[_Sample]:
+    def _step(self) -> Sequence[Sample]:
         with self._lock:
             assert self._handover is not None
             samples = self._handover.step(self._clock())
@@ -342,21 +338,27 @@ class AdaptiveSubscription:
                 changes[field] = checked_depth(parameter, most_depth) if is_depth else checked_deadline_ns(parameter)
         return replace(qos, **changes)
 
+    @property
+    def _keeps_all(self) -> bool:
+        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
+
+    def _lasting_refusal(self, qos: ReaderQos) -> Refusal | None:
+        """Return why such a reader can never be handed over, None if it can."""
+        is_latched = qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        words = f"{self._resolved} is TRANSIENT_LOCAL: a new reader would receive the writers' history once more"
+        return lasting_refusal(self._rmw, latched=words if is_latched else "")
+
     def _check(self, wanted: ReaderQos) -> None:
         """Refuse what would lose samples or writers."""
-        if self._rmw.refusal:
-            raise ValueError(self._rmw.refusal)
-        if wanted.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL:
-            raise ValueError(
-                f"{self._resolved} is TRANSIENT_LOCAL: a new reader would receive the writers' history once more"
-            )
-        if wanted.depth != self.qos.depth and self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL:
+        if refusal := self._lasting_refusal(wanted):
+            raise ValueError(refusal.words)
+        if wanted.depth != self.qos.depth and self._keeps_all:
             raise ValueError(f"{self._resolved} is KEEP_ALL: it has no depth")
         lost = sorted(
-            f"{node_name_of(writer)} offers "
-            f"{f'{offered} ns' if (offered := deadline_ns_of(writer.qos_profile)) else 'none'}"
+            f"{node_name_of(writer)} offers {f'{offered} ns' if offered else 'none'}"
             for writer in self._node.get_publishers_info_by_topic(self._resolved)
-            if wanted.deadline_ns and not 0 < deadline_ns_of(writer.qos_profile) <= wanted.deadline_ns
+            if is_kept(offered := deadline_ns_of(writer.qos_profile), self.qos.deadline_ns)
+            and not is_kept(offered, wanted.deadline_ns)
         )
         if lost:
             raise ValueError(
@@ -366,27 +368,12 @@ class AdaptiveSubscription:
 
     def _on_result(self, result: HandoverResult) -> None:
         self._results[result] += 1
-        self._refusal = ""
+        self._refusal = NO_REFUSAL
         if result is HandoverResult.UNMATCHED:
-            self._refusal = f"handover of {self._resolved}: not all publishers matched the new reader in time"
+            words = f"handover of {self._resolved}: not all publishers matched the new reader in time"
+            self._refusal = Refusal(RefusalReason.UNMATCHED, words)
         elif result is HandoverResult.FAILED:
-            self._refusal = f"handover of {self._resolved}: the new reader was refused, or ran ahead of the old one"
-        if self._refusal:
-            self._node.get_logger().warning(self._refusal)
-
-
-def _key(sample: _Sample) -> Key:
-    info = sample[1]
-    return info["source_timestamp"], info["publication_sequence_number"]
-
-
-def _arguments(callback: Callable[..., Any]) -> int:
-    """Count the arguments the callback takes, by rclpy's own rule: one is tried before two."""
-    signature = inspect.signature(callback)
-    for count in (1, 2):
-        try:
-            signature.bind(*(object(),) * count)
-        except TypeError:
-            continue
-        return count
-    raise RuntimeError("a subscription's callback takes the message, or the message and its MessageInfo")
+            words = f"handover of {self._resolved}: the new reader was refused, or ran ahead of the old one"
+            self._refusal = Refusal(RefusalReason.FAILED, words)
+        if self._refusal.words:
+            self._node.get_logger().warning(self._refusal.words)

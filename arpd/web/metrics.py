@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 import time
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
@@ -12,9 +13,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.registry import Collector
 
 from arpd.model import NANOSECONDS_PER_SECOND, AllocationStatus, Binding, CapacityKind, LinkState
+from arpd.refusal import RefusalReason
 from arpd.settings import Backend
 from arpd.swap import SwapResult
 from arpd.version import VERSION
+from arpd.web.reader_metrics import reader_metrics
 from arpd.web.status import topic_rows
 
 if TYPE_CHECKING:
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 _TOPIC_LABELS = ("topic", "node", "direction")
 
 # Label values that are known beforehand start at zero, so that rate() sees their first increase.
-_CAUSES = ("demand", "down", "reload", "start", "topics", "up")
+_CAUSES = ("demand", "down", "readers", "reload", "start", "topics", "up")
 _REASONS = ("budget", "dwell")
 _APPLIED = ("ok", "refused", "timeout", "unreachable")
 _RELOADED = ("failed", "ok")
@@ -88,7 +91,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_publishers_confirmed",
-        "Managed publishers that announce the settings of the plan in force.",
+        "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its rate.",
         lambda s: s.confirmed,
     ),
     (
@@ -98,6 +101,11 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     ("arpd_solve_duration_seconds", "Time the last solve took.", lambda s: s.allocation.solve_s),
     ("arpd_tick_duration_seconds", "Time the last finished tick took.", lambda s: s.tick_s),
+    (
+        "arpd_lease_seconds",
+        "Silence of the daemon after which publishers return to their application's QoS; +Inf is never.",
+        lambda s: s.lease_s or math.inf,
+    ),
     (
         "arpd_config_last_reload_successful",
         "0 while the last reload was refused and an older configuration is in force.",
@@ -237,6 +245,7 @@ class SnapshotCollector(Collector):
         yield from _of_totals(snapshot.totals)
         yield from _of_interface(snapshot)
         yield from _of_topics(topic_rows(snapshot))
+        yield from reader_metrics(snapshot)
 
 
 def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:
@@ -256,6 +265,15 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
         for state in sorted({*states, current(snapshot)}):
             family.add_metric((state,), state == current(snapshot))
         yield family
+    refused = GaugeMetricFamily(
+        "arpd_publishers_refused",
+        "Publishers whose last request stands refused; middleware and transient_local last: paced and gated only.",
+        labels=("reason",),
+    )
+    reasons = Counter(row.publisher.refusal_reason for row in topic_rows(snapshot))
+    for reason in sorted(set(RefusalReason) - {RefusalReason.NONE}):
+        refused.add_metric((reason,), reasons[reason])
+    yield refused
     topics = GaugeMetricFamily(
         "arpd_graph_topics", "Topics that cross the link, managed or not.", labels=("direction",)
     )

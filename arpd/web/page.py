@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from arpd.web.status import LASTING, confirmed, lease
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 # Only colours the browser knows for both schemes, so that dark and light need no second stylesheet.
 _STYLE = """
@@ -16,6 +21,7 @@ td { font-variant-numeric: tabular-nums; } div { overflow-x: auto; } .bad { colo
 """
 _COLUMNS = ("topic", "node", "direction", "source Hz", "planned Hz", "confirmed Hz", "depth", "deadline ms", "Rmax Hz",
             "link share", "bound by", "queued", "withheld", "readers", "refusal")  # fmt: skip
+_READER_COLUMNS = ("topic", "node", "planned depth", "depth", "planned deadline ms", "deadline ms", "refusal")
 
 
 def render_page(status: dict[str, Any] | None) -> str:
@@ -41,42 +47,67 @@ def _body(status: dict[str, Any]) -> str:
         ("queue delay", f"{_number(link['queue_delay_seconds'], scale=1e3)} ms"),
         ("gate", _number(status["gate"])),
         ("plan", f"{plan['generation']}, made for {_mbits(status['level_bytes_per_second'])}"),
-        ("confirmed", f"{plan['confirmed']} of {plan['publishers']} publishers"),
+        ("confirmed", confirmed(plan)),
+        ("lease", lease(status)),
         ("program", f"{allocation['status']}, bound by {allocation['binding']} {allocation['degradation']}"),
         ("configuration", config["path"]),
         ("version", status["version"]),
     )
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in facts)
     fault = f'<p class="bad">The last reload was refused: {escape(config["error"])}</p>' if config["error"] else ""
-    return f"{fault}<table>{rows}</table><h2>Topics</h2>{_topics(status['topics'])}"
+    topics, readers = _topics(status["topics"]), _readers(status["readers"])
+    return f"{fault}<table>{rows}</table><h2>Topics</h2>{topics}{readers}"
 
 
 def _topics(topics: list[dict[str, Any]]) -> str:
     if not topics:
         return "<p>No publisher has announced itself.</p>"
-    head = "".join(f"<th>{column}</th>" for column in _COLUMNS)
-    rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in _cells(topic))}</tr>" for topic in topics)
-    return f"<div><table><tr>{head}</tr>{rows}</table></div>"
+    return _table(_COLUMNS, (_cells(topic) for topic in topics))
+
+
+def _readers(readers: list[dict[str, Any]]) -> str:
+    if not readers:
+        return ""
+    return f"<h2>Readers</h2>{_table(_READER_COLUMNS, (_reader_cells(reader) for reader in readers))}"
+
+
+def _table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    head = "".join(f"<th>{column}</th>" for column in columns)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<div><table><tr>{head}</tr>{body}</table></div>"
 
 
 def _cells(topic: dict[str, Any]) -> tuple[str, ...]:
-    planned, confirmed = topic["planned"], topic["confirmed"]
+    planned, now = topic["planned"], topic["confirmed"]
     return (
         topic["topic"],
         topic["node"],
         topic["direction"],
         _number(topic["source_rate_hz"]),
         "unmanaged" if planned is None else _number(planned["rate_hz"], missing="unpaced"),
-        _number(confirmed["rate_hz"], missing="unpaced"),
-        str(confirmed["depth"]),
-        _number(confirmed["deadline_ns"], scale=1e-6, missing="none"),
+        _number(now["rate_hz"], missing="unpaced"),
+        str(now["depth"]),
+        _number(now["deadline_ns"], scale=1e-6, missing="none"),
         _number(topic["max_rate_hz"]),
         _number(topic["share"]),
         topic["binding"] or "–",
         str(topic["queued"]),
         str(topic["withheld"]),
         str(topic["remote_readers"]),
-        topic["refusal"],
+        f"{LASTING}{topic['refusal']}" if topic["refusal_lasts"] else topic["refusal"],
+    )
+
+
+def _reader_cells(reader: dict[str, Any]) -> tuple[str, ...]:
+    planned, now = reader["planned"], reader["confirmed"]
+    return (
+        reader["topic"],
+        reader["node"],
+        "unmanaged" if planned is None else str(planned["depth"]),
+        str(now["depth"]),
+        "–" if planned is None else _number(planned["deadline_ns"], scale=1e-6, missing="none"),
+        _number(now["deadline_ns"], scale=1e-6, missing="none"),
+        reader["refusal"],
     )
 
 

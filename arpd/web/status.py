@@ -2,8 +2,8 @@
 
 Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite),
 in ``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan
-covers, in ``interface_counters`` an interface that cannot be read, in ``rmw`` a world without ROS. Keys are only ever
-added within ``v1``.
+covers, in ``interface_counters`` an interface that cannot be read, in ``rmw`` a world without ROS, in ``after_seconds``
+of ``lease`` a plan that outlives its daemon. Keys are only ever added within ``v1``.
 """
 
 from __future__ import annotations
@@ -12,13 +12,33 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from arpd.settings import OnLost
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.model import LinkCounters, Observation, PublisherState, TopicAllocation, TopicPlan
+    from arpd.readers import ReaderPlan, ReaderState
     from arpd.snapshot import Snapshot, Totals
 
 API_VERSION = "v1"
+LASTING = "rate and gate only: "  # before the words of a refusal that lasts
+
+
+def confirmed(plan: dict[str, Any]) -> str:
+    """Say of a status document's plan who announces it, and how many of those refuse new QoS for good."""
+    publishers = f"{plan['confirmed']} of {plan['publishers']} publishers"
+    paced_only = f" ({plan['paced_only']} by rate and gate only)" if plan.get("paced_only") else ""
+    readers = f", {plan['readers_confirmed']} of {plan['readers']} readers" if plan.get("readers") else ""
+    return f"{publishers}{paced_only}{readers}"
+
+
+def lease(document: dict[str, Any]) -> str:
+    """Say what becomes of a status document's plan when nothing is heard of the daemon."""
+    after_s = document["lease"]["after_seconds"]
+    if after_s is None:
+        return "the plan stays when this daemon falls silent"
+    return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,6 +105,9 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "topics": len(decision.plan.topics),
             "publishers": sum(row.planned is not None for row in rows),
             "confirmed": snapshot.confirmed,
+            "readers": len(snapshot.reader_plans),
+            "readers_confirmed": snapshot.readers_confirmed,
+            "paced_only": sum(row.planned is not None and row.publisher.refusal_reason.is_lasting for row in rows),
         },
         "allocation": {
             "status": str(allocation.status),
@@ -94,7 +117,12 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "backend": allocation.backend,
             "solve_seconds": _finite(allocation.solve_s),
         },
+        "lease": _lease(snapshot),
         "topics": [_topic(row) for row in rows],
+        "readers": [
+            _reader(reader, snapshot.reader_plans.get((reader.node, reader.topic)))
+            for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
+        ],
         "totals": _totals(snapshot.totals),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},
     }
@@ -136,6 +164,30 @@ def _rmw(observation: Observation) -> dict[str, Any] | None:
     return {"name": observation.rmw, "swaps": not observation.rmw_refusal, "refusal": observation.rmw_refusal}
 
 
+def _lease(snapshot: Snapshot) -> dict[str, Any]:
+    on_lost = OnLost.BASELINE if snapshot.lease_s else OnLost.KEEP
+    return {"on_lost": str(on_lost), "after_seconds": snapshot.lease_s or None}
+
+
+def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
+    return {
+        "topic": reader.topic,
+        "node": reader.node,
+        "planned": planned and {"depth": planned.depth, "deadline_ns": planned.deadline_ns or None},
+        "confirmed": {
+            "depth": reader.depth,
+            "deadline_ns": reader.deadline_ns or None,
+            "generation": reader.generation,
+        },
+        "baseline": {"depth": reader.baseline_depth, "deadline_ns": reader.baseline_deadline_ns or None},
+        "handovers": _sorted(reader.handovers_by_result),
+        "refusal": reader.refusal,
+        "refusal_reason": str(reader.refusal_reason),
+        "refusal_lasts": reader.refusal_reason.is_lasting,
+        "age_seconds": _finite(reader.age_s),
+    }
+
+
 def _topic(row: TopicRow) -> dict[str, Any]:
     publisher, planned, allocation = row.publisher, row.planned, row.allocation
     return {
@@ -174,6 +226,8 @@ def _topic(row: TopicRow) -> dict[str, Any]:
         "requested_deadline_ns": publisher.requested_deadline_ns or None,
         "swaps": _sorted(publisher.swaps_by_result),
         "refusal": publisher.refusal,
+        "refusal_reason": str(publisher.refusal_reason),
+        "refusal_lasts": publisher.refusal_reason.is_lasting,
         "age_seconds": _finite(publisher.age_s),
     }
 

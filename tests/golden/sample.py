@@ -1,4 +1,4 @@
-"""A snapshot made by hand: three managed topics both ways, one unpaced, one refused, and one local publisher."""
+"""A snapshot made by hand: managed topics both ways, one unpaced, one refused, one local publisher, two readers."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from arpd.model import (
     LinkState,
     MemoryState,
     Observation,
-    PublisherState,
     QosPlan,
     TopicAllocation,
     TopicPlan,
 )
 from arpd.probing import PeerReport
+from arpd.readers import ReaderPlan
+from arpd.refusal import RefusalReason
 from arpd.snapshot import Snapshot, Totals
+from tests.sample_publishers import publisher, reader
 
 FINISHED_AT_S = 1000.0
 
-_IMAGE = PublisherState(
-    node="/camera",
-    topic="/camera/image",
+_IMAGE = publisher(
+    "/camera",
+    "/camera/image",
     type_name="sensor_msgs/msg/CompressedImage",
-    direction=Direction.SENSING,
     payload_bytes=20000.0,
     source_rate_hz=30.0,
     offered=3000,
@@ -40,79 +41,71 @@ _IMAGE = PublisherState(
     queued=1,
     blocked_s=0.25,
     rate_hz=12.5,
-    depth=10,
     deadline_ns=100_000_000,
-    baseline_depth=10,
-    baseline_deadline_ns=0,
     generation=3,
     swaps_by_result=MappingProxyType({"ok": 2, "reorder_possible": 1}),
     remote_readers=1,
     requested_deadline_ns=200_000_000,
     age_s=0.5,
 )
-_IMU = PublisherState(
-    node="/imu_driver",
-    topic="/imu",
+_IMU = publisher(
+    "/imu_driver",
+    "/imu",
     type_name="sensor_msgs/msg/Imu",
-    direction=Direction.SENSING,
     payload_bytes=328.0,
     source_rate_hz=100.0,
     offered=10000,
     published=10000,
-    withheld=0,
-    queued=0,
     blocked_s=0.0625,
-    rate_hz=math.inf,
     depth=100,
-    deadline_ns=0,
     baseline_depth=100,
-    baseline_deadline_ns=0,
     generation=3,
     remote_readers=2,
     age_s=0.75,
 )
-_COMMAND = PublisherState(
-    node="/planner",
-    topic="/cmd_vel",
+_COMMAND = publisher(
+    "/planner",
+    "/cmd_vel",
     type_name="geometry_msgs/msg/Twist",
     direction=Direction.ACTUATION,
     payload_bytes=52.0,
-    source_rate_hz=20.0,
     offered=2000,
     published=2000,
-    withheld=0,
-    queued=0,
-    blocked_s=0.0,
-    rate_hz=math.inf,
     depth=1,
-    deadline_ns=0,
     baseline_depth=1,
-    baseline_deadline_ns=0,
-    generation=0,
     swaps_by_result=MappingProxyType({"unmatched": 1}),
     refusal="depth 16: /robot/base did not match the new writer in 5 s",
+    refusal_reason=RefusalReason.UNMATCHED,
     remote_readers=1,
     age_s=0.125,
 )
-_DIAGNOSTICS = PublisherState(
-    node="/camera",
-    topic="/diagnostics",
+_DIAGNOSTICS = publisher(
+    "/camera",
+    "/diagnostics",
     type_name="diagnostic_msgs/msg/DiagnosticArray",
     direction=Direction.LOCAL,
     payload_bytes=1024.0,
     source_rate_hz=1.0,
     offered=100,
     published=100,
-    withheld=0,
-    queued=0,
-    blocked_s=0.0,
-    rate_hz=math.inf,
-    depth=10,
-    deadline_ns=0,
-    baseline_depth=10,
-    baseline_deadline_ns=0,
-    generation=0,
     age_s=0.25,
+)
+_PLANNER = reader(
+    "/planner",
+    "/camera/image",
+    deadline_ns=150_000_000,
+    baseline_deadline_ns=100_000_000,
+    generation=3,
+    handovers_by_result=MappingProxyType({"ok": 1}),
+    age_s=0.25,
+)
+_LOGGER = reader(
+    "/logger",
+    "/map",
+    depth=5,
+    refusal="/map is TRANSIENT_LOCAL",
+    refusal_reason=RefusalReason.TRANSIENT_LOCAL,
+    age_s=0.5,
 )
 
 _ALLOCATION = Allocation(
@@ -191,6 +184,7 @@ def make_snapshot() -> Snapshot:
             ),
             reports=(PeerReport(peer="ceddp", received_at_s=999.5, interval_s=0.1, rx_bytes=48_000, rx_packets=40),),
             publishers=(_IMU, _DIAGNOSTICS, _COMMAND, _IMAGE),
+            readers=(_LOGGER, _PLANNER),
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=3 * 2**30),
             sensing_topics=11,
             actuation_topics=1,
@@ -227,4 +221,6 @@ def make_snapshot() -> Snapshot:
         config_path="/etc/arpd/arpd.yaml",
         config_error="",
         confirmed=2,
+        reader_plans=MappingProxyType({("/planner", "/camera/image"): ReaderPlan(depth=10, deadline_ns=150_000_000)}),
+        readers_confirmed=1,
     )

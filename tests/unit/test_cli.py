@@ -23,20 +23,20 @@ from arpd.model import (
     Binding,
     CapacityKind,
     Decision,
-    Direction,
     LinkEstimate,
     LinkState,
     MemoryState,
     Observation,
-    PublisherState,
     QosPlan,
     TopicAllocation,
     TopicPlan,
 )
+from arpd.refusal import RefusalReason
 from arpd.settings import Settings
 from arpd.snapshot import Snapshot, Totals
 from arpd.version import VERSION
 from arpd.web.status import status_document
+from tests.sample_publishers import publisher
 
 COMMANDS = ("run", "relay", "peer", "check", "solve", "status")
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
@@ -336,25 +336,19 @@ def serving(body, code=200):
 
 
 def document(**changes):
-    publisher = PublisherState(
-        node="/camera",
-        topic="/image",
-        type_name="sensor_msgs/msg/Image",
-        direction=Direction.SENSING,
-        payload_bytes=1000.0,
+    camera = publisher(
+        "/camera",
+        "/image",
         source_rate_hz=30.0,
         offered=200,
         published=150,
         withheld=50,
-        queued=0,
-        blocked_s=0.0,
         rate_hz=12.5,
         depth=7,
         deadline_ns=100_000_000,
-        baseline_depth=10,
-        baseline_deadline_ns=0,
         generation=3,
         refusal=changes.pop("refusal", ""),
+        refusal_reason=changes.pop("refusal_reason", RefusalReason.NONE),
     )
     plan = TopicPlan(rate_hz=12.5, min_rate_hz=1.0, deadline_ns=100_000_000, depth=8)
     allocation = TopicAllocation(
@@ -378,10 +372,12 @@ def document(**changes):
             now_s=10.0,
             counters=None,
             reports=(),
-            publishers=changes.pop("publishers", (publisher,)),
+            publishers=changes.pop("publishers", (camera,)),
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
             sensing_topics=1,
             actuation_topics=0,
+            rmw="rmw_x",
+            rmw_refusal=changes.pop("rmw_refusal", ""),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=625_000.0,
@@ -411,6 +407,7 @@ def document(**changes):
         totals=Totals(),
         config_error=changes.pop("config_error", ""),
         confirmed=0,
+        lease_s=changes.pop("lease_s", 0.0),
     )
     return status_document(snapshot, now_s=10.05, **changes)
 
@@ -433,6 +430,7 @@ plan     3 for 4.25 Mbit/s: 0 of 1 publishers confirmed
          refused: up: dwell
 program  degraded, bound by link, solved by osqp in 400 us
          given up: reserve of depth
+lease    the plan stays when this daemon falls silent
 memory   512 MiB of 1.00 GiB available
 config   the last reload was refused: arpd.yaml:1:1: x: y; z
 
@@ -454,6 +452,52 @@ def test_status_says_how_to_begin_when_nothing_is_managed(run):
     """An empty table teaches."""
     with serving(json.dumps(document(publishers=()))) as url:
         assert "no publisher announces itself" in run("status", "--url", url)[1]
+
+
+def test_status_says_what_a_silent_daemon_leaves(run):
+    """The lease of the plan shows, in words and in the document."""
+    with serving(json.dumps(document(lease_s=30.0))) as url:
+        assert (
+            "\nlease    after 30 s without this daemon, publishers and readers return" in run("status", "--url", url)[1]
+        )
+    assert document(lease_s=30.0)["lease"] == {"on_lost": "baseline", "after_seconds": 30.0}
+    assert document()["lease"] == {"on_lost": "keep", "after_seconds": None}
+
+
+def test_status_names_a_middleware_that_cannot_swap(run):
+    """On Fast DDS nothing is said; on another middleware, what does not happen there."""
+    with serving(json.dumps(document(rmw_refusal="rmw_x is paced and gated only"))) as url:
+        assert "\nrmw      rmw_x is paced and gated only\n" in run("status", "--url", url)[1]
+    with serving(json.dumps(document())) as url:
+        assert "rmw" not in run("status", "--url", url)[1]
+
+
+def test_status_understands_an_older_daemon(run):
+    """What an older daemon does not tell is left out."""
+    older = document()
+    for key in ("lease", "readers", "rmw"):
+        del older[key]
+    for key in ("readers", "readers_confirmed", "paced_only"):
+        del older["plan"][key]
+    for key in ("refusal_lasts", "refusal_reason"):
+        del older["topics"][0][key]
+    with serving(json.dumps(older)) as url:
+        code, out, _ = run("status", "--url", url)
+    assert code == 0
+    assert "0 of 1 publishers confirmed\n" in out
+    assert "lease" not in out
+
+
+def test_status_tells_a_refusal_for_good_from_one_that_may_pass(run):
+    """What will never swap is settled and said to be paced and gated only; what may, is the refusal as it came."""
+    for reason, shown, counted in (
+        (RefusalReason.TRANSIENT_LOCAL, "rate and gate only: latched", " (1 by rate and gate only) confirmed\n"),
+        (RefusalReason.UNMATCHED, "  latched", "publishers confirmed\n"),
+    ):
+        with serving(json.dumps(document(refusal="latched", refusal_reason=reason))) as url:
+            out = run("status", "--url", url)[1]
+        assert shown in out
+        assert counted in out
 
 
 def test_nothing_from_the_network_steers_the_terminal(run):

@@ -183,6 +183,18 @@ ONE_FAULT = {
         "link: {capacity: 1bit}",
         "1:18: link.capacity: 1bit is out of range; write 8kbit..100gbit or auto",
     ),
+    "relayed output": (
+        "relay: {topics: [{name: /link/scan}]}",
+        "1:25: relay.topics[0].name: '/link/scan' lies under relay.prefix /link, where relayed topics go; write /scan",
+    ),
+    "relayed output under a prefix": (
+        "relay: {prefix: /a/b, topics: [{name: /a/bc}, {name: /a/b/c/d}]}",
+        "1:54: relay.topics[1].name: '/a/b/c/d' lies under relay.prefix /a/b, where relayed topics go; write /c/d",
+    ),
+    "relayed prefix": (
+        "relay: {topics: [{name: /link}]}",
+        "1:25: relay.topics[0].name: '/link' is relay.prefix itself; name a topic, or change prefix",
+    ),
     "unknown choice": ("on_stop: explode", "1:10: on_stop: 'explode' is not one of the choices; write restore or keep"),
     "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
     "near section": ("\nlinks: {}\n", "2:1: links: is not a key arpd knows; did you mean link?"),

@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.governor import Governor
-from arpd.model import CapacityKind, Direction, LinkEstimate, LinkState, PublisherState, Topic
+from arpd.model import CapacityKind, LinkEstimate, LinkState, Topic
 from arpd.program import Program
 from arpd.settings import Backend, GovernorSettings, ProgramSettings, Settings
+from tests.sample_publishers import publisher
 
 MEMORY = 64 * 2.0**20
 LINK = LinkEstimate(
@@ -27,37 +28,20 @@ TOPICS = tuple(
 )
 
 
-def publisher(topic, generation=0):
-    return PublisherState(
-        node="/n",
-        topic=topic,
-        type_name="t",
-        direction=Direction.SENSING,
-        payload_bytes=900.0,
-        source_rate_hz=400.0,
-        offered=1,
-        published=1,
-        withheld=0,
-        queued=0,
-        blocked_s=0.0,
-        rate_hz=400.0,
-        depth=10,
-        deadline_ns=0,
-        baseline_depth=10,
-        baseline_deadline_ns=0,
-        generation=generation,
-    )
+def announced(topic, generation=0):
+    return publisher("/n", topic, source_rate_hz=400.0, rate_hz=400.0, generation=generation)
 
 
 class Run:
     """A governor, ticked every 100 ms over a capacity."""
 
-    def __init__(self, generation=0, topics=TOPICS, **governor):
+    def __init__(self, generation=0, topics=TOPICS, newest=0, **governor):
         self.settings = Settings(governor=GovernorSettings(**governor))
         self.governor = Governor(self.settings)
         self.program = Program(settings=ProgramSettings(backend=Backend.EXACT), headroom=self.settings.link.headroom)
         self.topics = topics
         self.generation = generation
+        self.newest = newest
         self.now_s = 100.0
 
     def tick(self, capacity=1e6, **link):
@@ -68,7 +52,8 @@ class Run:
             link=estimate,
             allocation=self.program.solve(estimate.available_bytes_per_second, self.topics, MEMORY),
             topics=self.topics,
-            publishers=[publisher(topic.name, self.generation) for topic in self.topics],
+            publishers=[announced(topic.name, self.generation) for topic in self.topics],
+            newest=self.newest,
         )
 
     def ticks(self, seconds, capacity=1e6, **link):
@@ -248,9 +233,10 @@ def test_foreign_noise_leaves_the_level_alone(shares):
         assert not changes(run.ticks(0.5, 1e6, foreign_bytes_per_second=share * 1e6))
 
 
-def test_a_restarted_daemon_never_falls_behind_its_predecessor():
-    """Generations only grow, also over a restart, for the publishers refuse an older plan."""
-    run = Run(generation=41)
+@pytest.mark.parametrize("known", [{"generation": 41}, {"newest": 41}, {"generation": 41, "newest": 3}])
+def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
+    """Generations only grow, also over a restart, for publishers and readers refuse an older plan."""
+    run = Run(**known)
     run.ticks(2.0)
     assert run.governor.plan.generation == 42
     assert run.governor.levels_by_cause == {"start": 1}

@@ -8,31 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.lease import Lease
-from arpd.model import Direction, PublisherState, QosPlan, TopicPlan
-from arpd.planner import plan_transitions
+from arpd.model import QosPlan, TopicPlan
 from arpd.settings import OnLost, Settings
+from tests.sample_publishers import plan_transitions, publisher
 
 ROW = TopicPlan(rate_hz=10.0, min_rate_hz=1.0, deadline_ns=0, depth=20)
 PLAN = QosPlan(generation=3, topics={"/a": ROW}, level_bytes_per_second=1e6)
-CONFIRMED = PublisherState(
-    node="/talker",
-    topic="/a",
-    type_name="x",
-    direction=Direction.SENSING,
-    payload_bytes=100.0,
-    source_rate_hz=10.0,
-    offered=0,
-    published=0,
-    withheld=0,
-    queued=0,
-    blocked_s=0.0,
-    rate_hz=ROW.rate_hz,
-    depth=ROW.depth,
-    deadline_ns=ROW.deadline_ns,
-    baseline_depth=10,
-    baseline_deadline_ns=0,
-    generation=3,
-)
+CONFIRMED = publisher("/talker", "/a", rate_hz=ROW.rate_hz, depth=ROW.depth, generation=3)
 
 
 @given(st.lists(st.floats(0.0, 100.0), min_size=1), st.floats(0.1, 100.0), st.floats(0.0, 200.0))

@@ -7,30 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model import Direction, PublisherState, QosPlan, Topic, TopicPlan
-from arpd.planner import is_confirmed, make_plan, plan_transitions, restore_plan
+from arpd.model import Direction, QosPlan, Topic, TopicPlan
+from arpd.planner import is_confirmed, make_plan, restore_plan
 from arpd.program import Program
+from arpd.refusal import RefusalReason
 from arpd.settings import Backend, ProgramSettings, Settings, TopicSettings
+from tests.sample_publishers import plan_transitions, publisher
 
-PUBLISHER = PublisherState(
-    node="/n",
-    topic="/t",
-    type_name="t",
-    direction=Direction.SENSING,
-    payload_bytes=1000.0,
-    source_rate_hz=20.0,
-    offered=1,
-    published=1,
-    withheld=0,
-    queued=0,
-    blocked_s=0.0,
-    rate_hz=math.inf,
-    depth=10,
-    deadline_ns=0,
-    baseline_depth=10,
-    baseline_deadline_ns=0,
-    generation=0,
-)
+PUBLISHER = publisher("/n", "/t")
 TOPIC = Topic(name="/t", wire_bytes=1200.0, packets=1, desired_rate_hz=20.0, min_rate_hz=2.0)
 PROGRAM = Program(settings=ProgramSettings(backend=Backend.EXACT), headroom=0.85)
 EMPTY = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
@@ -153,6 +137,24 @@ def test_a_confirmed_publisher_needs_no_step():
     assert not is_confirmed(replace(publisher, depth=4), target)
 
 
+@pytest.mark.parametrize("reason", sorted(RefusalReason))
+def test_only_a_refusal_for_good_settles_a_publisher(reason):
+    """Who will never swap is asked again only when the rate changes; whose refusal may pass, until it announces all."""
+    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
+    slowed = replace(PUBLISHER, rate_hz=5.0, refusal="no", refusal_reason=reason)
+    assert is_confirmed(slowed, target) == reason.is_lasting
+    assert (plan_transitions([slowed], plan({"/t": target}), reason="") == ()) == reason.is_lasting
+    assert not is_confirmed(replace(slowed, rate_hz=6.0), target)
+
+
+def test_a_publisher_that_keeps_all_has_no_depth_to_confirm():
+    """Where the history is KEEP_ALL, rate and deadline are the whole row."""
+    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
+    everything = replace(PUBLISHER, rate_hz=5.0, deadline_ns=5, keeps_all=True)
+    assert is_confirmed(everything, target)
+    assert not is_confirmed(replace(everything, deadline_ns=6), target)
+
+
 def test_topics_outside_the_plan_are_left_alone():
     """Only what is planned is touched."""
     target = plan({"/t": TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=5, depth=3)})
@@ -171,8 +173,8 @@ def test_the_deadband_never_costs_a_reader(requested_ns):
     """A row that would be kept is not, where a reader now requests a shorter deadline than it offers."""
     first = planned(1e6)
     demanding = replace(PUBLISHER, requested_deadline_ns=requested_ns)
-    for publisher in (demanding, replace(demanding, source_rate_hz=0.0)):
-        second = planned(1e6, publishers=(publisher,), previous=first)
+    for state in (demanding, replace(demanding, source_rate_hz=0.0)):
+        second = planned(1e6, publishers=(state,), previous=first)
         assert 0 < second.topics["/t"].deadline_ns <= requested_ns
 
 

@@ -37,14 +37,25 @@ def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
     told = crossing_without_hosts(
         writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9), endpoint(b"c", 5)]
     )
-    assert told == Crossing(direction=Direction.SENSING, remote_readers=1, requested_deadline_ns=5)
+    assert told == Crossing(
+        direction=Direction.SENSING, remote_readers=1, requests=(("", 0), ("", 5), ("", 9)), offers_ns=(0,)
+    )
+    assert told.tightest_request_ns() == 5
 
 
 @pytest.mark.parametrize(("writers", "readers"), [((b"a",), (b"a",)), ((b"a",), ()), ((), (b"b",))])
 def test_without_hosts_one_process_is_local(writers, readers):
     """A topic within one process, or with one side only, does not cross."""
     told = crossing_without_hosts(writers=map(endpoint, writers), readers=map(endpoint, readers))
-    assert told == Crossing(direction=Direction.LOCAL, remote_readers=0, requested_deadline_ns=0)
+    assert (told.direction, told.remote_readers, told.tightest_request_ns()) == (Direction.LOCAL, 0, 0)
+
+
+def test_the_readers_that_arpd_drives_bind_nobody():
+    """The tightest request leaves out the nodes named, and a node's own requests can be asked for."""
+    readers = [Endpoint(host=b"", participant=b"b", deadline_ns=ns, node=node) for node, ns in (("/a", 5), ("/b", 7))]
+    told = crossing_without_hosts(writers=[endpoint(b"a")], readers=readers)
+    assert (told.tightest_request_ns(), told.tightest_request_ns(besides={"/a"})) == (5, 7)
+    assert (told.requests_of("/b"), told.requests_of("/c")) == ((7,), ())
 
 
 def exposition(snapshot):

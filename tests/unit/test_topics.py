@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.model import Direction, MemoryState, PublisherState
+from arpd.model import Direction, MemoryState
 from arpd.settings import ProgramSettings, Settings, TopicSettings
 from arpd.topics import (
     Traffic,
@@ -17,30 +17,19 @@ from arpd.topics import (
     topics_to_plan,
 )
 from arpd.wire import wire_size
+from tests.sample_publishers import publisher
 
 MIB = 2.0**20
 
 
-def publisher(topic="/scan", **fields):
-    neutral = {
-        "node": "/driver",
-        "topic": topic,
-        "type_name": "t",
-        "direction": Direction.SENSING,
-        "payload_bytes": 6000.0,
-        "source_rate_hz": 20.0,
-        "rate_hz": 20.0,
-        "depth": 10,
-        "baseline_depth": 10,
-        "remote_readers": 1,
-    }
-    return PublisherState(**{**neutral, **fields})
+def driver(topic="/scan", node="/driver", **fields):
+    return publisher(node, topic, **{"payload_bytes": 6000.0, "rate_hz": 20.0, "remote_readers": 1, **fields})
 
 
 def test_a_row_says_what_a_topic_costs_and_wants():
     """Wire bytes from the payload, the wish from the source, everything else from the configuration."""
     wishes = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
-    (row,) = topics_to_plan([publisher()], Settings(topics={"/scan": wishes}))
+    (row,) = topics_to_plan([driver()], Settings(topics={"/scan": wishes}))
     size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
@@ -52,7 +41,7 @@ def test_an_assumed_topic_makes_the_row_of_a_measured_one():
     """Same payload, same source and one remote reader are the same row, offline and in the daemon."""
     wishes = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
     settings = Settings(topics={"/scan": wishes})
-    assert rows_of_traffic(assumed_traffic(settings), settings) == topics_to_plan([publisher()], settings)
+    assert rows_of_traffic(assumed_traffic(settings), settings) == topics_to_plan([driver()], settings)
 
 
 def test_only_topics_with_both_payload_and_source_rate_are_assumed():
@@ -71,7 +60,7 @@ def test_only_topics_with_both_payload_and_source_rate_are_assumed():
 
 def test_rows_are_sorted_by_name():
     """Whatever the order they came in."""
-    publishers = [publisher("/b"), publisher("/a"), publisher("/c")]
+    publishers = [driver("/b"), driver("/a"), driver("/c")]
     assert [row.name for row in topics_to_plan(publishers, Settings())] == ["/a", "/b", "/c"]
     assert [row.name for row in rows_of_traffic(measured_traffic(publishers), Settings())] == ["/a", "/b", "/c"]
 
@@ -79,8 +68,8 @@ def test_rows_are_sorted_by_name():
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
     """A copy per remote reader of each publisher, one at least; the largest payload and rate count."""
     publishers = [
-        publisher(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
-        publisher(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
+        driver(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
+        driver(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
     ]
     (row,) = topics_to_plan(publishers, Settings())
     size, packets = wire_size(100.0, rate_hz=30.0)
@@ -89,7 +78,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
 
 def test_what_does_not_cross_the_link_or_was_never_seen_is_not_planned():
     """Local topics, and those whose payload nobody knows yet."""
-    publishers = [publisher("/local", direction=Direction.LOCAL), publisher("/new", payload_bytes=0.0)]
+    publishers = [driver("/local", direction=Direction.LOCAL), driver("/new", payload_bytes=0.0)]
     assert topics_to_plan(publishers, Settings()) == ()
 
 
@@ -108,7 +97,7 @@ def test_what_does_not_cross_the_link_or_was_never_seen_is_not_planned():
 def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
     """Neither as a floor nor as a wish; a silent one keeps its floor."""
     settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
-    (row,) = topics_to_plan([publisher(source_rate_hz=source_hz)], settings)
+    (row,) = topics_to_plan([driver(source_rate_hz=source_hz)], settings)
     assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
 
 

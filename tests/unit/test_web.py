@@ -20,6 +20,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from arpd.cli_status import screen
 from arpd.model import AllocationStatus
+from arpd.refusal import RefusalReason
 from arpd.web.metrics import SnapshotCollector, make_registry
 from arpd.web.page import render_page
 from arpd.web.server import HEALTHY_S, HttpAddressError, HttpServer
@@ -161,6 +162,50 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
     assert (topics["/diagnostics"]["planned"], topics["/diagnostics"]["share"]) == (None, None)
     assert (document["plan"]["publishers"], document["plan"]["confirmed"]) == (3, 2)
     assert document["totals"]["solves"] == {"exact": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
+
+
+def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
+    """Metric, status and page count refusals by reason, and say of which publishers only the rate is governed."""
+    publishers = tuple(
+        replace(p, refusal="it is TRANSIENT_LOCAL", refusal_reason=RefusalReason.TRANSIENT_LOCAL)
+        if p.topic == "/imu"
+        else p
+        for p in sample_snapshot.observation.publishers
+    )
+    refused = observe(sample_snapshot, publishers=publishers)
+    for reason, count in (("transient_local", 1), ("unmatched", 1), ("middleware", 0)):
+        assert value(refused, "arpd_publishers_refused", reason=reason) == count
+    document = status_document(refused)
+    topics = {topic["topic"]: topic for topic in document["topics"]}
+    assert document["plan"]["paced_only"] == 1
+    assert (topics["/imu"]["refusal_reason"], topics["/imu"]["refusal_lasts"]) == ("transient_local", True)
+    assert (topics["/cmd_vel"]["refusal_reason"], topics["/cmd_vel"]["refusal_lasts"]) == ("unmatched", False)
+    assert "2 of 3 publishers (1 by rate and gate only), 1 of 1 readers" in render_page(document)
+    assert "rate and gate only: it is TRANSIENT_LOCAL" in render_page(document)
+
+
+def test_readers_show_beside_publishers(sample_snapshot):
+    """Metric, status, page and terminal list readers: planned, announced, and why one is left alone."""
+    labels = {"topic": "/camera/image", "node": "/planner"}
+    assert value(sample_snapshot, "arpd_readers_managed") == 1
+    assert value(sample_snapshot, "arpd_reader_deadline_seconds", **labels) == 0.15
+    assert value(sample_snapshot, "arpd_reader_handovers_total", result="ok", **labels) == 1
+    document = json.loads(json.dumps(status_document(sample_snapshot, now_s=1000.25)))
+    planned, alone = document["readers"]
+    assert planned["planned"] == {"depth": 10, "deadline_ns": 150_000_000}
+    assert (alone["planned"], alone["refusal_lasts"]) == (None, True)
+    assert "2 of 3 publishers, 1 of 1 readers" in render_page(document)
+    assert "<td>/map is TRANSIENT_LOCAL</td>" in render_page(document)
+    lines = [line.split() for line in screen(document).splitlines()]
+    assert ["/camera/image", "10", "10", "150", "ms", "150", "ms", "/planner"] in lines
+
+
+def test_the_lease_shows(sample_snapshot):
+    """How long a plan outlives its daemon is a metric, and on the page; for good is +Inf."""
+    assert value(sample_snapshot, "arpd_lease_seconds") == math.inf
+    leased = replace(sample_snapshot, lease_s=30.0)
+    assert value(leased, "arpd_lease_seconds") == 30.0
+    assert "after 30 s without this daemon" in render_page(status_document(leased))
 
 
 def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):

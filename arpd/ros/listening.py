@@ -1,0 +1,156 @@
+"""What AdaptiveSubscriptions of one node share: the plan's generation, its lease and the announcement."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64
+
+from arpd.lease import Lease
+from arpd.ros.announce import reader_to_status
+from arpd.ros.bounds import checked_lease_s
+from arpd.ros.names import GATE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.node import Node
+
+    from arpd.readers import ReaderState
+    from arpd.ros.subscription import AdaptiveSubscription
+
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
+
+_ATTRIBUTE = "_arpd_listening"
+_ANNOUNCE_S = 1.0
+_CALM = 3  # announcements without a change after which one of so many is enough: most readers live across the link
+_COMPLAIN_S = 5.0
+
+
+class NodeListening:
+    """The shared half of all AdaptiveSubscriptions in one node; made by the first of them, and kept on the node.
+
+    It does all its work in the node's executor, which the subscriptions need anyway.
+    """
+
+    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._subscriptions: dict[str, AdaptiveSubscription] = {}
+        self._lease = Lease()
+        self._generation = 0
+        self._gate: Any = None
+        self._announced: list[ReaderState] = []
+        self._unchanged = 0  # looks since something was new
+        description = "generation of the plan last asked of the readers; 0 = none, or its lease is over"
+        node.declare_parameter(READERS_GENERATION_PARAMETER, 0, ParameterDescriptor(description=description))
+        description = "silence of arpd in s after which the readers return to their own QoS, 0 = never"
+        node.declare_parameter(READERS_LEASE_PARAMETER, 0.0, ParameterDescriptor(description=description))
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        self._announcer = node.create_publisher(DiagnosticArray, READERS_TOPIC, QoSProfile(depth=5))
+        # Groups of its own: what the application's callbacks take is not time the daemon should have to guess.
+        self._group = MutuallyExclusiveCallbackGroup()
+        node.create_timer(_ANNOUNCE_S, self._serve, self._group, Clock(clock_type=ClockType.STEADY_TIME))
+
+    @classmethod
+    def of(cls, node: Node) -> NodeListening:
+        """Return the node's listening, made on first use."""
+        listening = getattr(node, _ATTRIBUTE, None)
+        if not isinstance(listening, NodeListening):
+            listening = cls(node)
+            setattr(node, _ATTRIBUTE, listening)
+        return listening
+
+    def adopt(self, subscription: AdaptiveSubscription) -> None:
+        """Announce a subscription from now on."""
+        self._subscriptions = {**self._subscriptions, subscription.topic_name: subscription}
+
+    def release(self, subscription: AdaptiveSubscription) -> None:
+        """Forget a subscription."""
+        self._subscriptions = {
+            topic: kept for topic, kept in self._subscriptions.items() if topic != subscription.topic_name
+        }
+
+    def _serve(self) -> None:
+        self._expire_plan()
+        states = [
+            subscription.announced(generation=self._generation, lease_s=self._lease.granted_s)
+            for subscription in self._subscriptions.values()
+        ]
+        self._unchanged = self._unchanged + 1 if states == self._announced else 0
+        self._announced = states
+        if not states or (self._unchanged > _CALM and self._unchanged % _CALM):
+            return
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [reader_to_status(state) for state in states]
+        with suppress(InvalidHandle):  # the application has just destroyed the node
+            self._announcer.publish(message)
+
+    def _expire_plan(self) -> None:
+        """Return every reader to its application's QoS when the daemon is silent for longer than it granted.
+
+        A reader is refused that for as long as a writer would lose it; each second asks again.
+        """
+        if not self._lease.is_over(self._clock()):
+            return
+        if self._generation:
+            self._node.get_logger().warning(
+                f"nothing heard of arpd for {self._lease.granted_s:g} s: the readers return to their own QoS"
+            )
+            self._generation = 0  # whoever plans next may start anywhere
+            self._node.set_parameters([Parameter(READERS_GENERATION_PARAMETER, value=0)])
+        for subscription in self._subscriptions.values():
+            if (refusal := subscription.return_to_baseline()) is not None:
+                self._node.get_logger().info(
+                    f"{subscription.topic_name} keeps its plan: {refusal}", throttle_duration_sec=_COMPLAIN_S
+                )
+
+    def _validate(self, parameters: Sequence[Any]) -> Any:
+        try:
+            for parameter in parameters:
+                if parameter.name == READERS_GENERATION_PARAMETER:
+                    self._check_generation(parameter)
+                elif parameter.name == READERS_LEASE_PARAMETER:
+                    checked_lease_s(parameter)
+        except ValueError as refusal:
+            return SetParametersResult(successful=False, reason=str(refusal))
+        return SetParametersResult(successful=True)
+
+    def _check_generation(self, parameter: Any) -> None:
+        if parameter.value < self._generation:
+            raise ValueError(f"{parameter.name} {parameter.value} is older than {self._generation}, the plan in force")
+
+    def _apply(self, parameters: Sequence[Any]) -> None:
+        for parameter in parameters:
+            if parameter.name == READERS_GENERATION_PARAMETER:
+                self._generation = int(parameter.value)
+                self._lease.renew(self._clock())  # who sends a plan is there
+            elif parameter.name == READERS_LEASE_PARAMETER:
+                self._lease.granted_s = float(parameter.value)
+                self._listen_for_the_daemon()
+
+    def _listen_for_the_daemon(self) -> None:
+        """Hear the gate while there is a lease; without one it would cross the link for nothing."""
+        if self._lease.granted_s > 0 and self._gate is None:
+            newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+            self._gate = self._node.create_subscription(
+                Float64, GATE_TOPIC, self._on_gate, newest, callback_group=self._group
+            )
+        elif self._lease.granted_s == 0 and self._gate is not None:
+            self._node.destroy_subscription(self._gate)
+            self._gate = None
+
+    def _on_gate(self, _message: Any) -> None:
+        self._lease.renew(self._clock())

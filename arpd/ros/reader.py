@@ -1,0 +1,85 @@
+"""One rclpy subscription as a handover sees it, and what a handover may change of it."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.node import Node
+
+    from arpd.handover import Key
+    from arpd.refusal import RefusalReason
+
+Sample = tuple[Any, Any]  # message and MessageInfo
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReaderQos:
+    """What a handover may change: depth (samples), requested deadline (ns, 0 = infinite), and the kind of reader."""
+
+    depth: int
+    deadline_ns: int
+    reliability: Any
+    durability: Any
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SubscriptionState:
+    """What is in force.
+
+    Parameters
+    ----------
+    depth, deadline_ns : of the reader in force; ``deadline_ns`` 0 = infinite
+    handovers_by_result : handovers so far
+    refusal, refusal_reason : why the last one was refused, or any would be; empty and ``none`` if it was not
+    """
+
+    depth: int
+    deadline_ns: int
+    handovers_by_result: Mapping[str, int]
+    refusal: str
+    refusal_reason: RefusalReason
+
+
+class RosReader:
+    """One rclpy subscription behind the `arpd.handover.Reader` protocol."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.subscription: Any = None
+
+    def matched(self) -> int:
+        """Count the matched writers."""
+        return int(self.subscription.get_publisher_count())
+
+    def take(self) -> tuple[Key, Sample] | None:
+        """Return the next sample that arrived and that nobody took; never blocks."""
+        with self.subscription.handle:
+            taken = self.subscription.handle.take_message(self.subscription.msg_type, self.subscription.raw)
+        return None if taken is None else (key_of(taken), taken)
+
+    def destroy(self) -> None:
+        """Destroy the subscription."""
+        self._node.destroy_subscription(self.subscription)
+
+
+def key_of(sample: Sample) -> Key:
+    """Return what tells a sample from all others."""
+    info = sample[1]
+    return info["source_timestamp"], info["publication_sequence_number"]
+
+
+def arguments_of(callback: Callable[..., Any]) -> int:
+    """Count the arguments a subscription's callback takes, by rclpy's own rule: one is tried before two."""
+    signature = inspect.signature(callback)
+    for count in (1, 2):
+        try:
+            signature.bind(*(object(),) * count)
+        except TypeError:
+            continue
+        return count
+    raise RuntimeError("a subscription's callback takes the message, or the message and its MessageInfo")

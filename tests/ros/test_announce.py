@@ -1,0 +1,95 @@
+"""Announcements to and from diagnostic_msgs."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import KeyValue
+from rclpy.serialization import serialize_message
+
+from arpd.model import Direction
+from arpd.refusal import RefusalReason
+from arpd.ros.announce import from_status, reader_from_status, reader_to_status, to_status
+from tests.sample_publishers import publisher, reader
+
+pytestmark = pytest.mark.ros
+PLAIN = publisher("/n", "/t", direction=Direction.LOCAL)
+LATCHED = publisher(
+    "/n",
+    "/t",
+    direction=Direction.LOCAL,
+    refusal="it is TRANSIENT_LOCAL",
+    refusal_reason=RefusalReason.TRANSIENT_LOCAL,
+    keeps_all=True,
+)
+
+
+DRIVEN = reader(
+    "/n", "/t", deadline_ns=5, baseline_deadline_ns=7, generation=3, lease_s=30.0, handovers_by_result={"ok": 2}
+)
+REFUSING = replace(
+    DRIVEN, refusal="not in time", refusal_reason=RefusalReason.UNMATCHED, keeps_all=True, handovers_by_result={}
+)
+
+
+@pytest.fixture(params=[DRIVEN, REFUSING], ids=["driven", "refused"])
+def ros_reader(request):
+    return request.param
+
+
+@pytest.mark.parametrize("state", [PLAIN, LATCHED], ids=["plain", "refused"])
+def test_a_publisher_is_read_as_it_was_announced(state):
+    """Encoding and decoding an announcement changes nothing."""
+    assert from_status(to_status(state)) == state
+
+
+def test_a_reader_is_read_as_it_was_announced(ros_reader):
+    """Encoding and decoding a reader's announcement changes nothing."""
+    assert reader_from_status(reader_to_status(ros_reader)) == ros_reader
+
+
+def test_a_readers_announcement_is_small():
+    """What crosses the link for a reader once a second is a few hundred bytes."""
+    assert len(serialize_message(reader_to_status(DRIVEN))) < 600
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("node", "no name"),
+        ("topic", "/" + "a" * 300),
+        ("depth", "0"),
+        ("deadline_ns", "-1"),
+        ("lease_s", "nan"),
+        ("lease_s", "inf"),
+        ("generation", "many"),
+        ("baseline_depth", None),
+    ],
+)
+def test_nonsense_about_a_reader_is_refused(key, value):
+    """A field that is missing, malformed or out of range makes an announcement that nobody believes."""
+    status = reader_to_status(DRIVEN)
+    status.values = [pair for pair in status.values if pair.key != key]
+    status.values += [KeyValue(key=key, value=value)] if value is not None else []
+    with pytest.raises(ValueError, match=r"."):
+        reader_from_status(status)
+
+
+def test_an_announcer_cannot_make_labels_without_end():
+    """Of invented results of swaps only so many, and only so long ones, are kept."""
+    status = to_status(PLAIN)
+    status.values += [KeyValue(key=f"swaps_{i}{'x' * 100}", value="1") for i in range(1000)]
+    swaps = from_status(status).swaps_by_result
+    assert len(swaps) <= 32
+    assert max(map(len, swaps)) <= 40
+
+
+def test_an_older_announcer_is_understood():
+    """Without a reason or a history a refusal may pass, and there is a depth."""
+    status = to_status(LATCHED)
+    status.values = [pair for pair in status.values if pair.key not in {"refusal_reason", "history"}]
+    state = from_status(status)
+    assert (state.refusal, state.refusal_reason) == ("it is TRANSIENT_LOCAL", RefusalReason.OTHER)
+    assert not state.keeps_all

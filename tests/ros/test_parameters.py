@@ -1,0 +1,93 @@
+"""When parameter calls are made, over a node that only notes them."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.task import Future
+
+from arpd.model import TopicPlan, Transition
+from arpd.readers import ReaderPlan
+from arpd.ros.parameters import ParameterApplier
+
+pytestmark = pytest.mark.ros
+ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20)
+STEP = Transition(node="/n", generation=3, topics={"/t": ROW}, reason="test")
+TO_READERS = Transition(
+    node="/n", generation=3, topics={}, readers={"/t": ReaderPlan(depth=7, deadline_ns=9)}, reason="test", lease_s=4.0
+)
+
+
+class Node:
+    """Makes clients whose calls are answered when the test says so."""
+
+    def __init__(self):
+        self.calls, self.futures = [], []
+
+    def create_client(self, _kind, _name):
+        return self
+
+    def service_is_ready(self):
+        return True
+
+    def call_async(self, request):
+        self.calls.append({parameter.name: parameter.value for parameter in request.parameters})
+        self.futures.append(Future())
+        return self.futures[-1]
+
+    def remove_pending_request(self, future):
+        pass
+
+
+@pytest.fixture
+def node():
+    return Node()
+
+
+@pytest.fixture
+def applier(node):
+    return ParameterApplier(node)
+
+
+def test_the_same_step_is_repeated_only_after_a_while(node, applier):
+    """A step that nobody confirms goes out again after the back-off, and then after a longer one."""
+    sent_s = []
+    for tick in range(200):
+        before = len(node.calls)
+        applier.apply([STEP], now_s=tick / 10)
+        if len(node.calls) > before:
+            sent_s.append(tick / 10)
+            node.futures[-1].cancel()
+    assert sent_s == [0.0, 1.5, 4.5, 10.5]
+
+
+def test_another_row_of_the_same_plan_goes_out_at_once(node, applier):
+    """What a node was not told yet waits neither for the back-off nor for an older call's answer."""
+    applier.apply([STEP], now_s=0.0)
+    applier.apply([replace(STEP, topics={"/t": replace(ROW, deadline_ns=5)})], now_s=0.1)
+    assert node.futures[0].cancelled()
+    applier.apply([replace(STEP, topics={"/u": ROW})], now_s=0.2)
+    assert [call["arpd.generation"].integer_value for call in node.calls] == [3, 3, 3]
+    assert node.calls[1]["qos_overrides./t.publisher.deadline"].integer_value == 5
+
+
+def test_a_part_of_what_was_told_is_nothing_new(node, applier):
+    """When one of two topics has confirmed, the other is not asked again at once."""
+    applier.apply([replace(STEP, topics={"/t": ROW, "/u": ROW})], now_s=0.0)
+    applier.apply([STEP], now_s=0.1)
+    assert len(node.calls) == 1
+
+
+def test_readers_are_told_apart_from_publishers(node, applier):
+    """A node's publishers and readers have a call each, with their own generation and lease."""
+    applier.apply([STEP, TO_READERS], now_s=0.0)
+    to_publishers, to_readers = node.calls
+    assert "arpd.generation" in to_publishers
+    assert {name: value.integer_value or value.double_value for name, value in to_readers.items()} == {
+        "qos_overrides./t.subscription.depth": 7,
+        "qos_overrides./t.subscription.deadline": 9,
+        "arpd.readers.generation": 3,
+        "arpd.readers.lease": 4.0,
+    }

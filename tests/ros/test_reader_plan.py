@@ -1,0 +1,231 @@
+"""The daemon drives a publisher and, in another process, an AdaptiveSubscription: real rclpy and Fast DDS."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+import rclpy
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64, String
+
+from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd.model import QosPlan, TopicPlan
+from arpd.ordering import Ordering
+from arpd.planner import restore_plan
+from arpd.readers import plan_readers, restore_readers
+from arpd.refusal import RefusalReason
+from arpd.ros.announce import reader_from_status
+from arpd.ros.control import RosControl
+from arpd.ros.listening import NodeListening
+from arpd.settings import GraphSettings
+
+pytestmark = pytest.mark.ros
+TOPIC = "/driven"
+MS = 1_000_000
+REPOSITORY = Path(__file__).parents[2]
+
+
+class Planner:
+    """What a tick of the daemon does with a plan, over the daemon's own ROS side."""
+
+    def __init__(self, node):
+        self._control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
+        self._ordering = Ordering()
+        self._generation = 0
+        self._row = None
+        self.lease_s = 0.0
+        self.observation = self.steps = None
+
+    def intend(self, deadline_ns, depth):
+        self._row = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=deadline_ns, depth=depth)
+        self._generation += 1
+        self.steps = None
+
+    def restore(self):
+        self._row = None
+        self._generation += 1
+        self.steps = None
+
+    def is_in_force(self):
+        steps, seen = self.steps, self.observation
+        if steps is None or not seen.publishers or not seen.readers:
+            return False
+        return (steps.confirmed, steps.readers_confirmed) == (len(seen.publishers), len(seen.readers))
+
+    def work(self, stopping):
+        while not stopping.wait(0.1):
+            if self._generation:
+                self._tick(self._row, self._generation)
+
+    def _tick(self, row, generation):
+        now_s = time.monotonic()
+        self.observation = seen = self._control.observe(now_s)
+        plan = QosPlan(generation=generation, topics={TOPIC: row}, level_bytes_per_second=1.0) if row else None
+        steps = self._ordering.steps(
+            now_s,
+            publishers=seen.publishers,
+            readers=seen.readers,
+            plan=plan or restore_plan(seen.publishers, generation=generation),
+            reader_plans=plan_readers(seen.readers, plan) if plan else restore_readers(seen.readers),
+            reason="test",
+            lease_s=self.lease_s,
+        )
+        self._control.apply(steps.transitions, now_s=now_s)
+        if generation == self._generation:
+            self.steps = steps
+
+
+@pytest.fixture
+def planner(ros, background):
+    made = Planner(ros.node("arpd"))
+    background(made.work)
+    return made
+
+
+@pytest.fixture
+def listener():
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(1 + os.getpid() % 90), "PYTHONPATH": str(REPOSITORY)}
+    process = subprocess.Popen(
+        [sys.executable, Path(__file__).with_name("listener.py"), TOPIC, str(100 * MS)],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_plan_moves_both_ends_of_a_topic_and_nothing_is_lost(ros, planner, listener, background, eventually):
+    """Relaxed, tightened, relaxed and restored under 50 Hz: every sample arrives once, and nobody is refused."""
+    refused = []
+    publisher = AdaptivePublisher(
+        ros.node("talker"),
+        String,
+        TOPIC,
+        QoSProfile(depth=200, deadline=Duration(nanoseconds=80 * MS)),
+        event_callbacks=PublisherEventCallbacks(incompatible_qos=lambda event: refused.append(event.total_count)),
+    )
+    sent = 0
+
+    def talk(stopping):
+        nonlocal sent
+        while not stopping.wait(0.02):
+            publisher.publish(String(data=str(sent)))
+            sent += 1
+
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    background(talk)
+    for deadline_ns, depth in ((500 * MS, 300), (80 * MS, 250), (400 * MS, 200)):
+        planner.intend(deadline_ns, depth)
+        eventually(planner.is_in_force, timeout_s=30.0)
+        (talker,), (reader,) = planner.observation.publishers, planner.observation.readers
+        assert (talker.deadline_ns, talker.depth) == (deadline_ns, depth)
+        assert (reader.deadline_ns, reader.depth) == (deadline_ns * 3 // 2, depth)
+    planner.restore()
+    eventually(planner.is_in_force, timeout_s=30.0)
+    so_far = sent
+    time.sleep(1.0)
+    told = json.loads(listener.communicate(timeout=20)[0])
+    heard = told["heard"]
+    assert heard == list(range(heard[0], heard[0] + len(heard)))
+    assert heard[-1] >= so_far
+    assert (told["incompatible"], refused) == ([], [])
+    assert (told["depth"], told["deadline_ns"]) == (10, 100 * MS)
+    assert told["handovers"] == {"ok": 4}
+
+
+def test_readers_that_cannot_change_say_so_and_are_left_alone(ros, planner, eventually):
+    """A TRANSIENT_LOCAL reader announces that it never changes, and its request binds the publisher."""
+    node = ros.node("listener")
+    latched = QoSProfile(
+        depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(nanoseconds=100 * MS)
+    )
+    AdaptiveSubscription(node, String, TOPIC, lambda _m: None, latched)
+    AdaptivePublisher(ros.node("talker"), String, TOPIC, QoSProfile(depth=10))
+    planner.intend(80 * MS, 20)
+    eventually(lambda: planner.observation and planner.observation.readers and planner.observation.publishers)
+    (reader,) = planner.observation.readers
+    assert reader.refusal_reason is RefusalReason.TRANSIENT_LOCAL
+    assert reader.refusal.startswith(f"{TOPIC} is TRANSIENT_LOCAL")
+    eventually(lambda: planner.observation.publishers[0].requested_deadline_ns == 100 * MS)
+    eventually(lambda: planner.observation.publishers[0].depth == 20)
+    assert planner.observation.readers[0].depth == 3
+
+
+def test_a_reader_outlives_its_daemon_only_as_long_as_was_granted(ros, planner, background, eventually):
+    """While the daemon speaks the plan stays; when it falls silent, the reader has its own QoS back."""
+    node = ros.node("listener")
+    subscription = AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)
+    gate = ros.node("gate").create_publisher(Float64, "/arpd/gate", 1)
+    speaking = threading.Event()
+    speaking.set()
+
+    def speak(stopping):
+        while not stopping.wait(0.1):
+            if speaking.is_set():
+                gate.publish(Float64(data=1.0))
+
+    background(speak)
+    planner.lease_s = 4.0
+    planner.intend(80 * MS, 20)
+    eventually(lambda: subscription.state().depth == 20)
+    assert subscription.state().deadline_ns == 0, "its application asked for none"
+    planner.restore()
+    planner._generation = 0  # it plans no more
+    time.sleep(6.0)
+    assert subscription.state().depth == 20
+    speaking.clear()
+    eventually(lambda: subscription.state().depth == 10)
+    eventually(lambda: node.get_parameter("arpd.readers.generation").value == 0)
+
+
+def test_an_older_plan_is_refused(ros, eventually):
+    """A daemon that was replaced cannot bring its plan back."""
+    node = ros.node("listener")
+    AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)
+    client = ros.node("tuner").create_client(SetParametersAtomically, "/listener/set_parameters_atomically")
+    assert client.wait_for_service(timeout_sec=10)
+    for generation, is_taken in ((5, True), (4, False)):
+        parameter = Parameter("arpd.readers.generation", value=generation).to_parameter_msg()
+        future = client.call_async(SetParametersAtomically.Request(parameters=[parameter]))
+        eventually(future.done)
+        assert future.result().result.successful == is_taken
+
+
+def test_a_reader_that_changes_nothing_says_little(ros, monkeypatch):
+    """News goes out at every look; where there are none, one look in three, so that the link is spared."""
+    node = rclpy.create_node("quiet", context=ros.context)  # nobody spins it: the looks are the test's own
+    subscription = AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)
+    listening, said = NodeListening.of(node), []
+    monkeypatch.setattr(listening, "_announcer", SimpleNamespace(publish=said.append))
+
+    def looks(count):
+        before = len(said)
+        for _ in range(count):
+            listening._serve()
+        return len(said) - before
+
+    assert looks(3) == 3
+    assert looks(30) == 10
+    node.set_parameters([Parameter("arpd.readers.generation", value=2)])
+    assert looks(1) == 1
+    assert reader_from_status(said[-1].status[0]).generation == 2
+    subscription.destroy()
+    assert looks(9) == 0
+    node.destroy_node()
