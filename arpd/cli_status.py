@@ -127,6 +127,7 @@ def screen(status: dict[str, Any]) -> str:
         *([f"         given up: {allocation['degradation']}"] if allocation["degradation"] else []),
         *([f"lease    {lease(status)}"] if "lease" in status else []),
         *([f"rmw      {status['rmw']['refusal']}"] if status.get("rmw") and not status["rmw"]["swaps"] else []),
+        *_daemons(status.get("daemons", {})),
         f"memory   {format_size(memory['available_bytes'])} of {format_size(memory['total_bytes'])} available",
     ]
     if error := status["config"]["error"]:
@@ -136,6 +137,13 @@ def screen(status: dict[str, Any]) -> str:
     lines += _readers(status.get("readers", []))
     # Names and reasons come from other hosts; none of them may steer the terminal.
     return "\n".join(printable(line, longest=_LONGEST_LINE) for line in lines)
+
+
+def _daemons(daemons: dict[str, Any]) -> list[str]:
+    """Say what only matters where two daemons were started for one robot."""
+    if superior := daemons.get("standing_by_for"):
+        return [f"daemons  standing by: another arpd daemon, on {superior}, drives this robot"]
+    return [f"daemons  in charge; another one stands by on {host}" for host in daemons.get("others", [])]
 
 
 def _foreign(link: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import threading
 import time
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from arpd.config import describe_change, load_settings, restart_only_changes
 from arpd.errors import ConfigError
@@ -28,12 +28,12 @@ from arpd.topics import memory_budget_bytes, topics_to_plan
 from arpd.version import VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
-    from arpd.model import Decision, Observation, QosPlan, Transition
-    from arpd.probing import ProbeRequest
-    from arpd.settings import GraphSettings, Settings
+    from arpd.model import Decision, Observation, QosPlan
+    from arpd.settings import Settings
+    from arpd.world import World
 
 log = logging.getLogger(__name__)
 
@@ -41,31 +41,6 @@ TICK_S = 0.1
 _LEAST_PAUSE_S = 0.02  # however many reports arrive
 _RESTORE_S = 4.0
 _RESTORE_READERS_S = 4.0  # what readers that go first may take beyond that
-
-
-class World(Protocol):
-    """What the daemon observes and acts on: real ROS (`arpd.ros.control`) or a simulated link (`arpd.sim`)."""
-
-    def observe(self, now_s: float) -> Observation:
-        """Return everything one tick sees."""
-
-    def set_gate(self, gate: float) -> None:
-        """Tell every publisher the gate."""
-
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Carry out the steps of a plan; called at every tick until the publishers announce it."""
-
-    def probe(self, request: ProbeRequest) -> None:
-        """Put one probe train on the link."""
-
-    def reconfigure(self, graph: GraphSettings) -> None:
-        """Take new pinned topic counts."""
-
-    def results(self) -> Mapping[str, int]:
-        """Count parameter calls by result."""
-
-    def probes_sent(self) -> tuple[int, int]:
-        """Count probes, and their wire bytes."""
 
 
 class Daemon:
@@ -103,6 +78,7 @@ class Daemon:
         self._ordering = Ordering()
         self._totals = Totals()
         self._reloads: dict[str, int] = {}
+        self._others: tuple[tuple[str, ...], str] = ((), "")  # daemons heard last, and which of them was in charge
         self.snapshot: Snapshot | None = None
 
     @property
@@ -117,15 +93,19 @@ class Daemon:
         topics = topics_to_plan(observation.publishers, self._settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self._settings.program)
         allocation = self._program.solve(link.available_bytes_per_second, topics, memory)
-        decision = self._governor.decide(
-            now_s,
-            link=link,
-            allocation=allocation,
-            topics=topics,
-            publishers=observation.publishers,
-            newest=max((reader.generation for reader in observation.readers), default=0),
-        )
-        self._world.set_gate(decision.gate)
+        self._note_others(observation)
+        if observation.superior:
+            decision = self._governor.stand_by()
+        else:
+            decision = self._governor.decide(
+                now_s,
+                link=link,
+                allocation=allocation,
+                topics=topics,
+                publishers=observation.publishers,
+                newest=max((reader.generation for reader in observation.readers), default=0),
+            )
+            self._world.set_gate(decision.gate)
         reader_plans = plan_readers(observation.readers, decision.plan)
         steps = self._ordering.steps(
             now_s,
@@ -136,9 +116,10 @@ class Daemon:
             reason=decision.reason,
             lease_s=self._settings.lease_s,
         )
-        self._world.apply(steps.transitions, now_s=now_s)
-        for request in self._estimator.wanted_probes(now_s):
-            self._world.probe(request)
+        if not observation.superior:
+            self._world.apply(steps.transitions, now_s=now_s)
+            for request in self._estimator.wanted_probes(now_s):
+                self._world.probe(request)
         if decision.level_changed:
             log.info("plan %d (%s): %s", decision.plan.generation, decision.reason, _describe(decision.plan))
         self._totals = self._count(observation)
@@ -162,6 +143,18 @@ class Daemon:
             lease_s=self._settings.lease_s,
         )
         return decision
+
+    def _note_others(self, observation: Observation) -> None:
+        """Say it when another daemon comes, goes, or takes the lead: two of them are rarely meant."""
+        if (others := (observation.other_daemons, observation.superior)) == self._others:
+            return
+        self._others = others
+        if observation.superior:
+            log.warning("another arpd daemon, on %s, has run for longer: standing by", observation.superior)
+        elif observation.other_daemons:
+            log.warning("another arpd daemon stands by, on %s", ", ".join(observation.other_daemons))
+        else:
+            log.info("no other arpd daemon is left: in charge")
 
     def note_failed_tick(self) -> None:
         """Count a tick that raised."""
@@ -221,6 +214,8 @@ class Daemon:
         while True:
             now_s = self._clock()
             observation = self._world.observe(now_s)
+            if observation.superior:
+                return 0  # what is in force is another daemon's
             # Whatever carries a plan, be it a predecessor's, or of a topic whose far reader has left.
             publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
             generation = max([generation, *(publisher.generation for publisher in publishers)])
@@ -246,6 +241,8 @@ class Daemon:
         """One line a human can read, for ``systemctl status``."""
         if self.snapshot is None:
             return "starting"
+        if superior := self.snapshot.observation.superior:
+            return f"standing by: another arpd daemon, on {superior}, drives this robot"
         link, decision = self.snapshot.link, self.snapshot.decision
         line = (
             f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "

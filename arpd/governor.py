@@ -83,7 +83,10 @@ class Governor:
         newest: int = 0,
     ) -> Decision:
         """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
+        newest = max([newest, *(publisher.generation for publisher in publishers)])
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
+        if not cause and 0 < self._plan.generation < newest:
+            cause = "takeover"  # of a daemon that has left or stepped back: what is older than its plan is refused
         refusals = [refusal] if refusal else []
         if cause:
             plan = self._next_plan(allocation, topics, publishers, newest)
@@ -104,6 +107,12 @@ class Governor:
             reason=cause,
             refusals=tuple(refusals),
         )
+
+    def stand_by(self) -> Decision:
+        """Plan nothing, and begin anew when called to `decide` again."""
+        self._plan = _NO_PLAN
+        self._topics = self._seen = frozenset()
+        return Decision(gate=1.0, plan=self._plan, level_changed=False, reason="", refusals=())
 
     # -- the level
 
@@ -179,13 +188,12 @@ class Governor:
         self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState], newest: int
     ) -> QosPlan:
         # A restarted daemon finds publishers with a generation of its predecessor: never fall behind it.
-        known = max((publisher.generation for publisher in publishers), default=0)
         return make_plan(
             allocation,
             topics,
             publishers,
             previous=self._plan,
-            generation=max(known, newest, self._plan.generation) + 1,
+            generation=max(newest, self._plan.generation) + 1,
             settings=self._settings,
         )
 

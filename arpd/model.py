@@ -175,6 +175,8 @@ class Observation:
     peers : peers in the graph, None = not known; with none left, silence is no outage
     rmw : the middleware ROS runs on, empty where there is none
     rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
+    other_daemons : hosts of the other daemons in the ROS domain
+    superior : host of the one that drives the robot in this one's place, empty when this one does
     """
 
     now_s: float
@@ -188,6 +190,8 @@ class Observation:
     readers: tuple[ReaderState, ...] = ()
     rmw: str = ""
     rmw_refusal: str = ""
+    other_daemons: tuple[str, ...] = ()
+    superior: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

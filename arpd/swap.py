@@ -72,7 +72,8 @@ class SwapTiming:
     Parameters
     ----------
     settle_s : least time between the last change of the matched readers and the switch, for the readers' side to match
-    match_timeout_s : after that a new writer is given up
+    match_timeout_s : a new writer that a reader does not match, or has nothing of, for so long is given up; readers
+        that keep joining put the switch off for no longer
     watch_s : how long an instant is looked for at which the old writer is acknowledged anyway, before samples are held;
         once: where that is no use acknowledgements are slow, as with Fast DDS's default heartbeat of 3 s
     hold_s : longest time samples are held at a time
@@ -289,9 +290,12 @@ class WriterSwap(Generic[W]):
         if readers != self._readers:
             self._readers, self._readers_since_s = readers, now_s
             self._is_proven = False
-        if self._has_all_readers() and now_s - self._readers_since_s >= self._timing.settle_s:
-            self._enter(SwapState.WATCHING, now_s)
-        elif now_s - self._created_s > self._timing.match_timeout_s:
+        unchanged_s = now_s - self._readers_since_s
+        if self._has_all_readers():
+            # Readers that keep joining cannot put the switch off for ever; the proof covers whoever came last.
+            if unchanged_s >= self._timing.settle_s or self._is_overdue(now_s):
+                self._enter(SwapState.WATCHING, now_s)
+        elif unchanged_s > self._timing.match_timeout_s:
             self._give_up(SwapResult.UNMATCHED)
 
     def _watch(self, now_s: float) -> None:
@@ -324,7 +328,7 @@ class WriterSwap(Generic[W]):
             self._take_over(now_s)
         elif self.is_holding and elapsed_s >= self._timing.hold_s:
             self._enter(SwapState.DOUBTING, now_s)
-        elif elapsed_s >= self._timing.settle_s and not self._trial:
+        elif not self._trial and (elapsed_s >= self._timing.settle_s or self._is_overdue(now_s)):
             self._take_over(now_s)  # a silent topic: its readers had twice the time
         elif elapsed_s >= self._timing.match_timeout_s:
             self._enter(SwapState.DOUBTING, now_s)
@@ -361,6 +365,9 @@ class WriterSwap(Generic[W]):
     def _has_all_readers(self) -> bool:
         assert self._next is not None
         return self._next.matched() >= self._current.matched()
+
+    def _is_overdue(self, now_s: float) -> bool:
+        return now_s - self._created_s >= self._timing.match_timeout_s
 
     def _give_up(self, result: SwapResult) -> None:
         refused = self._next_qos

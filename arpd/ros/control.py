@@ -18,6 +18,7 @@ from arpd.model import Direction, Observation, PublisherState
 from arpd.readers import ReaderState
 from arpd.ros import report as wire_format
 from arpd.ros.announce import from_status, reader_from_status
+from arpd.ros.daemons import Daemons
 from arpd.ros.graph import Crossing, read_crossings
 from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.ros.parameters import ParameterApplier
@@ -89,6 +90,7 @@ class RosControl:
         node.create_subscription(DiagnosticArray, READERS_TOPIC, self._on_readers, best_effort)
         node.create_timer(_GRAPH_S, self._read_graph, callback_group=ReentrantCallbackGroup())
         self._applier = ParameterApplier(node)
+        self._daemons = Daemons(node, clock=clock)
 
     def reconfigure(self, graph: GraphSettings) -> None:
         """Take new pinned topic counts."""
@@ -117,6 +119,8 @@ class RosControl:
             peers=self._peers,
             rmw=self._rmw.name,
             rmw_refusal=self._rmw.refusal,
+            other_daemons=self._daemons.others(),
+            superior=self._daemons.superior(),
         )
 
     # -- act

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 PUBLISHERS_TOPIC = "/arpd/publishers"
 READERS_TOPIC = "/arpd/subscriptions"
+DAEMONS_TOPIC = "/arpd/daemons"
 GATE_TOPIC = "/arpd/gate"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"

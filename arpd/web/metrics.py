@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _TOPIC_LABELS = ("topic", "node", "direction")
 
 # Label values that are known beforehand start at zero, so that rate() sees their first increase.
-_CAUSES = ("demand", "down", "readers", "reload", "start", "topics", "up")
+_CAUSES = ("demand", "down", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _APPLIED = ("ok", "refused", "timeout", "unreachable")
 _RELOADED = ("failed", "ok")
@@ -71,6 +71,16 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         "arpd_memory_available_bytes",
         "Memory of the robot computer that new work could use.",
         lambda s: s.observation.memory.available_bytes,
+    ),
+    (
+        "arpd_other_daemons",
+        "Further arpd daemons in the ROS domain; only the one that has run longest drives the robot.",
+        lambda s: len(s.observation.other_daemons),
+    ),
+    (
+        "arpd_standing_by",
+        "1 while another daemon drives the robot in this one's place.",
+        lambda s: bool(s.observation.superior),
     ),
     ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
     (

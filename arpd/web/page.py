@@ -55,6 +55,8 @@ def _body(status: dict[str, Any]) -> str:
     )
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in facts)
     fault = f'<p class="bad">The last reload was refused: {escape(config["error"])}</p>' if config["error"] else ""
+    if superior := status["daemons"]["standing_by_for"]:
+        fault += f'<p class="bad">Standing by: another arpd daemon, on {escape(superior)}, drives this robot.</p>'
     topics, readers = _topics(status["topics"]), _readers(status["readers"])
     return f"{fault}<table>{rows}</table><h2>Topics</h2>{topics}{readers}"
 

@@ -96,6 +96,10 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "actuation_topics": snapshot.observation.actuation_topics,
         },
         "rmw": _rmw(snapshot.observation),
+        "daemons": {
+            "others": list(snapshot.observation.other_daemons),
+            "standing_by_for": snapshot.observation.superior,
+        },
         "gate": _finite(decision.gate),
         "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
         "plan": {

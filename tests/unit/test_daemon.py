@@ -17,6 +17,9 @@ class World:
     def __init__(self, *, deaf=()):
         self.now_s = 0.0
         self.told = []
+        self.superior = ""
+        self.gates = []
+        self.probes = []
         self._deaf = deaf
         self._pending = []
         self.writer = publisher("/w", TOPIC, deadline_ns=80 * MS, baseline_deadline_ns=90 * MS, depth=20, generation=7)
@@ -36,6 +39,8 @@ class World:
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
             sensing_topics=1,
             actuation_topics=0,
+            other_daemons=(self.superior,) if self.superior else (),
+            superior=self.superior,
         )
 
     def apply(self, transitions, *, now_s):
@@ -58,10 +63,10 @@ class World:
             self.reader = replace(self.reader, generation=step.generation, depth=row.depth, deadline_ns=row.deadline_ns)
 
     def set_gate(self, gate):
-        pass
+        self.gates.append(gate)
 
     def probe(self, request):
-        pass
+        self.probes.append(request)
 
     def reconfigure(self, graph):
         pass
@@ -105,3 +110,25 @@ def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
     world.reader = replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 1
     assert (world.writer.depth, world.writer.deadline_ns) == (10, 85 * MS)
+
+
+def test_a_daemon_that_stands_by_only_watches(caplog):
+    """While another one drives it sets nothing, probes nothing and restores nothing, and says why; then it drives."""
+    world = World()
+    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    world.superior = "robot-2"
+    for _ in range(100):
+        world.now_s += 0.1
+        daemon.tick(world.now_s)
+    assert (world.told, world.gates, world.probes) == ([], [], [])
+    assert daemon.restore(wait=world.wait) == 0
+    assert not world.told
+    assert daemon.status_line() == "standing by: another arpd daemon, on robot-2, drives this robot"
+    assert [record.message for record in caplog.records if "another arpd daemon" in record.message] == [
+        "another arpd daemon, on robot-2, has run for longer: standing by"
+    ]
+    world.superior = ""
+    world.now_s += 0.1
+    daemon.tick(world.now_s)
+    assert world.gates
+    assert world.probes

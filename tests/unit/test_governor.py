@@ -240,3 +240,26 @@ def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
     run.ticks(2.0)
     assert run.governor.plan.generation == 42
     assert run.governor.levels_by_cause == {"start": 1}
+
+
+@pytest.mark.parametrize("where", ["publishers", "readers"])
+def test_a_newer_plan_of_another_daemon_is_superseded(where):
+    """A plan that is older than what a publisher or reader has would be refused, so a newer one is made, once."""
+    run = Run().planned()
+    if where == "publishers":
+        run.generation = 5
+    else:
+        run.newest = 5
+    assert changes(run.ticks(5.0)) == ["takeover"]
+    assert run.governor.plan.generation == 6
+    assert run.governor.levels_by_cause["takeover"] == 1
+
+
+def test_who_stood_by_plans_anew():
+    """While another daemon drives there is no plan; afterwards it starts from what that one left."""
+    run = Run().planned()
+    decision = run.governor.stand_by()
+    assert (decision.plan.generation, dict(decision.plan.topics), decision.level_changed) == (0, {}, False)
+    run.generation = 9
+    assert changes(run.ticks(8.0)) == ["start"]
+    assert run.governor.plan.generation == 10

@@ -362,6 +362,19 @@ def test_a_reader_that_joins_while_the_new_writer_proves_itself_is_waited_for(is
     assert world.results == [SwapResult.REORDER_POSSIBLE if is_on_trial else SwapResult.OK]
 
 
+def test_readers_that_keep_joining_do_not_end_a_swap():
+    """Each joiner is waited for, but all of them together for no longer than matching may take."""
+    world, swap = make()
+    swap.request(qos(8))
+    now_s = 0.0
+    for readers in range(2, 30):
+        now_s = run(swap, now_s, 0.8 * TIMING.settle_s, publishing=True)
+        for writer in world.live:
+            writer.readers = readers
+    assert world.results == [SwapResult.OK]
+    assert swap.qos == qos(8)
+
+
 def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
     """Whatever the readers do, the swap is over when matching times out."""
     world, swap = make()

@@ -1,0 +1,37 @@
+"""What the daemon needs of the world around it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from arpd.model import Observation, Transition
+    from arpd.probing import ProbeRequest
+    from arpd.settings import GraphSettings
+
+
+class World(Protocol):
+    """What the daemon observes and acts on: real ROS (`arpd.ros.control`) or a simulated link (`arpd.sim`)."""
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+
+    def set_gate(self, gate: float) -> None:
+        """Tell every publisher the gate."""
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Carry out the steps of a plan; called at every tick until the publishers announce it."""
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Put one probe train on the link."""
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
