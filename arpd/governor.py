@@ -85,7 +85,7 @@ class Governor:
         """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
         newest = max([newest, *(publisher.generation for publisher in publishers)])
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
-        if not cause and 0 < self._plan.generation < newest:
+        if not cause and 0 < self._plan.generation < newest and allocation.topics and link.state != LinkState.OUTAGE:
             cause = "takeover"  # of a daemon that has left or stepped back: what is older than its plan is refused
         refusals = [refusal] if refusal else []
         if cause:

@@ -54,10 +54,15 @@ class Writers:
         from arpd import AdaptivePublisher
         from arpd.ros.names import DEPTH as DEPTH_SETTING
         from arpd.ros.names import parameter_name
+        from arpd.swap import SwapTiming
 
         rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self.node = rclpy.create_node("soak_writer")
-        self.publishers = [AdaptivePublisher(self.node, String, topic_name(k), DEPTH) for k in range(TOPICS)]
+        # This link loses nothing; to settle for 3 s would only make the same swaps last longer.
+        timing = SwapTiming(settle_s=0.1)
+        self.publishers = [
+            AdaptivePublisher(self.node, String, topic_name(k), DEPTH, swap_timing=timing) for k in range(TOPICS)
+        ]
         self._names = [parameter_name(topic_name(k), DEPTH_SETTING) for k in range(TOPICS)]
         self._asked = [0] * TOPICS
         self._asked_s = [0.0] * TOPICS
