@@ -103,10 +103,18 @@ class Flow(Generic[W]):
     def offer(self, sample: bytes) -> None:
         """Queue a sample; somebody calls `take` and `write`, or `service`, soon."""
         now_s = self._clock()
-        self._source.count(now_s)
-        weight = 0.1 if self._payload_bytes else 1.0
-        self._payload_bytes += weight * (len(sample) - self._payload_bytes)
+        self._count(sample, now_s)
         self._pacer.offer(sample, now_s)
+
+    def admit(self, sample: bytes) -> bool:
+        """Tell whether a sample may be written at once, before anything else; queue it as `offer` does if not."""
+        now_s = self._clock()
+        self._count(sample, now_s)
+        is_free = not (self._held or self._replay or self._swap.awaits_silence)
+        if is_free and self._pacer.admits(now_s):
+            return True
+        self._pacer.offer(sample, now_s)
+        return False
 
     def end_full_hold(self) -> None:
         """Let a swap use the moment before a sample leaves; `replay` comes next."""
@@ -132,20 +140,27 @@ class Flow(Generic[W]):
         )  # who looks late may take two more
         return self._held.popleft()
 
-    def write(self, sample: bytes) -> None:
-        """Write a sample that was taken; may block while the link's queue is full."""
+    def write(self, sample: bytes) -> float:
+        """Write a sample that was taken or admitted; may block while the link's queue is full.
+
+        Returns
+        -------
+        How long it took (s).
+        """
         before_s = self._clock()
         try:
             self._swap.current.publish(sample)
         except Exception:
             self._withheld += 1  # it left the queue and reached nobody
             raise
-        self._blocked_s += self._clock() - before_s
+        took_s = self._clock() - before_s
+        self._blocked_s += took_s
         self._published += 1
         if self._swap.awaits_silence:
             self._swap.wrote(self._clock())
         if self._history is not None:
             self._history.append(sample)
+        return took_s
 
     def keep_history(self) -> None:
         """Let a new writer first have what the old one held, for the late readers of a TRANSIENT_LOCAL topic."""
@@ -236,6 +251,11 @@ class Flow(Generic[W]):
         self.replay()
         while (sample := self.take()) is not None:
             self.write(sample)
+
+    def _count(self, sample: bytes, now_s: float) -> None:
+        self._source.count(now_s)
+        weight = 0.1 if self._payload_bytes else 1.0
+        self._payload_bytes += weight * (len(sample) - self._payload_bytes)
 
     def _flowing_hz(self, now_s: float) -> float:
         """Return the rate of what leaves, or would if nothing held it, as far as it is known."""

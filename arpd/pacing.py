@@ -64,6 +64,16 @@ class Pacer:
         self._queue.append(sample)
         self._shed()
 
+    def admits(self, now_s: float) -> bool:
+        """Whether a sample may leave without being queued; its credit is spent then."""
+        if self._queue:
+            return False
+        self._earn(now_s)
+        if self._credit < 1.0 or self._rate_hz <= 0:
+            return False
+        self._credit -= 1.0
+        return True
+
     def due_s(self, now_s: float) -> float:
         """When the next queued sample may leave (s); ``inf`` when none waits or the topic is paused."""
         if not self._queue or self._rate_hz <= 0:

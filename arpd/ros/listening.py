@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.readers import ReaderState
     from arpd.ros.subscription import AdaptiveSubscription
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
@@ -50,7 +49,6 @@ class NodeListening:
         self._lease = Lease()
         self._generation = 0
         self._gate: Any = None
-        self._announced: list[ReaderState] = []
         self._unchanged = 0  # looks since something was new
         description = "generation of the plan last asked of the readers; 0 = none, or its lease is over"
         node.declare_parameter(READERS_GENERATION_PARAMETER, 0, ParameterDescriptor(description=description))
@@ -75,6 +73,7 @@ class NodeListening:
     def adopt(self, subscription: AdaptiveSubscription) -> None:
         """Announce a subscription from now on."""
         self._subscriptions = {**self._subscriptions, subscription.topic_name: subscription}
+        self.note_news()
 
     def release(self, subscription: AdaptiveSubscription) -> None:
         """Forget a subscription."""
@@ -82,16 +81,19 @@ class NodeListening:
             topic: kept for topic, kept in self._subscriptions.items() if topic != subscription.topic_name
         }
 
+    def note_news(self) -> None:
+        """Announce at every look for a while: something of a subscription is new."""
+        self._unchanged = 0
+
     def _serve(self) -> None:
         self._expire_plan()
+        self._unchanged += 1
+        if not self._subscriptions or (self._unchanged > _CALM and self._unchanged % _CALM):
+            return
         states = [
             subscription.announced(generation=self._generation, lease_s=self._lease.granted_s)
             for subscription in self._subscriptions.values()
         ]
-        self._unchanged = self._unchanged + 1 if states == self._announced else 0
-        self._announced = states
-        if not states or (self._unchanged > _CALM and self._unchanged % _CALM):
-            return
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [reader_to_status(state) for state in states]
@@ -134,6 +136,7 @@ class NodeListening:
 
     def _apply(self, parameters: Sequence[Any]) -> None:
         for parameter in parameters:
+            self.note_news()
             if parameter.name == READERS_GENERATION_PARAMETER:
                 self._generation = int(parameter.value)
                 self._lease.renew(self._clock())  # who sends a plan is there

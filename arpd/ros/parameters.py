@@ -34,6 +34,7 @@ log = logging.getLogger(__name__)
 _TIMEOUT_S = 2.0
 _FIRST_BACKOFF_S = 1.5  # one announcement must have had the time to confirm
 _MAX_BACKOFF_S = 12.0
+_ACCEPTED_S = 6.0  # what was accepted needs a swap of three to four seconds, and then an announcement
 
 
 @dataclass(slots=True)
@@ -113,6 +114,8 @@ class ParameterApplier:
             return
         result = future.result().result
         self._results["ok" if result.successful else "refused"] += 1
+        if result.successful and node.generation == transition.generation:
+            node.next_at_s = max(node.next_at_s, node.sent_at_s + _ACCEPTED_S)
         if not result.successful:
             log.warning("%s refused plan %d: %s", transition.node, transition.generation, result.reason)
 

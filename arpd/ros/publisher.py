@@ -168,22 +168,26 @@ class AdaptivePublisher:
         """Publish without waiting for another write, and without writing where writers block at present.
 
         For a caller that serves many topics, as the relay does: while the link's queue is full, a writer blocks, and
-        what comes meanwhile is conflated here instead of growing old, or getting lost, further up. To hand every
-        sample to the pacing thread would cost more than the sample itself, so the caller writes while that is quick.
+        what comes meanwhile is conflated here instead of growing old, or getting lost, further up.
 
         Parameters
         ----------
         msg : as in `publish`
         """
         sample = self._serialized(msg)
-        with self._lock:
-            self._flow.offer(sample)
         if self._clock() >= self._tuning.quick_from_s and self._writing.acquire(blocking=False):
             try:
-                self._drain()
+                with self._lock:
+                    is_next = self._flow.admit(sample)
+                if not is_next:
+                    self._drain()
+                elif (took_s := self._flow.write(sample)) > QUICK_S:
+                    self._tuning.shun_writing(took_s)
             finally:
                 self._writing.release()
         else:
+            with self._lock:  # not for every sample: to hand it to the pacing thread costs more than the sample itself
+                self._flow.offer(sample)
             self._leave_rest()
 
     def get_subscription_count(self) -> int:

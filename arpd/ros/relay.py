@@ -133,7 +133,8 @@ class Relay:
 
     def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int]:
         """Count the topic's writers, and the readers of what it is carried to."""
-        sources = self._node.count_publishers(self._inputs[topic])
+        with self._node.handle:  # Node.count_publishers would check a name that was checked at the start
+            sources = self._node.handle.get_count_publishers(self._inputs[topic])
         return sources, 0 if carried is None else carried.publisher.get_subscription_count()
 
     def _look(self, topic: str, output: str) -> None:

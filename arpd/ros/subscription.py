@@ -368,6 +368,7 @@ class AdaptiveSubscription:
 
     def _on_result(self, result: HandoverResult) -> None:
         self._results[result] += 1
+        self._listening.note_news()
         self._refusal = NO_REFUSAL
         if result is HandoverResult.UNMATCHED:
             words = f"handover of {self._resolved}: not all publishers matched the new reader in time"

@@ -6,6 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.task import Future
 
 from arpd.model import TopicPlan, Transition
@@ -61,6 +63,18 @@ def test_the_same_step_is_repeated_only_after_a_while(node, applier):
             sent_s.append(tick / 10)
             node.futures[-1].cancel()
     assert sent_s == [0.0, 1.5, 4.5, 10.5]
+
+
+def test_what_was_accepted_is_not_repeated_while_its_swap_is_under_way(node, applier):
+    """A node that said yes has the time a swap takes to announce it; one that did not act on it is asked again."""
+    sent_s = []
+    for tick in range(140):
+        before = len(node.calls)
+        applier.apply([STEP], now_s=tick / 10)
+        if len(node.calls) > before:
+            sent_s.append(tick / 10)
+            node.futures[-1].set_result(SetParametersAtomically.Response(result=SetParametersResult(successful=True)))
+    assert sent_s == [0.0, 6.0, 12.0]
 
 
 def test_another_row_of_the_same_plan_goes_out_at_once(node, applier):

@@ -298,10 +298,12 @@ class SlowWriter:
         monkeypatch.setattr(publisher._flow, "write", self.write)
 
     def write(self, sample):
+        begun_s = time.monotonic()
         self.threads.append(threading.current_thread())
         self.written.append(sample)
         time.sleep(self.takes_s)
         self.may_go_on.wait(timeout=20)
+        return time.monotonic() - begun_s
 
 
 def test_offer_writes_at_once_where_nothing_blocks(publisher, monkeypatch):

@@ -61,6 +61,12 @@ class World:
         plan = replace(self.flow.plan, **changes)
         self.flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
 
+    def give(self, sample, *, by):
+        if by == "publish":
+            self.flow.publish(sample)
+        elif self.flow.admit(sample):
+            self.flow.write(sample)
+
     def wait(self, seconds):
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S
@@ -127,6 +133,7 @@ def test_a_hold_conflates_nothing_that_pacing_lets_through():
     st.lists(
         st.one_of(
             st.tuples(st.just("publish"), st.integers(1, 8)),
+            st.tuples(st.just("admit"), st.integers(1, 8)),
             st.tuples(st.just("depth"), st.integers(1, 8)),
             st.tuples(st.just("rate"), st.sampled_from([0.0, 1.0, 20.0, float("inf")])),
             st.tuples(st.just("gate"), st.sampled_from([0.1, 0.5, 1.0])),
@@ -142,10 +149,10 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
     world = World(overflow=overflow)
     offered = 0
     for what, value in steps:
-        if what == "publish":
-            for _ in range(value):
-                world.flow.publish(name(offered))
-                offered += 1
+        if what in {"publish", "admit"}:
+            for number in range(offered, offered + value):
+                world.give(name(number), by=what)
+            offered += value
         elif what == "depth":
             world.retune(depth=value)
         elif what == "rate":

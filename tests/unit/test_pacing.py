@@ -165,3 +165,27 @@ def test_clear_counts_what_it_gives_up():
     pacer.clear()
     assert withheld == [2]
     assert not len(pacer)
+
+
+@given(
+    st.lists(st.tuples(st.booleans(), st.sampled_from([0.0, 0.001, 0.03, 0.2])), max_size=60), st.sampled_from(Overflow)
+)
+def test_admitting_is_queueing_and_taking(steps, overflow):
+    """A sample that is admitted is one that would have been taken at once, for the same credit."""
+    (one, _), (other, _) = make(overflow, depth=3), make(overflow, depth=3)
+    now_s = 0.0
+    for pacer in (one, other):
+        pacer.retune(rate_hz=20.0, depth=3, now_s=now_s)
+    for number, (is_drained, wait_s) in enumerate(steps):
+        now_s += wait_s
+        if is_drained:
+            assert drain(one, now_s) == drain(other, now_s)
+        admitted = one.admits(now_s)
+        if not admitted:
+            one.offer(name(number), now_s)
+        was_empty = not len(other)
+        other.offer(name(number), now_s)
+        assert admitted == (was_empty and other.due_s(now_s) <= now_s)
+        if admitted:
+            assert other.take(now_s) == name(number)
+        assert one.due_s(now_s) == other.due_s(now_s)
