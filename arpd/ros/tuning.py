@@ -49,6 +49,9 @@ _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
 _RETRY_S = 0.1
 QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 to 9 ms on loopback
+_BLOCKED_S = (
+    0.05  # longer than a scheduler takes; at 200 Hz, a second such wait is more than a reader's history bridges
+)
 _SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
 _COMPLAIN_S = 5.0
 
@@ -147,7 +150,8 @@ class NodeTuning:
     def shun_writing(self, took_s: float) -> None:
         """Have callers who must not block hand over for a while: writes take long, and all share the link's queue."""
         now_s = self._clock()
-        if now_s < self._suspect_until_s:  # one alone may be the scheduler's doing; a full link blocks the next one too
+        # A short one alone may be the scheduler's doing; a full link blocks the next one, too.
+        if took_s > _BLOCKED_S or now_s < self._suspect_until_s:
             self.quick_from_s = max(self.quick_from_s, now_s + _SHUN * took_s)
         self._suspect_until_s = now_s + _SHUN * took_s
 

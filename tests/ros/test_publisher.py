@@ -1,5 +1,6 @@
 """AdaptivePublisher with real rclpy and Fast DDS on this host."""
 
+import math
 import threading
 import time
 from dataclasses import replace
@@ -331,8 +332,18 @@ def test_offer_does_not_wait_for_a_writer_that_blocks(publisher, monkeypatch, ev
     assert len(writer.written) < 5
 
 
+def test_one_long_write_is_enough_to_hand_over(publisher, monkeypatch, eventually):
+    """A write that took longer than any scheduler's doing sends the next offer by the pacing thread."""
+    writer = SlowWriter(publisher, monkeypatch, takes_s=0.1)
+    publisher.offer(b"0")
+    publisher.offer(b"1")
+    eventually(lambda: len(writer.threads) == 2)
+    assert writer.threads[0] is threading.current_thread() is not writer.threads[1]
+
+
 def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, monkeypatch, eventually):
     """After writes that blocked, the node's offers leave by the pacing thread, until writes are quick again."""
+    monkeypatch.setattr("arpd.ros.tuning._BLOCKED_S", math.inf)  # however slow this machine is just now
     other = AdaptivePublisher(publisher._node, String, "/other", 10)
     blocking, unblocked = SlowWriter(publisher, monkeypatch, takes_s=0.1), SlowWriter(other, monkeypatch)
     me = threading.current_thread()
