@@ -116,7 +116,7 @@ class Flow(Generic[W]):
         self._pacer.offer(sample, now_s)
         return False
 
-    def end_full_hold(self) -> None:
+    def before_take(self) -> None:
         """Let a swap use the moment before a sample leaves; `replay` comes next."""
         # Just before a sample leaves, the one before it is likeliest to be acknowledged: most swaps need no holding.
         if self._swap.awaits_silence and self.is_waiting:
@@ -247,7 +247,7 @@ class Flow(Generic[W]):
         self._swap.close()
 
     def _release(self) -> None:
-        self.end_full_hold()
+        self.before_take()
         self.replay()
         while (sample := self.take()) is not None:
             self.write(sample)

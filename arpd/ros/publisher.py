@@ -313,7 +313,7 @@ class AdaptivePublisher:
         is_waiting = True
         try:
             with self._lock:
-                self._flow.end_full_hold()
+                self._flow.before_take()
             self._flow.replay()
             while is_waiting:
                 with self._lock:
