@@ -397,4 +397,4 @@ class AdaptivePublisher:
         if lost := self._lost_to(qos):
             return f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
         readers = ", ".join(self._requests.names())
-        return f"not all readers matched in time ({readers or 'none is left in the graph'})"
+        return f"not all readers matched in time (in the graph: {readers or 'none'})"
