@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 _LEAST_PAUSE_S = 0.02  # however many reports arrive
-_RESTORE_S = 4.0
+_RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
 _RESTORE_READERS_S = 4.0  # what readers that go first may take beyond that
 
 

@@ -110,7 +110,7 @@ class Side:
         self.signal(signal.SIGTERM, *names)
         for name in names:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.processes[name].wait(timeout=10)
+                self.processes[name].wait(timeout=15)
 
     def status(self) -> dict[str, Any] | None:
         """Return arpd's status document, None while it does not answer."""
@@ -268,7 +268,7 @@ def _end(side: Side) -> None:
             process.terminate()
     for process in side.processes.values():
         try:
-            process.wait(timeout=8)
+            process.wait(timeout=15)
         except subprocess.TimeoutExpired:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
