@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -16,9 +16,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
-from arpd.lease import Lease
 from arpd.ros.announce import reader_to_status
-from arpd.ros.bounds import checked_lease_s
+from arpd.ros.grant import Grant
 from arpd.ros.names import GATE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
 
 if TYPE_CHECKING:
@@ -46,14 +45,16 @@ class NodeListening:
         self._node = node
         self._clock = clock
         self._subscriptions: dict[str, AdaptiveSubscription] = {}
-        self._lease = Lease()
-        self._generation = 0
         self._gate: Any = None
         self._unchanged = 0  # looks since something was new
-        description = "generation of the plan last asked of the readers; 0 = none, or its lease is over"
-        node.declare_parameter(READERS_GENERATION_PARAMETER, 0, ParameterDescriptor(description=description))
-        description = "silence of arpd in s after which the readers return to their own QoS, 0 = never"
-        node.declare_parameter(READERS_LEASE_PARAMETER, 0.0, ParameterDescriptor(description=description))
+        self._grant = Grant(
+            node,
+            generation_name=READERS_GENERATION_PARAMETER,
+            lease_name=READERS_LEASE_PARAMETER,
+            plan="plan last asked of the readers",
+            whose="readers",
+            clock=clock,
+        )
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         self._announcer = node.create_publisher(DiagnosticArray, READERS_TOPIC, QoSProfile(depth=5))
@@ -91,7 +92,7 @@ class NodeListening:
         if not self._subscriptions or (self._unchanged > _CALM and self._unchanged % _CALM):
             return
         states = [
-            subscription.announced(generation=self._generation, lease_s=self._lease.granted_s)
+            subscription.announced(generation=self._grant.generation, lease_s=self._grant.lease.granted_s)
             for subscription in self._subscriptions.values()
         ]
         message = DiagnosticArray()
@@ -105,13 +106,13 @@ class NodeListening:
 
         A reader is refused that for as long as a writer would lose it; each second asks again.
         """
-        if not self._lease.is_over(self._clock()):
+        if not self._grant.lease.is_over(self._clock()):
             return
-        if self._generation:
+        if self._grant.generation:
             self._node.get_logger().warning(
-                f"nothing heard of arpd for {self._lease.granted_s:g} s: the readers return to their own QoS"
+                f"nothing heard of arpd for {self._grant.lease.granted_s:g} s: the readers return to their own QoS"
             )
-            self._generation = 0  # whoever plans next may start anywhere
+            self._grant.generation = 0  # whoever plans next may start anywhere
             self._node.set_parameters([Parameter(READERS_GENERATION_PARAMETER, value=0)])
         for subscription in self._subscriptions.values():
             if (refusal := subscription.return_to_baseline()) is not None:
@@ -121,39 +122,26 @@ class NodeListening:
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
-            for parameter in parameters:
-                if parameter.name == READERS_GENERATION_PARAMETER:
-                    self._check_generation(parameter)
-                elif parameter.name == READERS_LEASE_PARAMETER:
-                    checked_lease_s(parameter)
+            self._grant.check(parameters)
         except ValueError as refusal:
             return SetParametersResult(successful=False, reason=str(refusal))
         return SetParametersResult(successful=True)
 
-    def _check_generation(self, parameter: Any) -> None:
-        if parameter.value < self._generation:
-            raise ValueError(f"{parameter.name} {parameter.value} is older than {self._generation}, the plan in force")
-
     def _apply(self, parameters: Sequence[Any]) -> None:
-        for parameter in parameters:
-            self.note_news()
-            if parameter.name == READERS_GENERATION_PARAMETER:
-                self._generation = int(parameter.value)
-                self._lease.renew(self._clock())  # who sends a plan is there
-            elif parameter.name == READERS_LEASE_PARAMETER:
-                self._lease.granted_s = float(parameter.value)
-                self._listen_for_the_daemon()
+        self.note_news()
+        self._grant.take(parameters)
+        self._listen_for_the_daemon()
 
     def _listen_for_the_daemon(self) -> None:
         """Hear the gate while there is a lease; without one it would cross the link for nothing."""
-        if self._lease.granted_s > 0 and self._gate is None:
+        if self._grant.lease.granted_s > 0 and self._gate is None:
             newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
             self._gate = self._node.create_subscription(
                 Float64, GATE_TOPIC, self._on_gate, newest, callback_group=self._group
             )
-        elif self._lease.granted_s == 0 and self._gate is not None:
+        elif self._grant.lease.granted_s == 0 and self._gate is not None:
             self._node.destroy_subscription(self._gate)
             self._gate = None
 
     def _on_gate(self, _message: Any) -> None:
-        self._lease.renew(self._clock())
+        self._grant.lease.renew(self._clock())

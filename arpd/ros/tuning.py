@@ -18,10 +18,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
-from arpd.lease import Lease
 from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
-from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_lease_s
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.ros.grant import Grant
 from arpd.ros.names import (
     DEADLINE,
     DEPTH,
@@ -49,9 +49,7 @@ _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
 _RETRY_S = 0.1
 QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 to 9 ms on loopback
-_BLOCKED_S = (
-    0.05  # longer than a scheduler takes; at 200 Hz, a second such wait is more than a reader's history bridges
-)
+_BLOCKED_S = 0.05  # longer than a scheduler takes; two such waits are more than a reader at 200 Hz bridges
 _SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
 _COMPLAIN_S = 5.0
 
@@ -76,23 +74,17 @@ class NodeTuning:
         self._clock = clock
         self._publishers: dict[str, AdaptivePublisher] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
-        self._lease = Lease()
-        self._generation = 0
         self._visits: Visits[AdaptivePublisher] = Visits()
         self._suspect_until_s = -math.inf
         self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
         self._stopping = False
-        node.declare_parameter(
-            GENERATION_PARAMETER,
-            0,
-            ParameterDescriptor(description="generation of the plan in force; 0 = none, or its lease is over"),
-        )
-        node.declare_parameter(
-            LEASE_PARAMETER,
-            0.0,
-            ParameterDescriptor(
-                description="silence of arpd in s after which the publishers return to their own QoS, 0 = never"
-            ),
+        self._grant = Grant(
+            node,
+            generation_name=GENERATION_PARAMETER,
+            lease_name=LEASE_PARAMETER,
+            plan="plan in force",
+            whose="publishers",
+            clock=clock,
         )
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
@@ -195,28 +187,29 @@ class NodeTuning:
     def _announce(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        generation, lease_s = self._generation, self._lease.granted_s
+        generation, lease_s = self._grant.generation, self._grant.lease.granted_s
         publishers = self._publishers.values()
         message.status = [to_status(one.state(generation=generation, lease_s=lease_s)) for one in publishers]
         self._announcer.publish(message)
 
     def _on_gate(self, message: Any) -> None:
         if 0.0 < message.data <= 1.0:
-            self._lease.renew(self._clock())
+            self._grant.lease.renew(self._clock())
             for publisher in self._publishers.values():
                 publisher.set_gate(message.data)
 
     def _expire_gate(self, now_s: float) -> None:
-        if self._lease.is_silent(now_s, for_s=_GATE_LEASE_S):
+        if self._grant.lease.is_silent(now_s, for_s=_GATE_LEASE_S):
             for publisher in self._publishers.values():
                 publisher.set_gate(1.0)
 
     def _expire_plan(self) -> None:
         """Return every publisher to its application's QoS when the daemon is silent for longer than it granted."""
-        if self._generation == 0 or not self._lease.is_over(self._clock()):
+        grant = self._grant
+        if grant.generation == 0 or not grant.lease.is_over(self._clock()):
             return
         self._node.get_logger().warning(
-            f"nothing heard of arpd for {self._lease.granted_s:g} s: the publishers return to their own QoS",
+            f"nothing heard of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
             throttle_duration_sec=_COMPLAIN_S,
         )
         parameters = [Parameter(GENERATION_PARAMETER, value=0)]
@@ -227,13 +220,13 @@ class NodeTuning:
                 Parameter(parameter_name(topic, setting), value=getattr(plan, field))
                 for setting, (field, _) in _SETTINGS.items()
             ]
-        generation, self._generation = self._generation, 0  # whoever plans next may start anywhere
+        generation, grant.generation = grant.generation, 0  # whoever plans next may start anywhere
         try:
             result = self._node.set_parameters_atomically(parameters)
         except ParameterNotDeclaredException:
             result = SetParametersResult(successful=False, reason="one of them was just destroyed")
         if not result.successful:
-            self._generation = generation  # and the next second tries again
+            grant.generation = generation  # and the next second tries again
             self._node.get_logger().error(
                 f"the publishers keep their plan: {result.reason}", throttle_duration_sec=_COMPLAIN_S
             )
@@ -241,30 +234,15 @@ class NodeTuning:
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
             self._plans(parameters)
-            for parameter in parameters:
-                if parameter.name == GENERATION_PARAMETER:
-                    self._check_generation(parameter)
-                elif parameter.name == LEASE_PARAMETER:
-                    checked_lease_s(parameter)
+            self._grant.check(parameters)
         except ValueError as refusal:
             return SetParametersResult(successful=False, reason=str(refusal))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence[Any]) -> None:
-        for parameter in parameters:
-            if parameter.name == GENERATION_PARAMETER:
-                self._generation = int(parameter.value)
-                self._lease.renew(self._clock())  # who sends a plan is there
-            elif parameter.name == LEASE_PARAMETER:
-                self._lease.granted_s = float(parameter.value)
+        self._grant.take(parameters)
         for topic, plan in self._plans(parameters).items():
             self._publishers[topic].retune(plan)
-
-    def _check_generation(self, parameter: Any) -> None:
-        if parameter.value < self._generation:
-            raise ValueError(
-                f"{GENERATION_PARAMETER} {parameter.value} is older than {self._generation}, the plan in force"
-            )
 
     def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
         """Turn changed parameters into whole plans per topic; refuse nonsense with a reason."""
