@@ -17,7 +17,7 @@ from arpd.readers import ReaderState
 from arpd.refusal import RefusalReason
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 _SWAP_PREFIX = "swaps_"
 _HANDOVER_PREFIX = "handovers_"
@@ -49,13 +49,7 @@ def to_status(state: PublisherState) -> Any:
     values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
     values += [(key, str(getattr(state, key))) for key in _INTEGERS]
     values += [(_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
-    return DiagnosticStatus(
-        level=DiagnosticStatus.WARN if state.refusal else DiagnosticStatus.OK,
-        name=f"{state.node}: {state.topic}",
-        message=state.refusal or f"{state.rate_hz:.3g} Hz, depth {state.depth}",
-        hardware_id="",
-        values=[KeyValue(key=key, value=value) for key, value in values],
-    )
+    return _status(state, values, warning=state.refusal, summary=f"{state.rate_hz:.3g} Hz, depth {state.depth}")
 
 
 def reader_to_status(state: ReaderState) -> Any:
@@ -66,14 +60,7 @@ def reader_to_status(state: ReaderState) -> Any:
     values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
     values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.handovers_by_result.items())]
     # What never changes is no fault of the moment.
-    is_warning = state.refusal and state.is_driven
-    return DiagnosticStatus(
-        level=DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK,
-        name=f"{state.node}: {state.topic}",
-        message=state.refusal if is_warning else f"depth {state.depth}",
-        hardware_id="",
-        values=[KeyValue(key=key, value=value) for key, value in values],
-    )
+    return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
 
 
 def from_status(status: Any) -> PublisherState:
@@ -84,25 +71,12 @@ def from_status(status: Any) -> PublisherState:
     ValueError
         If a field is missing, malformed or out of range; the message names it.
     """
-    values = {pair.key: pair.value for pair in status.values}
-    try:
-        node, topic, type_name = values["node"], values["topic"], values["type"]
-        floats = {key: _finite_or_inf(key, values[key]) for key in _FLOATS}
-        integers = {key: _bounded(key, values[key]) for key in _INTEGERS}
-    except KeyError as missing:
-        raise ValueError(f"announcement without {missing}") from missing
-    _check(node, topic, integers)
+    values, fields = _fields(status, texts=("node", "topic", "type"), floats=_FLOATS, integers=_INTEGERS)
     return PublisherState(
-        node=node,
-        topic=topic,
-        type_name=type_name[:_MAX_NAME],
+        type_name=fields.pop("type")[:_MAX_NAME],
         direction=Direction.LOCAL,
         swaps_by_result=_counts(values, _SWAP_PREFIX),
-        refusal=(refusal := values.get("refusal", "")[:_MAX_NAME]),
-        refusal_reason=RefusalReason.told(values.get("refusal_reason"), words=refusal),
-        keeps_all=values.get("history") == _KEEP_ALL,
-        **floats,  # type: ignore[arg-type]
-        **integers,
+        **fields,
     )
 
 
@@ -114,23 +88,40 @@ def reader_from_status(status: Any) -> ReaderState:
     ValueError
         If a field is missing, malformed or out of range; the message names it.
     """
+    values, fields = _fields(status, texts=("node", "topic"), floats=("lease_s",), integers=_READER_INTEGERS)
+    return ReaderState(handovers_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
+
+
+def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
+    return DiagnosticStatus(
+        level=DiagnosticStatus.WARN if warning else DiagnosticStatus.OK,
+        name=f"{state.node}: {state.topic}",
+        message=warning or summary,
+        hardware_id="",
+        values=[KeyValue(key=key, value=value) for key, value in values],
+    )
+
+
+def _fields(
+    status: Any, *, texts: Iterable[str], floats: Iterable[str], integers: Iterable[str]
+) -> tuple[Mapping[str, str], dict[str, Any]]:
+    """Return all pairs as they came, and the checked fields that writers and readers announce alike."""
     values = {pair.key: pair.value for pair in status.values}
     try:
-        node, topic, lease_s = values["node"], values["topic"], _finite_or_inf("lease_s", values["lease_s"])
-        integers = {key: _bounded(key, values[key]) for key in _READER_INTEGERS}
+        fields: dict[str, Any] = {key: values[key] for key in texts}
+        fields |= {key: _finite_or_inf(key, values[key]) for key in floats}
+        fields |= {key: _bounded(key, values[key]) for key in integers}
     except KeyError as missing:
         raise ValueError(f"announcement without {missing}") from missing
-    _check(node, topic, integers)
-    return ReaderState(
-        node=node,
-        topic=topic,
-        lease_s=lease_s,
-        handovers_by_result=_counts(values, _HANDOVER_PREFIX),
-        refusal=(refusal := values.get("refusal", "")[:_MAX_NAME]),
-        refusal_reason=RefusalReason.told(values.get("refusal_reason"), words=refusal),
-        keeps_all=values.get("history") == _KEEP_ALL,
-        **integers,  # type: ignore[arg-type]
-    )
+    _check(fields)
+    refusal = values.get("refusal", "")[:_MAX_NAME]
+    reason = RefusalReason.told(values.get("refusal_reason"), words=refusal)
+    return values, {
+        **fields,
+        "refusal": refusal,
+        "refusal_reason": reason,
+        "keeps_all": values.get("history") == _KEEP_ALL,
+    }
 
 
 def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
@@ -144,11 +135,12 @@ def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
     return {key.removeprefix(prefix)[:_MAX_RESULT]: _bounded(key, value) for key, value in islice(found, _MOST_RESULTS)}
 
 
-def _check(node: str, topic: str, integers: Mapping[str, int]) -> None:
+def _check(fields: Mapping[str, Any]) -> None:
+    node, topic = fields["node"], fields["topic"]
     for name in (node, topic):
         if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
             raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
-    if not 1 <= integers["depth"] <= 100_000 or not 1 <= integers["baseline_depth"] <= 100_000:
+    if not 1 <= fields["depth"] <= 100_000 or not 1 <= fields["baseline_depth"] <= 100_000:
         raise ValueError(f"announcement of {topic} with a depth outside 1..100000")
 
 
