@@ -135,9 +135,8 @@ class Flow(Generic[W]):
         if self._swap.is_holding or now_s < self._catch_up_s:
             return None
         spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
-        self._catch_up_s = (
-            max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
-        )  # who looks late may take two more
+        # Who looks late may take two more.
+        self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
         return self._held.popleft()
 
     def write(self, sample: bytes) -> float:
