@@ -66,7 +66,9 @@ class Link(Section):
         _DEFAULT.link.initial_capacity_bytes_per_second
     )
     headroom: Annotated[float, Number(low=0.05, high=1)] = _DEFAULT.link.headroom
-    packet_overhead: Annotated[float, Quantity(unit=DURATION, low="0s", high="100ms")] = _DEFAULT.link.packet_overhead_s
+    packet_overhead: Annotated[float | None, Quantity(unit=DURATION, low="0s", high="100ms", word="auto")] = (
+        _DEFAULT.link.packet_overhead_s
+    )
 
 
 class ProgramSection(Section):

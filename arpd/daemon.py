@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from arpd.model import Decision, Observation, QosPlan
     from arpd.settings import Settings
-    from arpd.world import World
+    from arpd.world import CapacityEstimator, World
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +53,7 @@ class Daemon:
     interface : name of the link interface, for the snapshot
     config_path : the file the settings came from, for the snapshot
     clock, wall_clock : monotonic and Unix time (s)
+    estimator : what tells the capacity; `arpd.estimator.Estimator` by default, another to compare it with
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Daemon:
         config_path: str = "",
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
+        estimator: CapacityEstimator | None = None,
     ) -> None:
         self._world = world
         self._settings = settings
@@ -72,7 +74,7 @@ class Daemon:
         self._config_error = ""
         self._clock = clock
         self._wall_clock = wall_clock
-        self._estimator = Estimator(settings.link)
+        self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._governor = Governor(settings)
         self._program = Program.of(settings, clock=clock)
         self._ordering = Ordering()
@@ -92,7 +94,9 @@ class Daemon:
         link = self._estimator.update(observation)
         topics = topics_to_plan(observation.publishers, self._settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self._settings.program)
-        allocation = self._program.solve(link.available_bytes_per_second, topics, memory)
+        allocation = self._program.solve(
+            link.available_bytes_per_second, topics, memory, packet_overhead_s=link.available_packet_overhead_s
+        )
         self._note_others(observation)
         if observation.superior:
             decision = self._governor.stand_by()

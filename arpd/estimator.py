@@ -369,4 +369,5 @@ class Estimator:
             age_s=0.0 if pinned is not None else now_s - max(newest, self._started_at_s),
             evidence="pinned by the configuration" if pinned is not None else self._evidence,
             foreign_bytes_per_second=self._foreign_rate,
+            packet_overhead_s=self._settings.packet_overhead_s or 0.0,
         )

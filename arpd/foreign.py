@@ -12,7 +12,8 @@ from arpd.model import Direction
 from arpd.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
-    from arpd.model import LinkCounters, Observation, PublisherState
+    from arpd.interface import LinkCounters
+    from arpd.model import Observation, PublisherState
     from arpd.probing import ProbeRequest
 
 _WINDOW_S = 3.0  # announcements come once a second: three of them, so that one that is lost does not matter

@@ -13,6 +13,7 @@ from arpd.refusal import RefusalReason
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from arpd.interface import LinkCounters
     from arpd.probing import PeerReport
     from arpd.readers import ReaderPlan, ReaderState
 
@@ -60,27 +61,6 @@ class Binding(StrEnum):
     MAX_DEPTH = "max_depth"
     FLOOR = "floor"
     NOTHING = "nothing"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LinkCounters:
-    """Interface counters of the robot's link, as psutil reads them.
-
-    Parameters
-    ----------
-    rx_bytes, tx_bytes : monotonic counters (bytes)
-    rx_packets, tx_packets : monotonic counters (packets)
-    tx_dropped : packets the interface dropped on the way out
-    is_up : carrier and administrative state
-    """
-
-    interface: str
-    rx_bytes: int
-    tx_bytes: int
-    rx_packets: int
-    tx_packets: int
-    tx_dropped: int
-    is_up: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -177,6 +157,7 @@ class Observation:
     rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
     other_daemons : hosts of the other daemons in the ROS domain
     superior : host of the one that drives the robot in this one's place, empty when this one does
+    radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
     """
 
     now_s: float
@@ -192,6 +173,7 @@ class Observation:
     rmw_refusal: str = ""
     other_daemons: tuple[str, ...] = ()
     superior: str = ""
+    radio_bytes_per_second: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -208,6 +190,7 @@ class LinkEstimate:
     delivery_rate_bytes_per_second : what the peer received over the last 300 ms (bytes/s)
     age_s : time since the evidence behind the capacity (s)
     evidence : the last change, in words
+    packet_overhead_s : t_ovh, link time each packet costs beyond its bytes (s)
     foreign_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
     """
 
@@ -220,12 +203,19 @@ class LinkEstimate:
     evidence: str
     queue_allowance_s: float = 0.05
     foreign_bytes_per_second: float = 0.0
+    packet_overhead_s: float = 0.0
 
     @property
     def available_bytes_per_second(self) -> float:
         """What is left of the capacity for arpd's topics (bytes/s)."""
         capacity = self.capacity_bytes_per_second
         return capacity - min(self.foreign_bytes_per_second, MOST_YIELDED * capacity)
+
+    @property
+    def available_packet_overhead_s(self) -> float:
+        """What a packet costs of the link time that is left, as if all of it were arpd's (s)."""
+        available = self.available_bytes_per_second
+        return self.packet_overhead_s * self.capacity_bytes_per_second / available if available > 0 else 0.0
 
     @property
     def is_app_limited(self) -> bool:

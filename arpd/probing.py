@@ -15,11 +15,13 @@ class Train:
     payload_bytes : wire bytes after the first packet (bytes)
     duration_s : arrival of the last packet minus arrival of the first (s)
     packets : packets that arrived
+    sent_s : the last packet's departure minus the first's, on the sender's clock; 0 = not told (s)
     """
 
     payload_bytes: int
     duration_s: float
     packets: int
+    sent_s: float = 0.0
 
     @property
     def rate_bytes_per_second(self) -> float:

@@ -90,12 +90,12 @@ class Program:
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
         self._headroom = decimal(headroom)
-        self._packet_overhead = decimal(packet_overhead_s)
+        self._packet_overhead_s = packet_overhead_s
         self._rate_reserve = rate_reserve
         self._depth_reserve = depth_reserve
         self._solver = CheckedSolver(load(backend or settings.backend))
         self._clock = clock
-        self._last: tuple[tuple[float, tuple[Topic, ...], float], Allocation] | None = None
+        self._last: tuple[tuple[float, tuple[Topic, ...], float, float], Allocation] | None = None
 
     @classmethod
     def of(
@@ -105,7 +105,7 @@ class Program:
         return cls(
             settings=settings.program,
             headroom=settings.link.headroom,
-            packet_overhead_s=settings.link.packet_overhead_s,
+            packet_overhead_s=settings.link.packet_overhead_s or 0.0,
             backend=backend,
             clock=clock,
         )
@@ -121,7 +121,12 @@ class Program:
         return self._solver.disagreements
 
     def solve(
-        self, capacity_bytes_per_second: float, topics: Sequence[Topic], memory_budget_bytes: float
+        self,
+        capacity_bytes_per_second: float,
+        topics: Sequence[Topic],
+        memory_budget_bytes: float,
+        *,
+        packet_overhead_s: float | None = None,
     ) -> Allocation:
         """Divide the link and the memory among ``topics``.
 
@@ -133,29 +138,37 @@ class Program:
         capacity_bytes_per_second : C, after foreign traffic and before headroom, ≥ 0 (bytes/s)
         topics : the demand, one row each
         memory_budget_bytes : M, what all histories together may take, ≥ 0 (bytes)
+        packet_overhead_s : t_ovh as measured, ≥ 0; None = the one this program was made with (s)
         """
-        question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes)
+        overhead_s = self._packet_overhead_s if packet_overhead_s is None else packet_overhead_s
+        question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes, overhead_s)
         if self._last is not None and self._last[0] == question:
             return self._last[1]  # most ticks bring nothing new, and exact arithmetic is most of a tick's cost
         started = self._clock()
-        for name, value in (("capacity", capacity_bytes_per_second), ("memory budget", memory_budget_bytes)):
+        for name, value in (
+            ("capacity", capacity_bytes_per_second),
+            ("memory budget", memory_budget_bytes),
+            ("packet overhead", overhead_s),
+        ):
             if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name} {value!r} must be a number of bytes of at least 0")
-        allocation = self._allocate(capacity_bytes_per_second, topics, decimal(memory_budget_bytes))
+                raise ValueError(f"{name} {value!r} must be a number of at least 0")
+        allocation = self._allocate(
+            capacity_bytes_per_second, topics, decimal(memory_budget_bytes), decimal(overhead_s)
+        )
         allocation = replace(allocation, solve_s=self._clock() - started)
         self._last = (question, allocation)
         return allocation
 
-    def _allocate(self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio) -> Allocation:
+    def _allocate(
+        self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio, packet_overhead: Ratio
+    ) -> Allocation:
         level = capacity * self._headroom[0] / self._headroom[1]
         if not topics:
             return _empty(level)
         if not capacity:
             self._solver.note_infeasible()
             return _paused(topics)
-        rows = rows_of(
-            topics, capacity=decimal(capacity), packet_overhead=self._packet_overhead, parts=self._headroom[1]
-        )
+        rows = rows_of(topics, capacity=decimal(capacity), packet_overhead=packet_overhead, parts=self._headroom[1])
         link = self._divide_link(rows)
         memory = self._divide_memory(rows, link, memory_budget)
         return self._published(rows, link, memory, level)

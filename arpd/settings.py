@@ -47,14 +47,14 @@ class LinkSettings:
     capacity_bytes_per_second : pin the capacity; foreign traffic is still subtracted; None = estimate (bytes/s)
     initial_capacity_bytes_per_second : belief before the first evidence (bytes/s)
     headroom : η, the share of the capacity that may be planned, 0..1
-    packet_overhead_s : t_ovh, link time per packet beyond its bytes (s)
+    packet_overhead_s : pin t_ovh, the link time per packet beyond its bytes; None = estimate (s)
     """
 
     interface: str = "auto"
     capacity_bytes_per_second: float | None = None
     initial_capacity_bytes_per_second: float = 2.5e6
     headroom: float = 0.85
-    packet_overhead_s: float = 0.0
+    packet_overhead_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

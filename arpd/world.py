@@ -1,4 +1,4 @@
-"""What the daemon needs of the world around it."""
+"""What the daemon needs of the world around it, and of whoever estimates the link."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.model import Observation, Transition
+    from arpd.model import LinkEstimate, Observation, Transition
     from arpd.probing import ProbeRequest
-    from arpd.settings import GraphSettings
+    from arpd.settings import GraphSettings, LinkSettings
 
 
 class World(Protocol):
@@ -35,3 +35,20 @@ class World(Protocol):
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
+
+
+class CapacityEstimator(Protocol):
+    """What tells the daemon the capacity: `arpd.estimator.Estimator`, or in a simulation one to compare it with."""
+
+    @property
+    def has_evidence(self) -> bool:
+        """Whether the first plan may be made."""
+
+    def update(self, observation: Observation) -> LinkEstimate:
+        """Digest one observation and return what is believed now."""
+
+    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
+        """Probes to send now."""
+
+    def reconfigure(self, settings: LinkSettings) -> None:
+        """Take new settings; what was measured stays."""

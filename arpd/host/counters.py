@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from arpd.errors import LinkError
-from arpd.model import LinkCounters, MemoryState
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import MemoryState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -65,7 +66,7 @@ def read_counters(interface: str) -> LinkCounters | None:
         rx_packets=counters.packets_recv,
         tx_packets=counters.packets_sent,
         tx_dropped=counters.dropout,
-        is_up=stats.isup,
+        state=InterfaceState.UP if stats.isup else InterfaceState.DOWN,
     )
 
 

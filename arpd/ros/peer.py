@@ -18,7 +18,7 @@ from arpd.systemd import Notifier
 from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
-    from arpd.model import LinkCounters
+    from arpd.interface import LinkCounters
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from pyroute2 import IPRoute
 from pyroute2.ethtool.ioctl import IoctlEthtool, NotSupportedError
 
 from arpd.errors import LinkError
-from arpd.model import LinkCounters
+from arpd.interface import InterfaceState, LinkCounters
 from arpd.sim.namespaces import HostName, executable
 
 _ROOT_HANDLE = 0x10000  # "1:"
@@ -111,7 +111,7 @@ def read_counters(host: Host) -> LinkCounters:
         rx_packets=stats["rx_packets"],
         tx_packets=stats["tx_packets"],
         tx_dropped=stats["tx_dropped"] + queue["drops"],
-        is_up=link.get("IFLA_OPERSTATE") == "UP",
+        state=InterfaceState.UP if link.get("IFLA_OPERSTATE") == "UP" else InterfaceState.DOWN,
     )
 
 

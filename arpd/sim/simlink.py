@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from types import FrameType, TracebackType
     from typing import Self
 
-    from arpd.model import LinkCounters
+    from arpd.interface import LinkCounters
 
 __all__ = ["Host", "SimLink", "available", "cleanup_stale", "user_namespace_argv"]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.model import Direction, LinkCounters, MemoryState, Observation, PublisherState
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import Direction, MemoryState, Observation, PublisherState
 from arpd.probing import PeerReport
 from arpd.ros.peer import REPORT_S, Receiver
 from arpd.sim.link import Alarm
@@ -143,7 +144,7 @@ class SimulatedWorld:
             rx_packets=down.received_packets,
             tx_packets=up.sent_packets,
             tx_dropped=up.dropped_packets,
-            is_up=True,
+            state=InterfaceState.UP,
         )
 
     # -- act

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from prometheus_client.metrics_core import Metric
 
-    from arpd.model import LinkCounters, PublisherState, TopicAllocation, TopicPlan
+    from arpd.interface import LinkCounters
+    from arpd.model import PublisherState, TopicAllocation, TopicPlan
     from arpd.snapshot import Snapshot, Totals
     from arpd.web.status import TopicRow
 

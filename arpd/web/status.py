@@ -17,7 +17,8 @@ from arpd.settings import OnLost
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model import LinkCounters, Observation, PublisherState, TopicAllocation, TopicPlan
+    from arpd.interface import LinkCounters
+    from arpd.model import Observation, PublisherState, TopicAllocation, TopicPlan
     from arpd.readers import ReaderPlan, ReaderState
     from arpd.snapshot import Snapshot, Totals
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
+from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import (
     Allocation,
     AllocationStatus,
@@ -12,7 +13,6 @@ from arpd.model import (
     CapacityKind,
     Decision,
     Direction,
-    LinkCounters,
     LinkEstimate,
     LinkState,
     MemoryState,
@@ -180,7 +180,7 @@ def make_snapshot() -> Snapshot:
                 rx_packets=10_000,
                 tx_packets=60_000,
                 tx_dropped=7,
-                is_up=True,
+                state=InterfaceState.UP,
             ),
             reports=(PeerReport(peer="ceddp", received_at_s=999.5, interval_s=0.1, rx_bytes=48_000, rx_packets=40),),
             publishers=(_IMU, _DIAGNOSTICS, _COMMAND, _IMAGE),

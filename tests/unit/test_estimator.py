@@ -8,14 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimator import Estimator, EstimatorTuning
-from arpd.model import MOST_YIELDED, CapacityKind, LinkCounters, LinkState, MemoryState, Observation
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import MOST_YIELDED, CapacityKind, LinkState, MemoryState, Observation
 from arpd.probing import PeerReport, Train
 from arpd.settings import LinkSettings
 from arpd.wire import probe_wire_bytes
 
 TUNING = EstimatorTuning()
 FIRST = 2.0e6
-UP = LinkCounters(interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, is_up=True)
+UP = LinkCounters(
+    interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
+)
 
 
 class Link:
@@ -273,7 +276,7 @@ def test_alone_a_local_queue_shows_the_capacity():
     assert estimate.capacity_bytes_per_second == pytest.approx(300_000, rel=0.02)
 
 
-@pytest.mark.parametrize("counters", [None, replace(UP, is_up=False)])
+@pytest.mark.parametrize("counters", [None, replace(UP, state=InterfaceState.DOWN)])
 def test_alone_without_an_interface_is_an_outage(counters):
     """No peer and no carrier: there is no link."""
     assert Link().ticks(5, silent=True, counters=counters).state is LinkState.OUTAGE

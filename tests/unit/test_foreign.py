@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.foreign import ForeignTraffic
-from arpd.model import Direction, LinkCounters, MemoryState, Observation, PublisherState
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import Direction, MemoryState, Observation, PublisherState
 from arpd.probing import ProbeRequest
 from arpd.wire import probe_wire_bytes, wire_size
 
@@ -82,7 +83,7 @@ class Robot:
             rx_packets=0,
             tx_packets=0,
             tx_dropped=0,
-            is_up=True,
+            state=InterfaceState.UP,
         )
         return self.traffic.update(
             Observation(

@@ -15,6 +15,7 @@ DOMAIN = {
     "governor",
     "handover",
     "incumbent",
+    "interface",
     "lease",
     "model",
     "offline",
