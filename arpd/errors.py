@@ -35,6 +35,10 @@ class ConfigError(ArpdError):
         self.faults = faults
 
 
+class TraceError(ArpdError):
+    """A link trace cannot be used; the message is ``file:line:col: what is wrong; what would be right``."""
+
+
 class DaemonUnreachableError(ArpdError):
     """No daemon answers at the given URL."""
 

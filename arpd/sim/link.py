@@ -1,89 +1,28 @@
-"""A link in virtual time: one FIFO bottleneck with tail drop, propagation delay and loss, and the clock it runs on."""
+"""A link in virtual time: one FIFO bottleneck with tail drop, propagation delay and loss."""
 
 from __future__ import annotations
 
-import heapq
 import math
-from bisect import bisect_right
-from collections import deque
 from dataclasses import dataclass
-from functools import partial
-from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
+
+from arpd.sim.aggregation import AggregatingBottleneck
+from arpd.sim.bottleneck import FluidBottleneck
+from arpd.sim.loss import Losses, check_ascending, check_probability
+from arpd.sim.service import Service
+from arpd.sim.timeline import Alarm, Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
 
+    from arpd.sim.bottleneck import Bottleneck
+    from arpd.sim.loss import GilbertElliott, LossStep
     from arpd.sim.schedule import RateSchedule
 
+__all__ = ["Alarm", "LinkModel", "SimulatedLink", "Timeline"]
+
 _MTU_FRAME_BYTES = 1514
-
-
-class Timeline:
-    """Virtual time: events run earliest first, those of one moment in the order they were planned.
-
-    Parameters
-    ----------
-    now_s : where time starts (s)
-    """
-
-    def __init__(self, now_s: float) -> None:
-        self.now_s = now_s
-        self._planned = 0
-        self._events: list[tuple[float, int, Callable[[], object]]] = []
-
-    def at(self, when_s: float, action: Callable[[], object]) -> None:
-        """Plan an action; one in the past runs now."""
-        self._planned += 1
-        heapq.heappush(self._events, (when_s, self._planned, action))
-
-    def every(self, period_s: float, action: Callable[[], None], *, first_s: float) -> None:
-        """Plan an action for ever, without drift."""
-        count = 0
-
-        def again() -> None:
-            nonlocal count
-            action()
-            count += 1
-            self.at(first_s + count * period_s, again)
-
-        self.at(first_s, again)
-
-    def run_until(self, end_s: float) -> None:
-        """Let everything before ``end_s`` happen."""
-        events = self._events
-        while events and events[0][0] < end_s:
-            when_s, _, action = heapq.heappop(events)
-            self.now_s = max(self.now_s, when_s)
-            action()
-        self.now_s = max(self.now_s, end_s)
-
-
-class Alarm:
-    """One action whose moment can be moved; what was planned before is forgotten.
-
-    Parameters
-    ----------
-    action : runs when the moment comes
-    """
-
-    def __init__(self, timeline: Timeline, action: Callable[[], object]) -> None:
-        self._timeline = timeline
-        self._action = action
-        self._setting = 0
-        self.when_s = math.inf
-
-    def set(self, when_s: float) -> None:
-        """Move the moment; one in the past is now."""
-        self._setting += 1
-        self.when_s = when_s = max(when_s, self._timeline.now_s)
-        self._timeline.at(when_s, partial(self._fire, self._setting))
-
-    def _fire(self, setting: int) -> None:
-        if setting == self._setting:
-            self.when_s = math.inf
-            self._action()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,63 +35,42 @@ class LinkModel:
     queue_bytes : queue in front of the bottleneck, tail drop (bytes)
     loss : probability that a packet is lost after it has used the link, 0..1
     outages : spans of run time in which nothing arrives in either direction (s, s)
+    losses : more loss, over run time, by ascending start
+    bursts : more loss, in bursts; the directions have them at different times
+    packet_overhead_s : link time a transmission takes besides that of its bytes, >= 0 (s)
+    aggregate_packets : most packets that one transmission carries if they stand in the queue together, >= 1; all of
+        them arrive when it ends, as in an A-MPDU of IEEE 802.11n
+    firmware_bytes : what the adapter holds below the interface's counter, where no host sees it, >= 0 (bytes)
     """
 
     delay_s: float = 0.002
     queue_bytes: int = 256_000
     loss: float = 0.0
     outages: tuple[tuple[float, float], ...] = ()
+    losses: tuple[LossStep, ...] = ()
+    bursts: GilbertElliott | None = None
+    packet_overhead_s: float = 0.0
+    aggregate_packets: int = 1
+    firmware_bytes: int = 0
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Crossing:
-    """One datagram's span of service and what of it reaches the far interface (bytes, packets)."""
-
-    start: float
-    end: float
-    received_bytes: float
-    received_packets: int
-
-
-class _Service:
-    """How many bytes the bottleneck can have carried by a moment, and back; no event per packet is needed.
-
-    Parameters
-    ----------
-    schedule : rate over run time
-    origin_s : when run time starts; before it the first rate holds (s)
-    """
-
-    def __init__(self, schedule: RateSchedule, origin_s: float) -> None:
-        self._starts = [origin_s + step.start_s for step in schedule.steps]
-        self._rates = [step.rate_bytes_per_second for step in schedule.steps]
-        spans = [end - start for start, end in pairwise(self._starts)]
-        self._bytes = [0.0, *accumulate(s * r for s, r in zip(spans, self._rates, strict=False))]
-
-    def rate_at(self, t_s: float) -> float:
-        return self._rates[max(0, bisect_right(self._starts, t_s) - 1)]
-
-    def by(self, t_s: float) -> float:
-        i = max(0, bisect_right(self._starts, t_s) - 1)
-        return self._bytes[i] + (t_s - self._starts[i]) * self._rates[i]
-
-    def when(self, size: float) -> float:
-        i = max(0, bisect_right(self._bytes, size) - 1)
-        return self._starts[i] + (size - self._bytes[i]) / self._rates[i]
+    def __post_init__(self) -> None:
+        check_probability("loss", self.loss)
+        check_ascending(self.losses)
+        least = {"delay_s": 0, "queue_bytes": 0, "packet_overhead_s": 0, "aggregate_packets": 1, "firmware_bytes": 0}
+        for name, bound in least.items():
+            if not bound <= (value := getattr(self, name)) < math.inf:
+                raise ValueError(f"{name} {value}: must be {bound} or more")
 
 
 class SimulatedLink:
     """One direction of the link.
-
-    A FIFO that is never idle while it holds something needs no event per packet: a datagram that arrives behind a
-    backlog leaves when the bottleneck has served the backlog and the datagram, and that moment is known at once.
 
     Parameters
     ----------
     timeline : virtual time
     schedule : rate over run time
     origin_s : when run time starts (s)
-    model : delay, queue, loss and outages
+    model : everything else
     random : source of the losses
     """
 
@@ -160,35 +78,35 @@ class SimulatedLink:
         self, timeline: Timeline, schedule: RateSchedule, *, origin_s: float, model: LinkModel, random: Random
     ) -> None:
         self._timeline = timeline
-        self._model = model
-        self._random = random
-        self._service = _Service(schedule, origin_s)
-        self._outages = [(origin_s + start_s, origin_s + end_s) for start_s, end_s in model.outages]
-        self._busy_until = self._service.by(timeline.now_s)
-        self._crossings: deque[_Crossing] = deque()
-        self._received_bytes = 0.0
-        self._accepted_bytes = 0.0
-        self.received_packets = 0
-        self.sent_packets = 0
-        self.dropped_packets = 0
+        self._firmware_bytes = model.firmware_bytes
+        self._service = Service(schedule, origin_s)
+        losses = Losses(
+            loss=model.loss,
+            steps=model.losses,
+            bursts=model.bursts,
+            outages=model.outages,
+            origin_s=origin_s,
+            random=random,
+        )
+        # One frame is in service, not queued.
+        room_bytes = model.queue_bytes + model.firmware_bytes + _MTU_FRAME_BYTES
+        self._bottleneck: Bottleneck
+        if model.packet_overhead_s == 0.0 and model.aggregate_packets == 1:
+            self._bottleneck = FluidBottleneck(
+                timeline, self._service, losses, delay_s=model.delay_s, room_bytes=room_bytes
+            )
+        else:
+            self._bottleneck = AggregatingBottleneck(
+                timeline,
+                self._service,
+                losses,
+                delay_s=model.delay_s,
+                room_bytes=room_bytes,
+                overhead_s=model.packet_overhead_s,
+                aggregate_packets=model.aggregate_packets,
+            )
 
-    @property
-    def backlog_bytes(self) -> float:
-        """What waits in the queue or is being served (bytes)."""
-        return max(0.0, self._busy_until - self._service.by(self._timeline.now_s))
-
-    @property
-    def queue_delay_s(self) -> float:
-        """How long a packet sent now would wait (s)."""
-        now_s = self._timeline.now_s
-        return max(0.0, self._service.when(self._busy_until) - now_s) if self.backlog_bytes > 0 else 0.0
-
-    @property
-    def sent_bytes(self) -> float:
-        """What has left the near interface (bytes)."""
-        return self._accepted_bytes - self.backlog_bytes
-
-    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], None]) -> float:
+    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
         """Put one datagram on the link; ``deliver`` runs when its last fragment arrives, unless one is missing.
 
         Parameters
@@ -198,42 +116,50 @@ class SimulatedLink:
 
         Returns
         -------
-        When nothing of it is on the way any more, arrived or not (s).
+        When nothing of it is on the way any more, arrived or not; if others join its transmission, a little later (s).
         """
-        room = self._model.queue_bytes + _MTU_FRAME_BYTES - self.backlog_bytes  # one frame is in service, not queued
-        fragment = wire_bytes / packets
-        accepted = packets if wire_bytes <= room else max(0, int(room // fragment))
-        self.dropped_packets += packets - accepted
-        if not accepted:
-            return self._timeline.now_s
-        start = max(self._busy_until, self._service.by(self._timeline.now_s))
-        self._busy_until = end = start + accepted * fragment
-        self._accepted_bytes += accepted * fragment
-        self.sent_packets += accepted
-        arrival_s = self._service.when(end) + self._model.delay_s
-        surviving = self._survivors(accepted, arrival_s)
-        self._crossings.append(
-            _Crossing(start=start, end=end, received_bytes=surviving * fragment, received_packets=surviving)
-        )
-        if surviving == packets:
-            self._timeline.at(arrival_s, deliver)
-        return arrival_s
+        return self._bottleneck.put(wire_bytes, packets, deliver)
+
+    @property
+    def capacity_bytes_per_second(self) -> float:
+        """Rate at which the link carries bytes now, the overhead of packets left aside (bytes/s)."""
+        return self._service.rate_at(self._timeline.now_s)
+
+    @property
+    def backlog_bytes(self) -> float:
+        """What the host still holds: queued, and above the firmware (bytes)."""
+        return max(0.0, self._bottleneck.waiting_bytes() - self._firmware_bytes)
+
+    @property
+    def queue_delay_s(self) -> float:
+        """How long a packet sent now would wait, in the host and in the firmware (s)."""
+        return self._bottleneck.wait_s()
+
+    @property
+    def sent_bytes(self) -> float:
+        """What has left the near interface (bytes)."""
+        return self._bottleneck.accepted_bytes - self.backlog_bytes
+
+    @property
+    def sent_packets(self) -> int:
+        """Packets the near interface took."""
+        return self._bottleneck.accepted_packets
+
+    @property
+    def dropped_packets(self) -> int:
+        """Packets that found the queue full."""
+        return self._bottleneck.dropped_packets
+
+    @property
+    def lost_packets(self) -> int:
+        """Packets that were sent and did not arrive; some of them may be on the way still."""
+        return self._bottleneck.lost_packets
 
     def received_bytes(self) -> float:
-        """Count what has reached the far interface, the datagram being received included in part (bytes)."""
-        served = self._service.by(self._timeline.now_s - self._model.delay_s)
-        while self._crossings and self._crossings[0].end <= served:
-            done = self._crossings.popleft()
-            self._received_bytes += done.received_bytes
-            self.received_packets += done.received_packets
-        if self._crossings and self._crossings[0].start < served:
-            head = self._crossings[0]
-            return self._received_bytes + head.received_bytes * (served - head.start) / (head.end - head.start)
-        return self._received_bytes
+        """Count what has reached the far interface (bytes)."""
+        return self._bottleneck.received()[0]
 
-    def _survivors(self, packets: int, arrival_s: float) -> int:
-        if any(start_s <= arrival_s < end_s for start_s, end_s in self._outages):
-            return 0
-        if not self._model.loss:
-            return packets
-        return sum(self._random.random() >= self._model.loss for _ in range(packets))
+    @property
+    def received_packets(self) -> int:
+        """Packets that have reached the far interface."""
+        return self._bottleneck.received()[1]

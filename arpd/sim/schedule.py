@@ -21,7 +21,7 @@ class RateStep:
     Parameters
     ----------
     start_s : time since the start of the run, >= 0 (s)
-    rate_bytes_per_second : link rate from then on, > 0 (bytes/s)
+    rate_bytes_per_second : link rate from then on, >= 0; 0 = nothing is carried (bytes/s)
     """
 
     start_s: float
@@ -30,8 +30,8 @@ class RateStep:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
             raise ValueError(f"step at {self.start_s} s: the time must be zero or later")
-        if not (math.isfinite(self.rate_bytes_per_second) and self.rate_bytes_per_second > 0.0):
-            raise ValueError(f"step at {self.start_s:g} s: the rate must be above zero; use loss 1 for an outage")
+        if not (math.isfinite(self.rate_bytes_per_second) and self.rate_bytes_per_second >= 0.0):
+            raise ValueError(f"step at {self.start_s:g} s: the rate must be zero or more")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,6 +57,8 @@ class RateSchedule:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Read ``SECONDS:RATE`` pairs separated by commas, in any order: ``0:20mbit,20:5mbit,50:20mbit``.
+
+        A rate of zero is refused: this text also shapes the real link, whose token bucket must have a rate.
 
         Raises
         ------
@@ -89,4 +91,6 @@ def _parse_step(text: str) -> RateStep:
         rate_bytes_per_second = parse_rate(rate)
     except ValueError as error:
         raise ValueError(f"step {text!r}: {error}") from error
+    if not rate_bytes_per_second > 0.0:
+        raise ValueError(f"step {text!r}: the rate must be above zero; use loss 1 for an outage")
     return RateStep(start_s=start_s, rate_bytes_per_second=rate_bytes_per_second)

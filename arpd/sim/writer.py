@@ -12,13 +12,15 @@ from arpd.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
     from arpd.sim.arrivals import Arrivals
-    from arpd.sim.link import SimulatedLink, Timeline
+    from arpd.sim.link import SimulatedLink
+    from arpd.sim.timeline import Timeline
     from arpd.swap import WriterQos
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
 # Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
 # and never of a sample that is on its way; so the robot without arpd looks better here than it is.
 _RESEND_S = 0.1
+_MOST_ASKED = 256  # numbers that one ACKNACK can name (RTPS 2.3, §9.4.2.6)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,36 +33,53 @@ class Route:
 
 
 class _Reader:
-    """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has."""
+    """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has.
+
+    As in Fast DDS 2.14 (StatefulReader, WriterProxy), what is next in order is handed over as it comes; what is not
+    waits until the gap is filled, or until a heartbeat says that it never will be.
+    """
 
     def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
         self._arrivals = arrivals
         self._payload_bytes = payload_bytes
         self._timeline = timeline
-        self._held: dict[int, bytes] = {}
+        self._held: dict[int, tuple[int, float]] = {}  # sequence and stamp of samples behind a gap
         self._highest = 0
         self.next = 1
 
     def on_data(self, number: int, sample: bytes) -> None:
-        if number >= self.next and number not in self._held:
-            self._held[number] = sample
-            sequence, stamp_s = SAMPLE.unpack(sample)
-            self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
-
-    def _deliver(self, sample: bytes) -> None:
+        if number < self.next or number in self._held:
+            return
         sequence, stamp_s = SAMPLE.unpack(sample)
+        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+        if number > self.next:
+            self._held[number] = sequence, stamp_s
+            return
         self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
+        self.next += 1
+        if self._held:
+            self._release()
 
     def on_heartbeat(self, first: int, last: int) -> list[int]:
-        """Hand over what is in order now, and return the numbers to ask for again."""
+        """Return the numbers to ask for again, lowest first."""
         self._highest = max(self._highest, last)
-        for number in sorted(number for number in self._held if number < first):
-            self._deliver(self._held.pop(number))
-        self.next = max(self.next, first)
-        while (sample := self._held.pop(self.next, None)) is not None:
-            self._deliver(sample)
+        if first > self.next:
+            for number in sorted(number for number in self._held if number < first):
+                self._deliver(number)
+            self.next = first
+            self._release()
+        if self._highest < self.next:
+            return []
+        most = min(self._highest, self.next + _MOST_ASKED - 1)
+        return [number for number in range(self.next, most + 1) if number not in self._held]
+
+    def _release(self) -> None:
+        while self.next in self._held:
+            self._deliver(self.next)
             self.next += 1
-        return [number for number in range(self.next, self._highest + 1) if number not in self._held]
+
+    def _deliver(self, number: int) -> None:
+        self._arrivals.on_delivery(*self._held.pop(number), self._payload_bytes)
 
 
 class SimulatedWriter:
@@ -78,13 +97,13 @@ class SimulatedWriter:
     def __init__(
         self, route: Route, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
     ) -> None:
-        self._route = route
+        self._timeline, self._there, self._back = route.timeline, route.there, route.back
         self._depth = qos.depth
         self._heartbeat_s = heartbeat_s
         self._reader = _Reader(arrivals, route.timeline, payload_bytes)
         self._history: dict[int, bytes] = {}
         self._settled_at_s: dict[int, float] = {}
-        self._last = 0
+        self._first, self._last = 1, 0
         self._acknowledged = 0
         self._is_alive = True
         self._is_beating = False
@@ -94,13 +113,13 @@ class SimulatedWriter:
         """Write one sample; the oldest leaves a full history, acknowledged or not."""
         self._last += 1
         self._history[self._last] = sample
-        while len(self._history) > self._depth:
-            gone = next(iter(self._history))
-            del self._history[gone], self._settled_at_s[gone]
+        if len(self._history) > self._depth:
+            del self._history[self._first], self._settled_at_s[self._first]
+            self._first += 1
         self._send(self._last)
         if not self._is_beating:
             self._is_beating = True
-            self._route.timeline.at(self._route.timeline.now_s + self._heartbeat_s, self._beat)
+            self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
 
     def matched(self) -> int:
         """One reader, known at once: a new writer's endpoint data travels ahead of its samples."""
@@ -117,24 +136,21 @@ class SimulatedWriter:
     def destroy(self) -> None:
         """Stop resending; what is on the link still arrives."""
         self._is_alive = False
+        self._first = self._last + 1
         self._history.clear()
         self._settled_at_s.clear()
-
-    @property
-    def _first(self) -> int:
-        return next(iter(self._history), self._last + 1)
 
     def _send(self, number: int) -> None:
         asked = (self._first, self._last) if len(self._history) >= self._depth else None
         deliver = partial(self._arrive, number, self._history[number], asked)
-        self._settled_at_s[number] = self._route.there.send(self._wire_bytes, self._packets, deliver)
+        self._settled_at_s[number] = self._there.send(self._wire_bytes, self._packets, deliver)
 
     def _beat(self) -> None:
         if not self._is_alive or self.is_acknowledged():
             self._is_beating = False
             return
-        self._route.there.send(HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
-        self._route.timeline.at(self._route.timeline.now_s + self._heartbeat_s, self._beat)
+        self._there.send(HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
+        self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
 
     # -- at the reader
 
@@ -145,13 +161,13 @@ class SimulatedWriter:
 
     def _acknowledge(self, first: int, last: int) -> None:
         missing = self._reader.on_heartbeat(first, last)
-        self._route.back.send(ACKNACK_BYTES, 1, partial(self._on_acknack, self._reader.next - 1, missing))
+        self._back.send(ACKNACK_BYTES, 1, partial(self._on_acknack, self._reader.next - 1, missing))
 
     # -- back at the writer
 
     def _on_acknack(self, acknowledged: int, missing: list[int]) -> None:
         self._acknowledged = max(self._acknowledged, acknowledged)
-        now_s = self._route.timeline.now_s
+        now_s = self._timeline.now_s
         for number in missing:
             if number in self._history and now_s - self._settled_at_s[number] >= _RESEND_S:
                 self._send(number)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("pyroute2", reason="the simulated link needs pyroute2: pip install 'arpd[simlink]'")
+pytest.importorskip("pyroute2", reason="the simulated link needs pyroute2: pip install pyroute2")
 
 from pyroute2 import netns
 

@@ -54,13 +54,26 @@ def test_duration_is_the_start_of_the_last_step():
         ("0:20mbit,7:5mbit,7:6mbit", "two steps start at 7 s"),
         ("0:20mbit,7:fast", "step '7:fast'"),
         ("0:20mbit,7:", "step '7:'"),
-        ("0:0mbit", "0:0mbit|above zero"),
+        ("0:20mbit,7:0mbit", "step '7:0mbit': the rate must be above zero; use loss 1 for an outage"),
     ],
 )
 def test_a_bad_schedule_is_refused_with_the_way_out(text, message):
     """The message names the step at fault."""
     with pytest.raises(ValueError, match=message):
         RateSchedule.parse(text)
+
+
+def test_a_trace_may_stand_still():
+    """A rate of zero is one like any other, for a link that is not made of a token bucket."""
+    schedule = RateSchedule(steps=(RateStep(start_s=0.0, rate_bytes_per_second=0.0),))
+    assert schedule.rate_at(5.0) == 0.0
+
+
+@pytest.mark.parametrize("rate", [-1.0, math.nan, math.inf])
+def test_a_rate_that_is_none_is_refused(rate):
+    """Below zero and beyond all numbers there is no rate."""
+    with pytest.raises(ValueError, match="step at 1 s: the rate must be zero or more"):
+        RateStep(start_s=1.0, rate_bytes_per_second=rate)
 
 
 @pytest.mark.parametrize("t_s", [-0.001, math.nan])

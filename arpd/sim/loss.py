@@ -1,0 +1,159 @@
+"""What a simulated link loses: at random, by a schedule, in bursts and in outages."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from random import Random
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LossStep:
+    """From here on, this loss.
+
+    Parameters
+    ----------
+    start_s : time since the start of the run, >= 0 (s)
+    loss : probability that a packet is lost from then on, 0..1
+    """
+
+    start_s: float
+    loss: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
+            raise ValueError(f"loss step at {self.start_s} s: the time must be zero or later")
+        check_probability(f"loss step at {self.start_s:g} s", self.loss)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GilbertElliott:
+    """Loss in bursts: the link is good or bad, and stays so for a random, exponentially distributed time.
+
+    The state belongs to the link and goes on while nothing is sent: the chain of Gilbert (1960) and Elliott (1963) in
+    continuous time. It starts good; in the long run it is bad for ``bad_s / (good_s + bad_s)`` of the time.
+
+    Parameters
+    ----------
+    good_s, bad_s : mean duration of a good and of a bad state, > 0 (s)
+    bad_loss, good_loss : probability that a packet is lost in that state, 0..1
+    """
+
+    good_s: float
+    bad_s: float
+    bad_loss: float = 1.0
+    good_loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, duration_s in (("good_s", self.good_s), ("bad_s", self.bad_s)):
+            if not (math.isfinite(duration_s) and duration_s > 0.0):
+                raise ValueError(f"{name} {duration_s}: a mean duration must be above zero (s)")
+        check_probability("bad_loss", self.bad_loss)
+        check_probability("good_loss", self.good_loss)
+
+
+def check_probability(name: str, value: float) -> None:
+    """Refuse what is not a probability.
+
+    Raises
+    ------
+    ValueError : the value is not from 0 to 1
+    """
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name}: {value} is not a probability, from 0 to 1")
+
+
+def check_ascending(losses: Sequence[LossStep]) -> None:
+    """Refuse steps that are out of order.
+
+    Raises
+    ------
+    ValueError : a step does not start after the one before it
+    """
+    for earlier, later in pairwise(losses):
+        if not later.start_s > earlier.start_s:
+            raise ValueError(f"the loss step at {later.start_s:g} s comes after the one at {earlier.start_s:g} s")
+
+
+class Losses:
+    """Decides how many packets survive the way; to be asked in order of time.
+
+    Parameters
+    ----------
+    loss : probability that a packet is lost, at any time, 0..1
+    steps : more loss, over time; none before the first step
+    bursts : more loss, in bursts
+    outages : spans in which nothing arrives (s, s)
+    origin_s : what all times above are counted from (s)
+    random : decides
+
+    Attributes
+    ----------
+    is_lossless : whether everything survives, at any time
+    """
+
+    def __init__(
+        self,
+        *,
+        loss: float,
+        steps: Sequence[LossStep],
+        bursts: GilbertElliott | None,
+        outages: Sequence[tuple[float, float]],
+        origin_s: float,
+        random: Random,
+    ) -> None:
+        self._loss = loss
+        self._random = random
+        self._starts = [origin_s + step.start_s for step in steps]
+        self._steps = [step.loss for step in steps]
+        self._outages = [(origin_s + start_s, origin_s + end_s) for start_s, end_s in outages]
+        # A source of its own: what is sent must not change when the bursts come.
+        self._bursts = None if bursts is None else _Bursts(bursts, origin_s, _branch(random))
+        self.is_lossless = not (loss or self._steps or self._outages or bursts)
+
+    def survivors(self, packets: int, at_s: float) -> int:
+        """Return how many of the packets that arrive at this moment do arrive."""
+        if self.is_lossless or at_s == math.inf:  # what never arrives is not lost
+            return packets
+        if any(start_s <= at_s < end_s for start_s, end_s in self._outages):
+            return 0
+        loss = self._loss
+        if self._starts and (i := bisect_right(self._starts, at_s)):
+            loss = _either(loss, self._steps[i - 1])
+        if self._bursts is not None:
+            loss = _either(loss, self._bursts.loss_at(at_s))
+        if not loss:
+            return packets
+        draw = self._random.random
+        return int(draw() >= loss) if packets == 1 else sum([draw() >= loss for _ in range(packets)])
+
+
+class _Bursts:
+    """The state of a Gilbert-Elliott link, drawn as far as time has come; it is good until the run starts."""
+
+    def __init__(self, model: GilbertElliott, origin_s: float, random: Random) -> None:
+        self._model = model
+        self._random = random
+        self._is_bad = False
+        self._until_s = origin_s + random.expovariate(1.0 / model.good_s)
+
+    def loss_at(self, at_s: float) -> float:
+        model = self._model
+        while self._until_s <= at_s:
+            self._is_bad = not self._is_bad
+            self._until_s += self._random.expovariate(1.0 / (model.bad_s if self._is_bad else model.good_s))
+        return model.bad_loss if self._is_bad else model.good_loss
+
+
+def _branch(random: Random) -> Random:
+    return Random(random.getrandbits(64))  # noqa: S311 - a repeatable run, not a secret
+
+
+def _either(one: float, other: float) -> float:
+    return 1.0 - (1.0 - one) * (1.0 - other)

@@ -1,0 +1,77 @@
+"""Virtual time: a clock that jumps from event to event."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Timeline:
+    """Virtual time: events run earliest first, those of one moment in the order they were planned.
+
+    Parameters
+    ----------
+    now_s : where time starts (s)
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.now_s = now_s
+        self._planned = 0
+        self._events: list[tuple[float, int, Callable[[], object]]] = []
+
+    def at(self, when_s: float, action: Callable[[], object]) -> None:
+        """Plan an action; one in the past runs now."""
+        self._planned += 1
+        heappush(self._events, (when_s, self._planned, action))
+
+    def every(self, period_s: float, action: Callable[[], None], *, first_s: float) -> None:
+        """Plan an action for ever, without drift."""
+        count = 0
+
+        def again() -> None:
+            nonlocal count
+            action()
+            count += 1
+            self.at(first_s + count * period_s, again)
+
+        self.at(first_s, again)
+
+    def run_until(self, end_s: float) -> None:
+        """Let everything before ``end_s`` happen."""
+        events = self._events
+        while events and events[0][0] < end_s:
+            when_s, _, action = heappop(events)
+            self.now_s = max(self.now_s, when_s)
+            action()
+        self.now_s = max(self.now_s, end_s)
+
+
+class Alarm:
+    """One action whose moment can be moved; what was planned before is forgotten.
+
+    Parameters
+    ----------
+    action : runs when the moment comes
+    """
+
+    def __init__(self, timeline: Timeline, action: Callable[[], object]) -> None:
+        self._timeline = timeline
+        self._action = action
+        self._setting = 0
+        self.when_s = math.inf
+
+    def set(self, when_s: float) -> None:
+        """Move the moment; one in the past is now."""
+        self._setting += 1
+        self.when_s = when_s = max(when_s, self._timeline.now_s)
+        self._timeline.at(when_s, partial(self._fire, self._setting))
+
+    def _fire(self, setting: int) -> None:
+        if setting == self._setting:
+            self.when_s = math.inf
+            self._action()

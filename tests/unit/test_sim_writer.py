@@ -1,0 +1,192 @@
+"""The simulated reliable writer and its reader: what Fast DDS promises, over links that lose, drop and stop."""
+
+from __future__ import annotations
+
+import math
+from random import Random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.sim.arrivals import Arrivals
+from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.schedule import RateSchedule
+from arpd.sim.timeline import Timeline
+from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
+from arpd.swap import WriterQos
+from arpd.wire import HEARTBEAT_BYTES, wire_size
+
+ORIGIN_S = 1000.0
+
+
+class Delivered(Arrivals):
+    """What a reader is handed, in which order, and when."""
+
+    def __init__(self, timeline):
+        super().__init__()
+        self._timeline = timeline
+        self.arrived = []
+        self.delivered = []
+        self.at_s = {}
+
+    def on_arrival(self, sequence, latency_s):
+        self.arrived.append(sequence)
+
+    def on_delivery(self, sequence, stamp_s, size_bytes):
+        self.delivered.append(sequence)
+        self.at_s[sequence] = self._timeline.now_s - ORIGIN_S
+
+
+class World:
+    """One writer, one reader, and the link between them."""
+
+    def __init__(self, *, depth, heartbeat_s=0.05, rate="0:20mbit", payload_bytes=500, seed=1, **model):
+        self.timeline = Timeline(ORIGIN_S)
+        self.there, self.back = (
+            SimulatedLink(
+                self.timeline,
+                RateSchedule.parse(rate),
+                origin_s=ORIGIN_S,
+                model=LinkModel(**model),
+                random=Random(f"{seed} {name}"),
+            )
+            for name in ("there", "back")
+        )
+        self.reader = Delivered(self.timeline)
+        self.published = 0
+        self.writer = SimulatedWriter(
+            Route(timeline=self.timeline, there=self.there, back=self.back),
+            self.reader,
+            payload_bytes=payload_bytes,
+            qos=WriterQos(depth=depth, deadline_ns=0),
+            heartbeat_s=heartbeat_s,
+        )
+
+    def publish(self, samples, *, every_s=0.0):
+        for _ in range(samples):
+            self.writer.publish(SAMPLE.pack(self.published, self.timeline.now_s))
+            self.published += 1
+            self.wait(every_s)
+
+    def wait(self, duration_s):
+        self.timeline.run_until(self.timeline.now_s + duration_s)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 40), st.integers(1, 40), st.sampled_from([0.0, 0.1, 0.4]), st.sampled_from([0.0, 0.03]), st.data()
+)
+def test_whatever_the_history_holds_is_delivered_once_and_in_order(samples, depth, loss, every_s, data):
+    """Under loss in both directions no sample comes twice or late, and none of the last ``depth`` stays away."""
+    world = World(depth=depth, loss=loss, seed=data.draw(st.integers(0, 99)))
+    world.publish(samples, every_s=every_s)
+    world.wait(60.0)
+    assert world.reader.delivered == sorted(set(world.reader.delivered))
+    assert set(range(max(0, samples - depth), samples)) <= set(world.reader.delivered)
+    assert world.writer.is_acknowledged()
+
+
+@pytest.mark.parametrize("loss", [0.05, 0.3])
+def test_a_history_that_is_deep_enough_loses_nothing(loss):
+    """Every sample arrives, because every one is still there when it is asked for."""
+    world = World(depth=200, loss=loss)
+    world.publish(200, every_s=0.01)
+    world.wait(60.0)
+    assert world.reader.delivered == list(range(200))
+
+
+def test_a_full_history_drops_the_oldest_though_nobody_has_it():
+    """What was published before an outage and pushed out in it never arrives; the last ``depth`` do."""
+    world = World(depth=3, outages=((0.0, 2.0),))
+    world.publish(10, every_s=0.1)
+    world.wait(10.0)
+    assert world.reader.delivered == [7, 8, 9]
+    assert world.writer.is_acknowledged()
+
+
+def test_a_full_history_drops_the_oldest_that_everybody_has():
+    """An acknowledged sample stays until it is pushed out: KEEP_LAST counts it."""
+    world = World(depth=3)
+    world.publish(10, every_s=0.1)
+    world.wait(1.0)
+    assert world.writer.is_acknowledged()
+    assert [SAMPLE.unpack(sample)[0] for sample in world.writer._history.values()] == [7, 8, 9]
+
+
+@pytest.mark.parametrize("depth", [1, 100])
+def test_heartbeats_stop_when_all_is_acknowledged(depth):
+    """A writer whose reader has everything is silent, and starts again with the next sample."""
+    world = World(depth=depth, loss=0.2)
+    for _ in range(3):
+        world.publish(20)
+        world.wait(30.0)
+        assert world.writer.is_acknowledged()
+        said = world.there.sent_packets, world.back.sent_packets
+        world.wait(30.0)
+        assert (world.there.sent_packets, world.back.sent_packets) == said
+    assert said[0] > 60
+
+
+def test_heartbeats_go_on_until_an_acknowledgement_comes():
+    """While nothing comes back there is one in every period."""
+    world = World(depth=100, heartbeat_s=0.5, outages=((0.0, 10.25),))
+    world.publish(1)
+    world.wait(10.2)
+    assert world.there.sent_packets == 1 + 20
+    world.wait(1.0)
+    assert world.writer.is_acknowledged()
+
+
+def test_what_is_in_order_does_not_wait_for_a_heartbeat():
+    """A sample is handed over when it arrives, whenever the next heartbeat comes."""
+    world = World(depth=100, heartbeat_s=3.0)
+    world.publish(5, every_s=0.1)
+    world.wait(0.1)
+    assert world.reader.delivered == [0, 1, 2, 3, 4]
+    assert world.reader.at_s[4] == pytest.approx(0.4, abs=0.01)
+
+
+def test_what_comes_behind_a_gap_waits_for_it():
+    """The samples after a lost one arrived in time, and are handed over after it."""
+    world = World(depth=100, heartbeat_s=0.5, outages=((0.05, 0.15),))
+    world.publish(5, every_s=0.1)
+    world.wait(5.0)
+    assert world.reader.arrived == [0, 2, 3, 4, 1]
+    assert world.reader.delivered == [0, 1, 2, 3, 4]
+    assert 0.5 < world.reader.at_s[1] == world.reader.at_s[4] < 0.52
+
+
+def test_a_writer_that_is_destroyed_repeats_nothing():
+    """What is on the link arrives; what was lost stays lost, and no heartbeat goes out."""
+    world = World(depth=100, outages=((0.0, 0.2),), delay_s=0.05)
+    world.publish(5)
+    world.wait(0.19)
+    world.publish(1)
+    world.writer.destroy()
+    said = world.there.sent_packets
+    world.wait(10.0)
+    assert world.reader.arrived == [5]
+    assert world.there.sent_packets == said
+
+
+def test_nothing_is_sent_again_while_it_is_on_its_way():
+    """On a slow link each sample crosses once, however often the reader asks meanwhile."""
+    world = World(depth=20, heartbeat_s=0.05, rate="0:100kbit", payload_bytes=1000)
+    world.publish(20)
+    world.wait(30.0)
+    assert world.reader.delivered == list(range(20))
+    wire_bytes, _ = wire_size(1000, rate_hz=math.inf)
+    heartbeats = world.there.sent_packets - 20
+    assert heartbeats > 20
+    assert world.there.sent_bytes == pytest.approx(20 * wire_bytes + heartbeats * HEARTBEAT_BYTES)
+
+
+def test_an_acknowledgement_names_256_numbers_at_most():
+    """After a long outage the reader asks in portions, and has all of a deep history in the end."""
+    world = World(depth=1000, heartbeat_s=1.0, payload_bytes=100, outages=((0.0, 2.5),))
+    world.publish(900)
+    world.wait(3.1)
+    assert 0 < len(world.reader.delivered) <= 256
+    world.wait(10.0)
+    assert world.reader.delivered == list(range(900))
