@@ -14,7 +14,7 @@ from arpd.config_source import printable
 from arpd.errors import ArpdError, DaemonUnreachableError, UsageError
 from arpd.quantities import format_duration, format_rate, format_size
 from arpd.settings import HttpSettings
-from arpd.web.status import LASTING, confirmed, lease
+from arpd.web.status import LASTING, confirmed, interface_fault, lease
 
 _TIMEOUT_S = 3.0
 _MAX_BYTES = 16 * 2**20
@@ -118,6 +118,7 @@ def screen(status: dict[str, Any]) -> str:
         "",
         f"link     {estimate}",
         f"         {link['evidence']}",
+        *([f"         {status['interface']} {fault}"] if (fault := interface_fault(status)) else []),
         *([f"         {_foreign(link)}"] if link["foreign_bytes_per_second"] else []),
         f"gate     {_number(status['gate'])}",
         f"plan     {in_force}",

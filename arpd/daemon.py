@@ -16,6 +16,7 @@ from arpd.errors import ConfigError
 from arpd.estimator import Estimator
 from arpd.governor import Governor
 from arpd.host.counters import choose_interface, list_interfaces
+from arpd.interface import state_of
 from arpd.logs import configure_logging
 from arpd.ordering import Ordering
 from arpd.planner import restore_plan
@@ -254,7 +255,9 @@ class Daemon:
             f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
             f"{self.snapshot.confirmed} of {self._managed()} publishers confirmed"
         )
-        return f"{line}; reload refused: {self._config_error}" if self._config_error else line
+        fault = state_of(self.snapshot.observation.counters).fault
+        refused = f"reload refused: {self._config_error}" if self._config_error else ""
+        return "; ".join(said for said in (fault and f"{self._interface} {fault}", line, refused) if said)
 
     def _managed(self) -> int:
         assert self.snapshot is not None
@@ -358,9 +361,9 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
     signals = Signals()
     signals.install()
     notifier = Notifier()
-    from arpd.ros.runtime import ros_node, spinning  # noqa: PLC0415 - the config is checked before ROS is needed
+    from arpd.ros.runtime import control_node, spinning  # noqa: PLC0415 - the config is checked before ROS is needed
 
-    with ros_node("arpd") as node:
+    with control_node("arpd") as node:
         from rclpy.executors import MultiThreadedExecutor  # noqa: PLC0415
 
         from arpd.ros.control import RosControl  # noqa: PLC0415

@@ -158,6 +158,7 @@ class Observation:
     other_daemons : hosts of the other daemons in the ROS domain
     superior : host of the one that drives the robot in this one's place, empty when this one does
     radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
+    peer_ages_s : peers heard in the last minute, with the time since the last report of each (s)
     """
 
     now_s: float
@@ -174,6 +175,7 @@ class Observation:
     other_daemons: tuple[str, ...] = ()
     superior: str = ""
     radio_bytes_per_second: float | None = None
+    peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

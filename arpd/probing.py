@@ -12,10 +12,10 @@ class Train:
 
     Parameters
     ----------
-    payload_bytes : wire bytes after the first packet (bytes)
-    duration_s : arrival of the last packet minus arrival of the first (s)
-    packets : packets that arrived
-    sent_s : the last packet's departure minus the first's, on the sender's clock; 0 = not told (s)
+    payload_bytes : wire bytes of the packets counted, which are those after the first (bytes)
+    duration_s : arrival of the last packet counted minus arrival of the first (s)
+    packets : packets whose bytes are counted
+    sent_s : departures of the same two packets, on the sender's clock; 0 = not told (s)
     """
 
     payload_bytes: int
@@ -62,8 +62,10 @@ class ProbeRequest:
     ----------
     packets, packet_bytes : that many packets of that payload, back to back; a single one is a ping
     number : counts up from 1, so that a report can say how far the probes have come
+    quiet_s : how long the peer may let reports be apart from now on; less than a quarter of a second is that (s)
     """
 
     packets: int
     packet_bytes: int
     number: int = 0
+    quiet_s: float = 0.0

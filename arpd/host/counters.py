@@ -1,18 +1,24 @@
-"""Link counters and memory of this host, through psutil."""
+"""The link interface of this host, followed through what can happen to it, and the host's memory."""
 
 from __future__ import annotations
 
+import logging
+import re
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import psutil
 
 from arpd.errors import LinkError
-from arpd.interface import InterfaceState, LinkCounters
+from arpd.host.backlog import read_backlog
+from arpd.interface import InterfaceState, LinkCounters, continue_counters, state_of
 from arpd.model import MemoryState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+log = logging.getLogger(__name__)
 
 _SYS_NET = Path("/sys/class/net")
 _PROC_ROUTE = Path("/proc/net/route")
@@ -53,21 +59,127 @@ def choose_interface(
     raise LinkError(f"cannot tell which interface is the link; set link.interface to one of {', '.join(existing)}")
 
 
-def read_counters(interface: str) -> LinkCounters | None:
-    """Return the interface's counters, None while it is gone."""
-    counters = psutil.net_io_counters(pernic=True, nowrap=True).get(interface)
-    stats = psutil.net_if_stats().get(interface)
+def read_counters(name: str) -> LinkCounters | None:
+    """Return the counters an interface has now, as the kernel keeps them; None when there is none of that name.
+
+    What its queue drops counts as dropped by the interface; drivers do not count it.
+
+    psutil's own correction (``nowrap``) stays off: it takes every fall for a reset, forgets a name that was away for
+    one reading, and is shared by the whole process.
+    """
+    try:
+        counters = psutil.net_io_counters(pernic=True, nowrap=False).get(name)
+        stats = psutil.net_if_stats().get(name)
+    except OSError:  # it vanished between two of psutil's questions
+        return None
     if counters is None or stats is None:
         return None
+    index = index_of(name)
+    queue = None if index is None else read_backlog(index)
+    # IFF_UP is what the administrator wants, IFF_RUNNING what the driver has (netdevice(7)).
+    without_carrier = InterfaceState.NO_CARRIER if "up" in stats.flags.split(",") else InterfaceState.DOWN
     return LinkCounters(
-        interface=interface,
+        interface=name,
         rx_bytes=counters.bytes_recv,
         tx_bytes=counters.bytes_sent,
         rx_packets=counters.packets_recv,
         tx_packets=counters.packets_sent,
-        tx_dropped=counters.dropout,
-        state=InterfaceState.UP if stats.isup else InterfaceState.DOWN,
+        tx_dropped=counters.dropout + (queue.dropped_packets if queue else 0),
+        backlog_bytes=queue.waiting_bytes if queue else None,
+        state=InterfaceState.UP if stats.isup else without_carrier,
     )
+
+
+def hardware_address(name: str) -> str:
+    """Return an interface's Ethernet address as lower-case hexadecimal digits, empty when it has none."""
+    addresses = psutil.net_if_addrs().get(name, [])
+    found = next((address.address for address in addresses if address.family == psutil.AF_LINK), "")
+    digits = re.sub("[^0-9a-f]", "", found.lower())
+    return digits if digits.strip("0") else ""
+
+
+def index_of(name: str) -> int | None:
+    """Return the kernel's number of an interface, None when there is none of that name."""
+    try:
+        return socket.if_nametoindex(name)
+    except OSError:
+        return None
+
+
+def name_of(index: int) -> str | None:
+    """Return the name of an interface, None when there is none of that number."""
+    try:
+        return socket.if_indextoname(index)
+    except OSError:
+        return None
+
+
+class InterfaceReader:
+    """Reads one interface again and again; what happens to it is a state, said once in the log.
+
+    The kernel's number tells an interface from its name: one that is renamed is followed, and one that comes back
+    under its first or its last name is taken on, with totals that go on where they stood.
+
+    Parameters
+    ----------
+    name : the interface, as configured
+    read, index_of, name_of : the kernel's answers, for tests to give others
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        read: Callable[[str], LinkCounters | None] = read_counters,
+        index_of: Callable[[str], int | None] = index_of,
+        name_of: Callable[[int], str | None] = name_of,
+    ) -> None:
+        self._configured = self._name = name
+        self._read = read
+        self._index_of = index_of
+        self._name_of = name_of
+        self._index: int | None = None
+        self._raw: LinkCounters | None = None
+        self._total: LinkCounters | None = None
+        self._state = InterfaceState.UP
+
+    @property
+    def name(self) -> str:
+        """The name it has now, or had last."""
+        return self._name
+
+    @property
+    def index(self) -> int | None:
+        """The kernel's number of the interface, None while it is gone."""
+        return self._index
+
+    def read(self) -> LinkCounters | None:
+        """Return counters and state, None while the interface is gone; the counters never fall."""
+        name = self._find()
+        raw = None if name is None else self._read(name)
+        if raw is not None:
+            # Of an interface that is new to us, the past is not the link's.
+            self._total = continue_counters(self._total or raw, self._raw or raw, raw)
+            self._raw = raw
+        self._note_state(state_of(raw))
+        return raw and self._total
+
+    def _find(self) -> str | None:
+        name = None if self._index is None else self._name_of(self._index)
+        if name is None:
+            found = ((candidate, self._index_of(candidate)) for candidate in (self._configured, self._name))
+            name, self._index = next(((name, index) for name, index in found if index is not None), (None, None))
+            self._raw = None
+        elif name != self._name:
+            log.warning("the link interface %s is now called %s, and is followed", self._name, name)
+        self._name = name or self._name
+        return name
+
+    def _note_state(self, state: InterfaceState) -> None:
+        if state is not self._state:
+            self._state = state
+            level = logging.WARNING if state.fault else logging.INFO
+            log.log(level, "the link interface %s %s", self._name, state.fault or "is up again")
 
 
 def read_memory() -> MemoryState:

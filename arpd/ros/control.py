@@ -6,14 +6,18 @@ import logging
 import threading
 import time
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, UInt8MultiArray
 
-from arpd.host.counters import read_counters, read_memory
+from arpd.host.counters import InterfaceReader, read_memory
+from arpd.host.radio import Radio
 from arpd.model import Direction, Observation, PublisherState
 from arpd.readers import ReaderState
 from arpd.ros import report as wire_format
@@ -36,8 +40,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _GRAPH_S = 1.0
+_RADIO_S = 1.0
 _STALE_S = 3.5  # three announcements missed: the publisher is gone
 _READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three seconds
+_PEER_FORGOTTEN_S = 60.0  # long enough for a scrape or two to see its age grow
+_MOST_PEERS = 100
 _MOST_ENDPOINTS = 2000  # more than any robot has; a liar on the network cannot take our memory
 
 S = TypeVar("S", PublisherState, ReaderState)
@@ -69,12 +76,15 @@ class RosControl:
         self._rmw = rmw or current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
-        self._interface = interface
+        self._reader = InterfaceReader(interface)
+        self._radio = Radio()
+        self._radio_rate: float | None = None
         self._graph_settings = graph
         self._on_report_arrived = on_report
         self._clock = clock
         self._lock = threading.Lock()
         self._reports: list[PeerReport] = []
+        self._peers_heard: dict[str, float] = {}  # when each reported last (s)
         self._announced: _Announced[PublisherState] = _Announced(_STALE_S)
         self._readers: _Announced[ReaderState] = _Announced(_READER_STALE_S)
         self._crossings: Mapping[str, Crossing] = {}
@@ -88,7 +98,10 @@ class RosControl:
         node.create_subscription(UInt8MultiArray, REPORT_TOPIC, self._on_report, best_effort)
         node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_publishers, best_effort)
         node.create_subscription(DiagnosticArray, READERS_TOPIC, self._on_readers, best_effort)
-        node.create_timer(_GRAPH_S, self._read_graph, callback_group=ReentrantCallbackGroup())
+        # Steady time: when this host's clock is set back, both go on. Neither is done in the tick, which is short.
+        steady, group = Clock(clock_type=ClockType.STEADY_TIME), ReentrantCallbackGroup()
+        node.create_timer(_GRAPH_S, self._read_graph, callback_group=group, clock=steady)
+        node.create_timer(_RADIO_S, self._read_radio, callback_group=group, clock=steady)
         self._applier = ParameterApplier(node)
         self._daemons = Daemons(node, clock=clock)
 
@@ -102,6 +115,10 @@ class RosControl:
         """Return everything one tick sees."""
         with self._lock:
             reports, self._reports = tuple(self._reports), []
+            self._peers_heard = {
+                peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
+            }
+            peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             publishers, readers = self._announced.live(now_s), self._readers.live(now_s)
         crossings = self._crossings
         pinned = self._graph_settings
@@ -109,7 +126,7 @@ class RosControl:
         sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
         return Observation(
             now_s=now_s,
-            counters=read_counters(self._interface),
+            counters=self._reader.read(),
             reports=reports,
             publishers=_join_publishers(publishers, readers, crossings),
             readers=_join_readers(readers, crossings),
@@ -121,6 +138,8 @@ class RosControl:
             rmw_refusal=self._rmw.refusal,
             other_daemons=self._daemons.others(),
             superior=self._daemons.superior(),
+            radio_bytes_per_second=self._radio_rate,
+            peer_ages_s=MappingProxyType(peer_ages_s),
         )
 
     # -- act
@@ -137,7 +156,9 @@ class RosControl:
         """Put one train (or ping) on the link, back to back."""
         packets = [
             wire_format.encode_probe(
-                wire_format.ProbeHeader(train=request.number, index=index, packets=request.packets),
+                wire_format.ProbeHeader(
+                    train=request.number, index=index, packets=request.packets, quiet_s=request.quiet_s
+                ),
                 payload_bytes=request.packet_bytes,
             )
             for index in range(request.packets)
@@ -166,6 +187,8 @@ class RosControl:
         with self._lock:
             self._reports.append(report)
             del self._reports[:-100]
+            if report.peer in self._peers_heard or len(self._peers_heard) < _MOST_PEERS:
+                self._peers_heard[report.peer] = report.received_at_s
         self._on_report_arrived()
 
     def _on_publishers(self, message: Any) -> None:
@@ -188,6 +211,9 @@ class RosControl:
     def _read_graph(self) -> None:
         self._crossings = read_crossings(self._node, self._rmw)
         self._peers = self._node.count_publishers(REPORT_TOPIC)
+
+    def _read_radio(self) -> None:
+        self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
 
 
 class _Announced(Generic[S]):

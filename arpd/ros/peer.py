@@ -1,111 +1,70 @@
-"""`arpd peer`: the receiver on the CEDDP, reporting what reached it ten times a second."""
+"""`arpd peer`: the receiver on the CEDDP, reporting what reached it as often as it is asked."""
 
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import threading
 import time
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from arpd.host.counters import choose_interface, read_counters
+from arpd.host.counters import InterfaceReader, choose_interface, hardware_address
 from arpd.logs import configure_logging
-from arpd.probing import PeerReport, Train
+from arpd.probing import PeerReport
+from arpd.receiver import BUSY_S, Receiver, ReportSchedule
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
+from arpd.ros.runtime import control_node, spin_until, stop_on_signals
 from arpd.systemd import Notifier
-from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.interface import LinkCounters
 
 log = logging.getLogger(__name__)
 
-REPORT_S = 0.1
-_PROMPT_S = 0.05  # least time between reports that a ping provokes
-_TRAIN_TIMEOUT_S = 1.0
-
-
-@dataclass(slots=True)
-class _OpenTrain:
-    packets: int
-    first_ns: int
-    last_ns: int
-    arrived: int = 1
-    payload_bytes: int = 0
-
-
-@dataclass(slots=True)
-class Receiver:
-    """Collects probe arrivals between two reports; pure bookkeeping, so that a test can drive it.
-
-    A train counts when its first and last packet arrived and at most a tenth of it was lost: the dispersion of what
-    came between them then still is the link's.
-    """
-
-    delays_s: list[float] = field(default_factory=list)
-    trains: list[Train] = field(default_factory=list)
-    last_probe: int = 0
-    _open: dict[int, _OpenTrain] = field(default_factory=dict)
-
-    def on_probe(
-        self, *, train: int, index: int, packets: int, payload_bytes: int, sent_ns: int, received_ns: int
-    ) -> None:
-        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
-        if index == 0:
-            self.delays_s.append((received_ns - sent_ns) / 1e9)
-            self.last_probe = train
-            if packets > 1:
-                self._open = {
-                    number: waiting
-                    for number, waiting in self._open.items()
-                    if received_ns - waiting.first_ns < _TRAIN_TIMEOUT_S * 1e9
-                }
-                self._open[train] = _OpenTrain(packets=packets, first_ns=received_ns, last_ns=received_ns)
-            return
-        current = self._open.get(train)
-        if current is None:
-            return
-        current.arrived += 1
-        current.last_ns = received_ns
-        current.payload_bytes += probe_wire_bytes(payload_bytes)
-        if index == packets - 1:
-            del self._open[train]
-            if current.arrived >= 0.9 * packets and current.last_ns > current.first_ns:
-                self.trains.append(
-                    Train(
-                        payload_bytes=current.payload_bytes,
-                        duration_s=(current.last_ns - current.first_ns) / 1e9,
-                        packets=current.arrived,
-                    )
-                )
-
-    def take(self) -> tuple[tuple[float, ...], tuple[Train, ...]]:
-        """Return what came since the last call."""
-        delays, trains = tuple(self.delays_s), tuple(self.trains)
-        self.delays_s, self.trains = [], []
-        return delays, trains
+_LONGEST_S = 59.0  # that a report covers
 
 
 class Peer:
-    """The peer's node: probes in, reports out."""
+    """The peer's node: probes in, reports out.
 
-    def __init__(self, node: Any, *, interface: str, name: str) -> None:
-        from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+    An interface that is gone counts nothing, and delays and trains are reported all the same: they came by some way.
+
+    Parameters
+    ----------
+    node : rclpy node; a single thread spins it
+    reader : the link interface of this host
+    name : what the peer calls itself
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self, node: Any, *, reader: InterfaceReader, name: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        from rclpy.clock import Clock  # noqa: PLC0415 - ROS is checked in control_node
+        from rclpy.clock_type import ClockType  # noqa: PLC0415
+        from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415
         from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
 
         from arpd.ros import report  # noqa: PLC0415
 
         self._report = report
-        self._interface = interface
+        self._reader = reader
         self._name = name
+        self._clock = clock
         self._receiver = Receiver()
-        self._last: tuple[float, LinkCounters] | None = None
+        self._schedule = ReportSchedule(clock())
+        self._counters = reader.read()
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
         node.create_subscription(UInt8MultiArray, PROBE_TOPIC, self._on_probe, best_effort)
-        self._timer = node.create_timer(1.2 * REPORT_S, self._send)
+        # Steady time: when this host's clock is set back, reports go on.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(BUSY_S, self._look, clock=steady)
+        self._armed_s = math.inf
+        self._arm(self._schedule.look_s)
 
     def _on_probe(self, message: Any, info: Any) -> None:
         try:
@@ -121,35 +80,61 @@ class Peer:
             sent_ns=info["source_timestamp"],
             received_ns=info["received_timestamp"],
         )
-        # A ping's delay is the first sign of a queue: report it now, not at the next period.
-        if header.packets == 1 and self._last is not None and time.monotonic() - self._last[0] >= _PROMPT_S:
-            self._timer.reset()
-            self._send()
+        self._schedule.note_probe(packets=header.packets, quiet_s=header.quiet_s)
+        if self._schedule.due_s < self._armed_s:
+            self._arm(self._schedule.due_s)
 
-    def _send(self) -> None:
-        now_s = time.monotonic()
-        counters = read_counters(self._interface)
-        if counters is None:
-            self._last = None  # the interface is gone; the first reading after it returns starts anew
+    def _arm(self, when_s: float) -> None:
+        """Look at that moment, at once if it has passed."""
+        self._armed_s = when_s
+        if (wait_s := when_s - self._clock()) <= 0:
+            self._look()
             return
-        if self._last is not None and now_s > self._last[0]:
-            since_s, before = self._last
-            delays_s, trains = self._receiver.take()
+        self._timer.timer_period_ns = max(1, round(wait_s * 1e9))
+        self._timer.reset()
+
+    def _look(self) -> None:
+        """Report if that is due; look again when it will be."""
+        schedule, before = self._schedule, self._counters
+        after = self._reader.read() or before
+        grown = after.rx_bytes - before.rx_bytes if after and before else 0
+        schedule.note_traffic(grown)
+        if self._clock() < schedule.due_s:
+            self._arm(schedule.due_s)
+            return
+        self._send(before, after)
+        self._arm(schedule.look_s)
+
+    def _send(self, before: LinkCounters | None, after: LinkCounters | None) -> None:
+        now_s = self._clock()
+        interval_s = now_s - self._schedule.sent_at_s
+        self._counters = after
+        delays_s, trains = self._receiver.take()
+        if interval_s > 0:
             self._reports.publish(
                 self._report.encode_report(
                     PeerReport(
                         peer=self._name,
                         received_at_s=now_s,
-                        interval_s=min(now_s - since_s, 59.0),
-                        rx_bytes=max(0, counters.rx_bytes - before.rx_bytes),
-                        rx_packets=max(0, counters.rx_packets - before.rx_packets),
+                        interval_s=min(interval_s, _LONGEST_S),
+                        rx_bytes=after.rx_bytes - before.rx_bytes if after and before else 0,
+                        rx_packets=after.rx_packets - before.rx_packets if after and before else 0,
                         delays_s=delays_s,
                         trains=trains,
                         last_probe=self._receiver.last_probe,
                     )
                 )
             )
-        self._last = (now_s, counters)
+        self._schedule.note_sent(now_s)
+
+
+def default_name(interface: str) -> str:
+    """Name this host so that no other peer has the same: host name and the end of the interface's Ethernet address.
+
+    Robots' computers are cloned with their host name and machine id; the address differs, and it stays the same when
+    the peer is restarted, so that the daemon knows it again.
+    """
+    return "-".join(part for part in (platform.node(), hardware_address(interface)[-4:]) if part) or "peer"
 
 
 def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
@@ -158,23 +143,24 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     Parameters
     ----------
     interface : link interface on this host, or ``auto``
-    name : what the peer calls itself in reports; the host name by default
+    name : what the peer calls itself in reports; by default the host name and the end of the interface's address
     """
     configure_logging(log_level)
     chosen = choose_interface(interface)
+    name = name or default_name(chosen)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    with ros_node("arpd_peer") as node:
+    with control_node("arpd_peer") as node:
         # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        Peer(node, interface=chosen, name=name or platform.node())
-        log.info("reporting what arrives on %s", chosen)
+        Peer(node, reader=InterfaceReader(chosen), name=name)
+        log.info("reporting what arrives on %s as %s", chosen, name)
         notifier.ready()
-        notifier.status(f"reporting what arrives on {chosen}")
+        notifier.status(f"reporting what arrives on {chosen} as {name}")
         spin_until(executor, stopping)
         notifier.stopping()
     return 0

@@ -12,56 +12,73 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.probing import PeerReport, Train
 
-_PROBE = struct.Struct("<BxHHI")  # version, index in train, packets in train, train number
-_REPORT = struct.Struct("<BBBxfIII32s")  # version, delays, trains, interval s, rx bytes, rx packets, last probe, peer
+_PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
+# Version, number of delays and of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
+_REPORT = struct.Struct("<BBBBfIII")
 _DELAY = struct.Struct("<d")
-_TRAIN = struct.Struct("<IfH")  # bytes after the first, duration s, packets
-_VERSION = 1
+_TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
+_PROBE_VERSION = 1
+_REPORT_VERSION = 2
 _MOST = 32  # delays or trains in one report
+_MOST_NAME = 64  # bytes
+_MOST_INTERVAL_S = 60.0  # longer is no interval that one report covers
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeHeader:
-    """Place of one probe packet in its train; a ping is a train of one."""
+    """Place of one probe packet in its train; a ping is a train of one.
+
+    Parameters
+    ----------
+    train, index, packets : its number, the packet's place in it, and how many there are
+    quiet_s : how long reports may be apart (s)
+    """
 
     train: int
     index: int
     packets: int
+    quiet_s: float = 0.0
 
 
 def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
     """Make one probe packet of ``payload_bytes`` (at least the header)."""
-    head = _PROBE.pack(_VERSION, header.index, header.packets, header.train & 0xFFFFFFFF)
+    quiet = min(255, round(header.quiet_s * 100))
+    head = _PROBE.pack(_PROBE_VERSION, quiet, header.index, header.packets, header.train & 0xFFFFFFFF)
     return UInt8MultiArray(data=array("B", head.ljust(payload_bytes, b"\0")))
 
 
 def decode_probe(message: Any) -> ProbeHeader:
     """Read a probe packet; raises ValueError if it is none of ours."""
     data = bytes(message.data[: _PROBE.size])
-    if len(data) < _PROBE.size or data[0] != _VERSION:
+    if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
         raise ValueError("not a probe of this version")
-    _, index, packets, train = _PROBE.unpack(data)
+    _, quiet, index, packets, train = _PROBE.unpack(data)
     if not index < packets:
         raise ValueError(f"probe {index} of a train of {packets}")
-    return ProbeHeader(train=train, index=index, packets=packets)
+    return ProbeHeader(train=train, index=index, packets=packets, quiet_s=quiet / 100)
 
 
 def encode_report(report: PeerReport) -> Any:
-    """Make the message of one receiver report; about 60 bytes with one delay."""
+    """Make the message of one receiver report: 28 bytes and the name, with one delay; 14 more with a train."""
     delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
+    # Cut like this, a name of more bytes keeps its whole characters.
+    name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
     head = _REPORT.pack(
-        _VERSION,
+        _REPORT_VERSION,
         len(delays),
         len(trains),
+        len(name),
         report.interval_s,
         min(report.rx_bytes, 2**32 - 1),
         min(report.rx_packets, 2**32 - 1),
         report.last_probe & 0xFFFFFFFF,
-        report.peer.encode()[:32],
     )
     body = b"".join(_DELAY.pack(delay) for delay in delays)
-    body += b"".join(_TRAIN.pack(train.payload_bytes, train.duration_s, min(train.packets, 65535)) for train in trains)
-    return UInt8MultiArray(data=array("B", head + body))
+    body += b"".join(
+        _TRAIN.pack(min(train.payload_bytes, 2**32 - 1), train.duration_s, train.sent_s, min(train.packets, 65535))
+        for train in trains
+    )
+    return UInt8MultiArray(data=array("B", head + name + body))
 
 
 def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
@@ -73,27 +90,29 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
         If it is malformed or says something impossible.
     """
     data = bytes(message.data)
-    if len(data) < _REPORT.size or data[0] != _VERSION:
+    if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
         raise ValueError("not a peer report of this version")
-    _, delay_count, train_count, interval_s, rx_bytes, rx_packets, last_probe, name = _REPORT.unpack_from(data)
-    if len(data) != _REPORT.size + delay_count * _DELAY.size + train_count * _TRAIN.size:
+    _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)
+    delays_at = _REPORT.size + name_size
+    trains_at = delays_at + delay_count * _DELAY.size
+    if len(data) != trains_at + train_count * _TRAIN.size:
         raise ValueError("peer report of the wrong length")
-    offset = _REPORT.size + delay_count * _DELAY.size
-    delays = tuple(value for (value,) in _DELAY.iter_unpack(data[_REPORT.size : offset]))
+    delays = tuple(value for (value,) in _DELAY.iter_unpack(data[delays_at:trains_at]))
     trains = tuple(
-        Train(payload_bytes=size, duration_s=duration_s, packets=packets)
-        for size, duration_s, packets in _TRAIN.iter_unpack(data[offset:])
+        Train(payload_bytes=size, duration_s=duration_s, sent_s=sent_s, packets=packets)
+        for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
     )
-    numbers = [interval_s, *delays, *(train.duration_s for train in trains)]
-    if not all(math.isfinite(number) for number in numbers) or not 0 < interval_s < 60:
+    spans = [span for train in trains for span in (train.duration_s, train.sent_s)]
+    is_possible = all(math.isfinite(number) for number in (*delays, *spans)) and min(spans, default=0.0) >= 0
+    if not is_possible or not 0 < interval_s < _MOST_INTERVAL_S or not name_size:
         raise ValueError("peer report with impossible numbers")
     return PeerReport(
-        peer=name.rstrip(b"\0").decode(errors="replace"),
+        peer=data[_REPORT.size : delays_at].decode(errors="replace"),
         received_at_s=received_at_s,
         interval_s=interval_s,
         rx_bytes=rx_bytes,
         rx_packets=rx_packets,
         last_probe=last_probe,
         delays_s=delays,
-        trains=tuple(train for train in trains if train.duration_s > 0),
+        trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.errors import RosUnavailableError
+from arpd.ros.transport import send_without_waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -50,6 +51,14 @@ def ros_node(name: str) -> Iterator[Any]:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+@contextmanager
+def control_node(name: str) -> Iterator[Any]:
+    """Run a node as `ros_node` does, for traffic that never waits for the link (`arpd.ros.transport`)."""
+    send_without_waiting()
+    with ros_node(name) as node:
+        yield node
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from arpd.refusal import RefusalReason
 from arpd.settings import Backend
 from arpd.swap import SwapResult
 from arpd.version import VERSION
+from arpd.web.link_metrics import link_metrics
 from arpd.web.reader_metrics import reader_metrics
 from arpd.web.status import topic_rows
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
     from prometheus_client.metrics_core import Metric
 
-    from arpd.interface import LinkCounters
     from arpd.model import PublisherState, TopicAllocation, TopicPlan
     from arpd.snapshot import Snapshot, Totals
     from arpd.web.status import TopicRow
@@ -64,6 +64,11 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         "arpd_link_delivery_rate_bytes_per_second",
         "What the peer received over the last 300 ms.",
         lambda s: s.link.delivery_rate_bytes_per_second,
+    ),
+    (
+        "arpd_link_packet_overhead_seconds",
+        "Link time every packet costs beyond its bytes.",
+        lambda s: s.link.packet_overhead_s,
     ),
     ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
     ("arpd_link_app_limited", "1 when traffic alone says nothing about the capacity.", lambda s: s.link.is_app_limited),
@@ -159,14 +164,6 @@ _STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]
     ("arpd_allocation_backend", "Solver that answered last.", "backend", Backend, lambda s: s.allocation.backend),
 )
 
-_INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
-    ("arpd_interface_receive_bytes", "Bytes the link interface received.", lambda c: c.rx_bytes),
-    ("arpd_interface_transmit_bytes", "Bytes the link interface sent.", lambda c: c.tx_bytes),
-    ("arpd_interface_receive_packets", "Packets the link interface received.", lambda c: c.rx_packets),
-    ("arpd_interface_transmit_packets", "Packets the link interface sent.", lambda c: c.tx_packets),
-    ("arpd_interface_transmit_dropped_packets", "Packets dropped on the way out.", lambda c: c.tx_dropped),
-)
-
 _ALLOCATION_GAUGES: tuple[tuple[str, str, Callable[[TopicAllocation], float]], ...] = (
     (
         "arpd_topic_max_rate_hertz",
@@ -254,7 +251,7 @@ class SnapshotCollector(Collector):
         yield _gauge("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
         yield from _of_daemon(snapshot)
         yield from _of_totals(snapshot.totals)
-        yield from _of_interface(snapshot)
+        yield from link_metrics(snapshot)
         yield from _of_topics(topic_rows(snapshot))
         yield from reader_metrics(snapshot)
 
@@ -307,19 +304,6 @@ def _of_totals(totals: Totals) -> Iterator[Metric]:
     for (backend, outcome), count in sorted(totals.solves_by_outcome.items()):
         solves.add_metric((backend, outcome), count)
     yield solves
-
-
-def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:
-    counters = snapshot.observation.counters
-    up = GaugeMetricFamily("arpd_interface_up", "1 while the link interface is up and readable.", labels=("interface",))
-    up.add_metric((snapshot.interface,), counters is not None and counters.is_up)
-    yield up
-    if counters is None:
-        return
-    for name, text, read in _INTERFACE_COUNTERS:
-        family = CounterMetricFamily(name, text, labels=("interface",))
-        family.add_metric((snapshot.interface,), read(counters))
-        yield family
 
 
 def _of_topics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:

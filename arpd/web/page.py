@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from arpd.web.status import LASTING, confirmed, lease
+from arpd.web.status import LASTING, confirmed, interface_fault, lease
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -57,6 +57,8 @@ def _body(status: dict[str, Any]) -> str:
     fault = f'<p class="bad">The last reload was refused: {escape(config["error"])}</p>' if config["error"] else ""
     if superior := status["daemons"]["standing_by_for"]:
         fault += f'<p class="bad">Standing by: another arpd daemon, on {escape(superior)}, drives this robot.</p>'
+    if reason := interface_fault(status):
+        fault += f'<p class="bad">The link interface {escape(status["interface"])} {escape(reason)}.</p>'
     topics, readers = _topics(status["topics"]), _readers(status["readers"])
     return f"{fault}<table>{rows}</table><h2>Topics</h2>{topics}{readers}"
 

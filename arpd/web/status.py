@@ -1,9 +1,10 @@
 """The status document of ``/api/v1/status``: the last snapshot as JSON.
 
-Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite),
-in ``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan
-covers, in ``interface_counters`` an interface that cannot be read, in ``rmw`` a world without ROS, in ``after_seconds``
-of ``lease`` a plan that outlives its daemon. Keys are only ever added within ``v1``.
+Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite), in
+``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan covers,
+in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue, in
+``radio_bytes_per_second`` an interface without a radio or a radio that does not tell, in ``rmw`` a world without ROS,
+in ``after_seconds`` of ``lease`` a plan that outlives its daemon. Keys are only ever added within ``v1``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from arpd.interface import InterfaceState, state_of
 from arpd.settings import OnLost
 
 if TYPE_CHECKING:
@@ -32,6 +34,12 @@ def confirmed(plan: dict[str, Any]) -> str:
     paced_only = f" ({plan['paced_only']} by rate and gate only)" if plan.get("paced_only") else ""
     readers = f", {plan['readers_confirmed']} of {plan['readers']} readers" if plan.get("readers") else ""
     return f"{publishers}{paced_only}{readers}"
+
+
+def interface_fault(document: dict[str, Any]) -> str:
+    """Say of a status document why its interface carries nothing, empty when it does."""
+    state = str(document.get("interface_state", InterfaceState.UP))
+    return {str(known): known.fault for known in InterfaceState}.get(state, f"is {state}")
 
 
 def lease(document: dict[str, Any]) -> str:
@@ -86,8 +94,13 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
         "tick_seconds": _finite(snapshot.tick_s),
         "interface": snapshot.interface,
+        "interface_state": str(state_of(snapshot.observation.counters)),
         "interface_counters": _counters(snapshot.observation.counters),
         "link": _link(snapshot),
+        "peers": [
+            {"peer": peer, "report_age_seconds": _finite(age_s)}
+            for peer, age_s in sorted(snapshot.observation.peer_ages_s.items())
+        ],
         "memory": {
             "total_bytes": snapshot.observation.memory.total_bytes,
             "available_bytes": snapshot.observation.memory.available_bytes,
@@ -134,7 +147,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
 
 
 def _link(snapshot: Snapshot) -> dict[str, Any]:
-    link = snapshot.link
+    link, radio = snapshot.link, snapshot.observation.radio_bytes_per_second
     return {
         "capacity_bytes_per_second": _finite(link.capacity_bytes_per_second),
         "foreign_bytes_per_second": _finite(link.foreign_bytes_per_second),
@@ -144,6 +157,8 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
         "app_limited": link.is_app_limited,
         "queue_delay_seconds": _finite(link.queue_delay_s),
         "delivery_rate_bytes_per_second": _finite(link.delivery_rate_bytes_per_second),
+        "packet_overhead_seconds": _finite(link.packet_overhead_s),
+        "radio_bytes_per_second": None if radio is None else _finite(radio),
         "age_seconds": _finite(link.age_s),
         "evidence": link.evidence,
     }
@@ -160,6 +175,7 @@ def _counters(counters: LinkCounters | None) -> dict[str, Any] | None:
         "receive_packets": counters.rx_packets,
         "transmit_packets": counters.tx_packets,
         "transmit_dropped_packets": counters.tx_dropped,
+        "backlog_bytes": counters.backlog_bytes,
     }
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install 'arpd[simlink]'")
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
 import machine
 

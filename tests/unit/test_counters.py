@@ -1,11 +1,13 @@
-"""Which interface is the link."""
+"""Which interface is the link, and what becomes of its counters."""
 
 from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from arpd.errors import LinkError
-from arpd.host.counters import choose_interface
+from arpd.host.counters import InterfaceReader, choose_interface, hardware_address, index_of, name_of, read_counters
+from arpd.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)
 ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
@@ -41,3 +43,207 @@ def test_an_interface_that_is_not_there_is_named(host):
     """The error names what exists."""
     with pytest.raises(LinkError, match=r"wlan9.*does not exist.*eth0, lo"):
         host(eth0=(UP, False))("wlan9")
+
+
+# -- what happens to it later
+
+
+class Kernel:
+    """Interfaces by number: name and raw counters."""
+
+    def __init__(self):
+        self.interfaces = {}
+
+    def put(self, index, name, *, state=InterfaceState.UP, rx=(0, 0), tx=(0, 0), dropped=0):
+        self.interfaces[index] = LinkCounters(
+            interface=name,
+            rx_bytes=rx[0],
+            rx_packets=rx[1],
+            tx_bytes=tx[0],
+            tx_packets=tx[1],
+            tx_dropped=dropped,
+            state=state,
+        )
+
+    def reader(self, name):
+        def named(wanted):
+            return next(((i, c) for i, c in self.interfaces.items() if c.interface == wanted), (None, None))
+
+        return InterfaceReader(
+            name,
+            read=lambda wanted: named(wanted)[1],
+            index_of=lambda wanted: named(wanted)[0],
+            name_of=lambda index: self.interfaces[index].interface if index in self.interfaces else None,
+        )
+
+
+@pytest.fixture
+def kernel():
+    return Kernel()
+
+
+def received(counters):
+    assert counters is not None
+    return counters.rx_bytes, counters.rx_packets
+
+
+def test_a_counter_of_32_bits_wraps_and_the_total_goes_on(kernel):
+    """A lone counter that falls from near 2^32 went on behind it, to the byte."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=(2**32 - 100, 7_000_000), tx=(5_000, 50))
+    assert received(reader.read()) == (2**32 - 100, 7_000_000)
+    kernel.put(3, "wlan0", rx=(900, 7_000_001), tx=(5_000, 50))
+    assert received(reader.read()) == (2**32 + 900, 7_000_001)
+    kernel.put(3, "wlan0", rx=(1_900, 7_000_002), tx=(5_000, 50))
+    assert received(reader.read()) == (2**32 + 1_900, 7_000_002)
+
+
+@pytest.mark.parametrize("before", [(2**32 - 100, 7_000_000), (10**12, 10**9), (4_000, 40)])
+def test_counters_that_start_anew_add_what_they_count_since(kernel, before):
+    """A driver that starts over takes all counters to zero, and no gigabytes were received."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=before, tx=(800, 8))
+    reader.read()
+    kernel.put(3, "wlan0", rx=(300, 3), tx=(100, 1))
+    counters = reader.read()
+    assert received(counters) == (before[0] + 300, before[1] + 3)
+    assert (counters.tx_bytes, counters.tx_packets) == (900, 9)
+
+
+def test_a_lone_small_counter_that_falls_did_not_wrap(kernel):
+    """A count of drops that falls from seven began anew, and is not four billion."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", dropped=7)
+    reader.read()
+    kernel.put(3, "wlan0", dropped=2)
+    assert reader.read().tx_dropped == 9
+
+
+def test_a_change_of_state_is_logged_once(kernel, caplog):
+    """Every state has its name in the log when it begins, and only then."""
+    caplog.set_level("INFO")
+    reader = kernel.reader("wlan0")
+    for state in (InterfaceState.UP, InterfaceState.NO_CARRIER, InterfaceState.DOWN, None, InterfaceState.UP):
+        kernel.interfaces.clear()
+        if state is not None:
+            kernel.put(3, "wlan0", state=state)
+        for _ in range(3):
+            assert state_of(reader.read()) is (state or InterfaceState.GONE)
+    said = [record.getMessage() for record in caplog.records]
+    words = ("has no carrier", "is switched off", "is gone", "is up again")
+    assert len(said) == len(words)
+    assert all(f"wlan0 {word}" in message for word, message in zip(words, said, strict=True))
+
+
+def test_an_interface_that_is_not_there_at_first_is_gone(kernel, caplog):
+    """A reader may be older than its interface."""
+    reader = kernel.reader("wlan0")
+    assert reader.read() is None
+    assert "wlan0 is gone" in caplog.text
+    kernel.put(3, "wlan0", rx=(500, 5))
+    assert received(reader.read()) == (500, 5)
+
+
+def test_a_renamed_interface_is_followed(kernel, caplog):
+    """The same interface under another name goes on counting, and the name is logged once."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=(500, 5))
+    reader.read()
+    for size in (700, 900):
+        kernel.put(3, "uplink", rx=(size, 7))
+        counters = reader.read()
+        assert (counters.interface, counters.rx_bytes, reader.index) == ("uplink", size, 3)
+    assert [record.getMessage() for record in caplog.records] == [
+        "the link interface wlan0 is now called uplink, and is followed"
+    ]
+
+
+def test_a_stranger_that_takes_the_name_is_not_the_link(kernel):
+    """After a rename, the number tells who is who."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=(500, 5))
+    reader.read()
+    kernel.put(3, "wlan1", rx=(600, 6))
+    kernel.put(4, "wlan0", rx=(90_000, 900))
+    assert received(reader.read()) == (600, 6)
+
+
+@pytest.mark.parametrize("name", ["wlan0", "uplink"])
+def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel, name):
+    """A radio plugged in again is taken on under its configured or its last name; totals never fall or jump."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=(10**9, 10**6))
+    reader.read()
+    kernel.put(3, "uplink", rx=(10**9, 10**6))
+    reader.read()
+    kernel.interfaces.clear()
+    assert (reader.read(), reader.index) == (None, None)
+    kernel.put(9, name, rx=(70_000, 70))
+    assert received(reader.read()) == (10**9, 10**6)
+    kernel.put(9, name, rx=(70_500, 75))
+    counters = reader.read()
+    assert (counters.interface, *received(counters)) == (name, 10**9 + 500, 10**6 + 5)
+
+
+def test_an_interface_replaced_between_two_readings_does_not_jump(kernel):
+    """A new number under the same name brings its own past, which was not the link's."""
+    reader = kernel.reader("wlan0")
+    kernel.put(3, "wlan0", rx=(500, 5))
+    reader.read()
+    kernel.interfaces.clear()
+    kernel.put(4, "wlan0", rx=(10**10, 10**7))
+    assert received(reader.read()) == (500, 5)
+
+
+# -- psutil
+
+
+def test_loopback_reads_up():
+    """The kernel's own answers for an interface every host has, and for one that none has."""
+    counters = InterfaceReader("lo").read()
+    assert counters is not None
+    assert (counters.interface, counters.state) == ("lo", InterfaceState.UP)
+    assert counters.rx_bytes == counters.tx_bytes > 0
+    index = index_of("lo")
+    assert index is not None
+    assert name_of(index) == "lo"
+    assert (read_counters("none9"), index_of("none9"), name_of(999_999)) == (None, None, None)
+    assert (hardware_address("lo"), hardware_address("none9")) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("flags", "is_up", "state"),
+    [
+        ("up,broadcast,running,multicast", True, InterfaceState.UP),
+        ("up,broadcast,multicast", False, InterfaceState.NO_CARRIER),
+        ("broadcast,multicast", False, InterfaceState.DOWN),
+    ],
+)
+def test_flags_tell_why_nothing_is_carried(monkeypatch, flags, is_up, state):
+    """Switched on without carrier is not switched off."""
+    counters = SimpleNamespace(bytes_recv=1, bytes_sent=2, packets_recv=3, packets_sent=4, dropout=5)
+    monkeypatch.setattr(psutil, "net_io_counters", lambda **_: {"wlan0": counters})
+    monkeypatch.setattr(psutil, "net_if_stats", lambda: {"wlan0": SimpleNamespace(isup=is_up, flags=flags)})
+    assert read_counters("wlan0") == LinkCounters(
+        interface="wlan0", rx_bytes=1, tx_bytes=2, rx_packets=3, tx_packets=4, tx_dropped=5, state=state
+    )
+
+
+def test_an_interface_that_vanishes_under_psutil_is_none(monkeypatch):
+    """What psutil raises between two of its questions is no error of ours."""
+
+    def vanish():
+        raise OSError(19, "No such device")
+
+    monkeypatch.setattr(psutil, "net_if_stats", vanish)
+    assert read_counters("lo") is None
+
+
+def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
+    """Of an Ethernet address, only its digits; an address of zeros is none."""
+    addresses = [
+        SimpleNamespace(family=2, address="10.0.0.1"),
+        SimpleNamespace(family=psutil.AF_LINK, address="B8:27:EB:12:3f:2A"),
+    ]
+    monkeypatch.setattr(psutil, "net_if_addrs", lambda: {"wlan0": addresses})
+    assert hardware_address("wlan0") == "b827eb123f2a"

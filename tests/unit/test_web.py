@@ -19,6 +19,7 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from arpd.cli_status import screen
+from arpd.interface import InterfaceState
 from arpd.model import AllocationStatus
 from arpd.refusal import RefusalReason
 from arpd.web.metrics import SnapshotCollector, make_registry
@@ -121,6 +122,50 @@ def test_an_unreadable_interface_is_down_and_has_no_counters(sample_snapshot):
     gone = observe(sample_snapshot, counters=None)
     assert value(gone, "arpd_interface_up", interface="wlan0") == 0
     assert "arpd_interface_receive_bytes" not in families(gone)
+
+
+@pytest.mark.parametrize("state", InterfaceState)
+def test_what_the_interface_can_do_shows_everywhere(sample_snapshot, state):
+    """Metric, status, page and terminal name the state of the interface; page and terminal only when it is amiss."""
+    counters = sample_snapshot.observation.counters
+    is_gone = state is InterfaceState.GONE
+    seen = observe(sample_snapshot, counters=None if is_gone else replace(counters, interface="wlan7", state=state))
+    marks = families(seen)["arpd_link_interface_state"].samples
+    assert [sample.labels["state"] for sample in marks if sample.value] == [state]
+    assert {sample.labels["interface"] for sample in marks} == {"wlan0"}
+    assert value(seen, "arpd_interface_up", interface="wlan0") == (state is InterfaceState.UP)
+    document = json.loads(json.dumps(status_document(seen, now_s=1000.25)))
+    assert document["interface_state"] == state
+    assert (document["interface_counters"] is None) is is_gone
+    words = {"up": "", "no_carrier": "has no carrier", "down": "is switched off", "gone": "is gone"}[state]
+    for text in (render_page(document), screen(document)):
+        found = [said for said in ("has no carrier", "is switched off", "is gone") if said in text]
+        assert found == ([words] if words else [])
+
+
+def test_a_radio_and_a_queue_that_tell_have_a_series_and_others_have_none(sample_snapshot):
+    """A bound that is not known is absent: zero would be a bound."""
+    name = "arpd_link_radio_bytes_per_second"
+    assert value(sample_snapshot, name, interface="wlan0") == 8_125_000
+    assert status_document(sample_snapshot)["link"]["radio_bytes_per_second"] == 8_125_000
+    counters = replace(sample_snapshot.observation.counters, backlog_bytes=None)
+    without = observe(sample_snapshot, radio_bytes_per_second=None, counters=counters)
+    assert name not in families(without)
+    assert "arpd_interface_backlog_bytes" not in families(without)
+    assert status_document(without)["interface_counters"]["backlog_bytes"] is None
+    assert status_document(without)["link"]["radio_bytes_per_second"] is None
+
+
+def test_every_peer_shows_with_the_age_of_its_last_report(sample_snapshot):
+    """Each peer heard lately has a series and a line in the document; without any, the count says so."""
+    assert value(sample_snapshot, "arpd_peers") == 2
+    assert value(sample_snapshot, "arpd_peer_report_age_seconds", peer="edge-c001") == 12.5
+    assert status_document(sample_snapshot)["peers"] == [
+        {"peer": "ceddp-3f2a", "report_age_seconds": 0.0625},
+        {"peer": "edge-c001", "report_age_seconds": 12.5},
+    ]
+    nobody = observe(sample_snapshot, peer_ages_s={})
+    assert (value(nobody, "arpd_peers"), status_document(nobody)["peers"]) == (0, [])
 
 
 def test_exactly_one_state_of_every_set_holds(sample_snapshot):

@@ -1,0 +1,72 @@
+"""Metrics of the link interface, of its radio, and of the peers behind it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+from arpd.interface import InterfaceState, state_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from prometheus_client.metrics_core import Metric
+
+    from arpd.interface import LinkCounters
+    from arpd.snapshot import Snapshot
+
+_INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
+    ("arpd_interface_receive_bytes", "Bytes the link interface received.", lambda c: c.rx_bytes),
+    ("arpd_interface_transmit_bytes", "Bytes the link interface sent.", lambda c: c.tx_bytes),
+    ("arpd_interface_receive_packets", "Packets the link interface received.", lambda c: c.rx_packets),
+    ("arpd_interface_transmit_packets", "Packets the link interface sent.", lambda c: c.tx_packets),
+    ("arpd_interface_transmit_dropped_packets", "Packets dropped on the way out.", lambda c: c.tx_dropped),
+)
+
+
+def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield the families; what cannot be read has no series."""
+    # The name as configured, whatever the interface is called by now: a rename must not begin new series.
+    interface, counters = snapshot.interface, snapshot.observation.counters
+    current = state_of(counters)
+    up = GaugeMetricFamily("arpd_interface_up", "1 while the link interface is up and readable.", labels=("interface",))
+    up.add_metric((interface,), current is InterfaceState.UP)
+    yield up
+    states = GaugeMetricFamily(
+        "arpd_link_interface_state",
+        "What the link interface can do. 1 marks what holds.",
+        labels=("interface", "state"),
+    )
+    for state in sorted(InterfaceState):
+        states.add_metric((interface, state), state is current)
+    yield states
+    if (rate := snapshot.observation.radio_bytes_per_second) is not None:
+        radio = GaugeMetricFamily(
+            "arpd_link_radio_bytes_per_second",
+            "Bit rate the radio transmits at; a bound, of which only a part is usable.",
+            labels=("interface",),
+        )
+        radio.add_metric((interface,), rate)
+        yield radio
+    yield from _of_peers(snapshot.observation.peer_ages_s)
+    if counters is None:
+        return
+    if counters.backlog_bytes is not None:
+        backlog = GaugeMetricFamily(
+            "arpd_interface_backlog_bytes", "What waits in the link interface's own queue.", labels=("interface",)
+        )
+        backlog.add_metric((interface,), counters.backlog_bytes)
+        yield backlog
+    for name, text, read in _INTERFACE_COUNTERS:
+        family = CounterMetricFamily(name, text, labels=("interface",))
+        family.add_metric((interface,), read(counters))
+        yield family
+
+
+def _of_peers(ages_s: Mapping[str, float]) -> Iterator[Metric]:
+    yield GaugeMetricFamily("arpd_peers", "Peers heard in the last minute.", value=float(len(ages_s)))
+    family = GaugeMetricFamily("arpd_peer_report_age_seconds", "Time since the peer's last report.", labels=("peer",))
+    for peer, age_s in sorted(ages_s.items()):
+        family.add_metric((peer,), age_s)
+    yield family

@@ -1,0 +1,157 @@
+"""The radio's bit rate: nl80211's answers as the kernel encodes them, and every reason not to have one."""
+
+import gc
+import struct
+from errno import ENODEV
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+
+from pyroute2.netlink.nl80211 import nl80211cmd
+
+from arpd.host.counters import index_of
+from arpd.host.radio import Radio, ask_stations, transmit_rate
+
+# linux/nl80211.h
+ATTR_IFINDEX, ATTR_MAC, ATTR_STA_INFO = 3, 6, 21
+STA_INFO_SIGNAL, STA_INFO_TX_BITRATE, STA_INFO_RX_BITRATE = 7, 8, 14
+RATE_BITRATE, RATE_MCS, RATE_40_MHZ, RATE_SHORT_GI, RATE_BITRATE32, RATE_VHT_MCS, RATE_VHT_NSS = range(1, 8)
+CMD_NEW_STATION = 19
+NESTED = 0x8000
+
+
+def attribute(kind, value, *, nested=False):
+    """One netlink attribute: length, type, value, padded to four bytes (netlink(7))."""
+    if nested:
+        kind, value = kind | NESTED, b"".join(value)
+    return struct.pack("HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
+
+
+def rate(kind, *, bitrate=None, bitrate32=None):
+    parts = []
+    if bitrate is not None:
+        parts.append(attribute(RATE_BITRATE, struct.pack("H", bitrate)))
+    if bitrate32 is not None:
+        parts.append(attribute(RATE_BITRATE32, struct.pack("I", bitrate32)))
+    parts += [attribute(RATE_VHT_MCS, b"\x09"), attribute(RATE_VHT_NSS, b"\x02"), attribute(RATE_SHORT_GI, b"")]
+    return attribute(kind, parts, nested=True)
+
+
+def station(*info):
+    """Decode an answer of the kernel about one station."""
+    body = struct.pack("BBH", CMD_NEW_STATION, 1, 0)
+    body += attribute(ATTR_IFINDEX, struct.pack("I", 3)) + attribute(ATTR_MAC, bytes(range(6)))
+    if info:
+        body += attribute(ATTR_STA_INFO, info, nested=True)
+    message = nl80211cmd(struct.pack("IHHII", 16 + len(body), 27, 2, 1, 0) + body)
+    message.decode()
+    return message
+
+
+def test_the_rate_is_told_in_bytes_per_second():
+    """866.7 Mbit/s, in the units of nl80211; the receive rate beside it is another matter."""
+    found = station(
+        attribute(STA_INFO_SIGNAL, b"\xc4"),
+        rate(STA_INFO_TX_BITRATE, bitrate=8667, bitrate32=8667),
+        rate(STA_INFO_RX_BITRATE, bitrate=60, bitrate32=60),
+    )
+    assert transmit_rate([found]) == pytest.approx(866.7e6 / 8)
+
+
+def test_an_old_kernel_tells_it_in_16_bits_and_a_fast_radio_in_32():
+    """Either attribute is enough."""
+    assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate=10))]) == pytest.approx(1e6 / 8)
+    assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate32=96_078))]) == pytest.approx(9.6078e9 / 8)
+
+
+def test_of_several_stations_the_fastest_bounds():
+    """An access point does not know which of its clients is the peer."""
+    stations = [station(rate(STA_INFO_TX_BITRATE, bitrate32=units)) for units in (540, 1300, 60)]
+    assert transmit_rate([*stations, station()]) == pytest.approx(130e6 / 8)
+
+
+@pytest.mark.parametrize("stations", [[], [station()], [station(attribute(STA_INFO_SIGNAL, b"\xc4"))]])
+def test_a_station_that_tells_no_rate_bounds_nothing(stations):
+    """Without an access point, or before the first frame, there is no rate."""
+    assert transmit_rate(stations) is None
+
+
+def test_a_rate_of_zero_is_no_bound():
+    """Some drivers say zero until they have sent something."""
+    assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate=0, bitrate32=0))]) is None
+
+
+@pytest.fixture
+def sys_net(tmp_path):
+    (tmp_path / "wlan0" / "phy80211").mkdir(parents=True)
+    (tmp_path / "eth0").mkdir()
+    return tmp_path
+
+
+def test_only_a_radio_is_asked(sys_net):
+    """The kernel is asked about the number of an interface that has a radio, and about no other."""
+    asked = []
+
+    def ask(index):
+        asked.append(index)
+        return [station(rate(STA_INFO_TX_BITRATE, bitrate=540))]
+
+    radio = Radio(ask=ask, sys_net=sys_net)
+    assert radio.read("wlan0", 3) == pytest.approx(54e6 / 8)
+    assert [radio.read("eth0", 2), radio.read("none9", 4), radio.read("wlan0", None)] == [None] * 3
+    assert asked == [3]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        PermissionError(1, "Operation not permitted"),
+        OSError(ENODEV, "gone"),
+        ImportError("no pyroute2"),
+        KeyError("attr"),
+    ],
+)
+def test_no_fault_of_the_radio_leaves_its_module(sys_net, caplog, fault):
+    """Every fault is None, said once as long as it stays the same."""
+    caplog.set_level("INFO")
+
+    def ask(_index):
+        raise fault
+
+    radio = Radio(ask=ask, sys_net=sys_net)
+    assert [radio.read("wlan0", 3) for _ in range(3)] == [None] * 3
+    assert len(caplog.records) == 1
+    assert type(fault).__name__ in caplog.text
+
+
+def test_a_fault_halfway_through_the_answer_is_a_fault(sys_net):
+    """Answers come one by one; one that breaks off is no rate."""
+
+    def ask(_index):
+        yield station()
+        raise OSError(ENODEV, "gone")
+
+    assert Radio(ask=ask, sys_net=sys_net).read("wlan0", 3) is None
+
+
+def test_this_hosts_own_interfaces_without_a_radio_tell_none():
+    """For real: loopback has no radio, an absent interface has nothing."""
+    assert Radio().read("lo", index_of("lo")) is None
+    assert Radio().read("none9", 999_999) is None
+
+
+def open_files():
+    gc.collect()
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def test_the_kernel_is_really_asked(tmp_path):
+    """With a radio made up for loopback, nl80211 (or its absence) answers: None, and no socket stays open."""
+    (tmp_path / "lo" / "phy80211").mkdir(parents=True)
+    radio = Radio(ask=ask_stations, sys_net=tmp_path)
+    radio.read("lo", index_of("lo"))
+    before = open_files()
+    assert [radio.read("lo", index_of("lo")) for _ in range(5)] == [None] * 5
+    assert open_files() <= before

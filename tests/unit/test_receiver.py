@@ -1,0 +1,329 @@
+"""What the peer makes of probes: the dispersion of a train, and when it reports."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.receiver import (
+    BUSY_S,
+    LONGEST_QUIET_S,
+    PROMPT_S,
+    QUIET_S,
+    WORTH_BYTES,
+    Arrival,
+    Receiver,
+    ReportSchedule,
+    measure_train,
+)
+from arpd.wire import probe_wire_bytes
+
+SIZE = 1200
+WIRE = probe_wire_bytes(SIZE)
+RATE = 625_000.0  # 5 Mbit/s
+SPACING_NS = round(WIRE / RATE * 1e9)
+OFFSET_NS = -7 * 10**15  # the two clocks never agreed
+
+
+def arrivals(received_ns, *, sent_every_ns=100_000):
+    return [
+        Arrival(wire_bytes=WIRE, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
+        for i, at in enumerate(received_ns)
+    ]
+
+
+def measure(received_ns, *, lost=0, **options):
+    return measure_train(arrivals(received_ns, **options), packets=len(received_ns) + lost)
+
+
+def grouped(*sizes, gap_ns=20_000):
+    """Arrivals of aggregates: a group of k packets arrives when the link has carried all k of them."""
+    out, now = [], 0
+    for size in sizes:
+        now += size * SPACING_NS
+        out += [now + place * gap_ns for place in range(size)]
+    return out
+
+
+def test_an_even_train_reads_bytes_after_the_first_packet_over_their_time():
+    """One by one, the first packet only starts the clock."""
+    train = measure([i * SPACING_NS for i in range(12)])
+    assert (train.packets, train.payload_bytes) == (11, 11 * WIRE)
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert train.sent_s == pytest.approx(11 * 100e-6)
+
+
+@pytest.mark.parametrize("sizes", [(4, 4, 4), (1, 11), (6, 6), (1, 4, 4, 3), (2, 5, 5)])
+def test_groups_read_the_rate_of_the_link(sizes):
+    """Packets that arrive together with the first count neither as bytes nor as time, however large the groups are."""
+    received = grouped(*sizes)
+    train = measure(received)
+    assert 4 <= train.packets <= sum(sizes[1:])
+    assert train.payload_bytes == train.packets * WIRE
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=0.03)
+    plain = (len(received) - 1) * WIRE / ((received[-1] - received[0]) / 1e9)
+    assert sizes[0] == 1 or plain > 1.05 * RATE  # what it is all for
+
+
+def test_the_burst_of_a_token_bucket_is_left_out():
+    """Five packets on saved-up tokens, at line speed, then the rate."""
+    received = [i * 12_000 for i in range(5)]
+    received += [received[-1] + i * SPACING_NS for i in range(1, 8)]
+    train = measure(received)
+    assert train.packets == 7
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+
+
+def test_a_stretch_that_arrived_as_it_left_is_the_senders():
+    """Eight packets on saved-up tokens, as far apart as they left: the few behind them tell of the link."""
+    received = [i * 100_000 for i in range(8)]
+    received += [received[-1] + i * SPACING_NS for i in range(1, 6)]
+    train = measure(received)
+    assert train.packets == 5
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+
+
+def test_a_train_as_slow_as_its_sender_says_so():
+    """What arrives as far apart as it left tells the sender's rate, and the departures tell that it does."""
+    train = measure([i * 500_000 for i in range(12)], sent_every_ns=500_000)
+    assert train.packets == 11
+    assert train.sent_s == pytest.approx(train.duration_s)
+
+
+@pytest.mark.parametrize("gap_ns", [0, 15_000])
+def test_a_train_that_arrives_all_at_once_tells_nothing(gap_ns):
+    """One dense group shows the pace of the receiving host, not the link's."""
+    assert measure([i * gap_ns for i in range(10)]) is None
+
+
+def test_a_pair_is_a_train():
+    """Two packets are the shortest train there is."""
+    assert measure([0, SPACING_NS]).rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+
+
+@pytest.mark.parametrize("step_ns", [SPACING_NS + 1, 2 * SPACING_NS, 10**9, 3 * 10**12])
+@pytest.mark.parametrize("at", [1, 6, 11])
+def test_a_clock_that_steps_back_inside_a_train_spoils_it(step_ns, at):
+    """A negative gap is the clock's, wherever it is, and the train goes unused."""
+    assert measure([i * SPACING_NS - (step_ns if i >= at else 0) for i in range(12)]) is None
+
+
+@st.composite
+def journeys(draw):
+    """Draw a train over a token bucket and a radio that aggregates, to a thread that wakes up late at any packet.
+
+    Two stamps more than half of the train apart are in time, both of the last packets of their aggregates.
+    """
+    packets = draw(st.integers(12, 40))
+    wire_bytes = draw(st.integers(180, 1500))
+    spacing_ns = draw(st.integers(100_000, 20_000_000))
+    sent_every_ns = draw(st.integers(0, spacing_ns // 2))
+    saved = draw(st.integers(0, packets // 8))  # packets' worth of tokens
+    aggregate = draw(st.integers(1, packets // 6))
+    last = packets - 1
+    left = [max(i * sent_every_ns, (i - saved) * spacing_ns) for i in range(packets)]
+    ended = [left[min(last, i - i % aggregate + aggregate - 1)] for i in range(packets)]
+    steady = 2 * saved - 2 * saved % aggregate + aggregate - 1
+    late = st.one_of(st.just(0), st.integers(0, 5 * spacing_ns))
+    received = [end if i in (steady, last) else end + draw(late) for i, end in enumerate(ended)]
+    for i in reversed(range(last)):
+        received[i] = min(received[i : i + 2])  # one thread stamps them, in order
+    train = [
+        Arrival(wire_bytes=wire_bytes, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
+        for i, at in enumerate(received)
+    ]
+    return train, wire_bytes / spacing_ns * 1e9
+
+
+@settings(deadline=None)
+@given(journeys())
+def test_late_stamps_groups_and_bursts_do_not_matter(journey):
+    """As long as two stamps more than half of the train apart are in time, it reads the rate of the link."""
+    train, rate = journey
+    measured = measure_train(train, packets=len(train))
+    assert measured is not None
+    assert measured.rate_bytes_per_second == pytest.approx(rate, rel=1e-3)
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(-1, 3_000_000), min_size=1, max_size=40), st.integers(0, 400_000), st.integers(0, 10))
+def test_whatever_arrives_a_train_is_a_part_of_what_was_sent(gaps, sent_every_ns, lost):
+    """Its bytes, packets and spans are those between two of its packets, or there is none."""
+    sent = arrivals([sum(gaps[:i]) for i in range(len(gaps))], sent_every_ns=sent_every_ns)
+    train = measure_train(sent, packets=len(sent) + lost)
+    if train is not None:
+        assert lost <= 0.1 * (len(sent) + lost)
+        assert 1 <= train.packets < len(sent)
+        assert train.payload_bytes == train.packets * WIRE
+        assert train.sent_s == pytest.approx(train.packets * sent_every_ns / 1e9)
+        assert 0 < train.duration_s <= sum(gaps) / 1e9 + 1e-9
+
+
+def send(receiver, number, packets, *, indices=None, at_ns=0, spacing_ns=SPACING_NS):
+    for index in range(packets) if indices is None else indices:
+        receiver.on_probe(
+            train=number,
+            index=index,
+            packets=packets,
+            payload_bytes=SIZE if packets > 1 else 16,
+            sent_ns=index * 100_000,
+            received_ns=OFFSET_NS + at_ns + index * spacing_ns,
+        )
+
+
+def test_a_complete_train_is_reported_once():
+    """A train is there as soon as its last packet is, and is taken once."""
+    receiver = Receiver()
+    send(receiver, 5, 10)
+    delays, trains = receiver.take()
+    assert (len(delays), len(trains), receiver.last_probe) == (1, 1, 5)
+    assert trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert receiver.take() == ((), ())
+
+
+@pytest.mark.parametrize("lost", [{4}, {0}, {19}, {0, 19}, {7, 8}])
+def test_a_tenth_may_be_lost_anywhere(lost):
+    """Also without its first or its last packet a train counts; the next probe ends it."""
+    receiver = Receiver()
+    send(receiver, 1, 20, indices=[i for i in range(20) if i not in lost])
+    send(receiver, 2, 1)
+    (train,) = receiver.take()[1]
+    # What is lost in the middle took its time on the link, and nobody counts its bytes: low, and never high.
+    assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
+
+
+def test_more_loss_than_that_is_no_train():
+    """Of a fifth that is lost nobody knows whether the link carried it."""
+    receiver = Receiver()
+    send(receiver, 1, 10, indices=[0, 1, 2, 3, 6, 7, 8, 9])
+    send(receiver, 2, 10, indices=[0, 1])
+    send(receiver, 3, 1)
+    assert receiver.take()[1] == ()
+
+
+def test_a_ping_between_the_packets_of_a_long_train_does_not_end_it():
+    """A train that takes longer than the pings' period still counts as a whole, once."""
+    receiver = Receiver()
+    send(receiver, 1, 40, indices=range(10))
+    send(receiver, 2, 1)
+    send(receiver, 1, 40, indices=range(10, 38))
+    send(receiver, 3, 1)
+    send(receiver, 1, 40, indices=range(38, 40))
+    send(receiver, 4, 1)
+    (train,) = receiver.take()[1]
+    assert (train.packets, receiver.last_probe) == (37, 4)
+
+
+def test_a_restarted_daemon_is_measured_from_its_first_train_on():
+    """Numbers that start anew are new trains."""
+    receiver = Receiver()
+    for number in (812, 1, 2):
+        send(receiver, number, 10)
+    assert len(receiver.take()[1]) == 3
+
+
+def test_repeated_packets_do_not_pile_up():
+    """Whoever repeats one packet of a train for ever takes no memory."""
+    receiver = Receiver()
+    send(receiver, 1, 10, indices=[0] * 1000)
+    assert len(receiver._arrivals) <= 10
+
+
+# -- the schedule
+
+
+def test_a_ping_is_answered_at_once():
+    """After some quiet, a ping's report is due when the ping arrives."""
+    schedule = ReportSchedule(10.0)
+    schedule.note_probe(packets=1, quiet_s=0.0)
+    assert schedule.due_s == 10.0 + PROMPT_S
+    schedule.note_sent(10.2)
+    assert schedule.due_s == 10.2 + QUIET_S
+
+
+def test_a_train_waits_for_the_next_ping_a_little():
+    """A train alone is reported soon, and a ping brings that forward."""
+    schedule = ReportSchedule(0.0)
+    schedule.note_probe(packets=12, quiet_s=0.0)
+    assert schedule.due_s == BUSY_S
+    schedule.note_probe(packets=1, quiet_s=0.0)
+    schedule.note_probe(packets=12, quiet_s=0.0)
+    assert schedule.due_s == PROMPT_S
+
+
+def test_much_traffic_is_worth_a_report():
+    """While a queue stands no ping comes through, and what arrives says so, as often as the interface is looked at."""
+    schedule = ReportSchedule(5.0)
+    schedule.note_traffic(WORTH_BYTES - 1)
+    assert schedule.due_s == 5.0 + QUIET_S
+    schedule.note_traffic(WORTH_BYTES)
+    assert schedule.due_s == schedule.look_s == 5.0 + BUSY_S
+
+
+@pytest.mark.parametrize(("asked_s", "quiet_s"), [(0.0, QUIET_S), (0.9, 0.9), (60.0, LONGEST_QUIET_S)])
+def test_a_daemon_behind_a_slow_link_may_ask_for_quiet(asked_s, quiet_s):
+    """Reports that nothing calls for are as far apart as the last ping allowed, within reason."""
+    schedule = ReportSchedule(0.0)
+    schedule.note_probe(packets=1, quiet_s=asked_s)
+    assert schedule.due_s == PROMPT_S
+    schedule.note_sent(1.0)
+    assert schedule.due_s == pytest.approx(1.0 + quiet_s)
+
+
+@pytest.mark.parametrize(
+    ("ping_s", "fewest", "most"),
+    [(0.1, 100, 100), (0.2, 50, 50), (0.5, 40, 40), (PROMPT_S / 3, 400, 500), (10.0, 40, 41)],
+)
+def test_pings_set_the_pace(ping_s, fewest, most):
+    """In ten seconds: one report for each ping, within the bounds of what lies between two."""
+    schedule = ReportSchedule(0.0)
+    sent, next_ping_s = 0, ping_s
+    while min(schedule.due_s, next_ping_s) <= 10.0:
+        now_s = min(schedule.due_s, next_ping_s)
+        if now_s == next_ping_s:
+            schedule.note_probe(packets=1, quiet_s=0.0)
+            next_ping_s += ping_s
+        if now_s >= schedule.due_s:
+            schedule.note_sent(now_s)
+            sent += 1
+    assert fewest <= sent <= most
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.floats(0.001, 0.6), st.sampled_from([1, 12, 0]), st.floats(0.0, 3.0)), min_size=1, max_size=60
+    )
+)
+def test_no_report_is_early_or_late(events):
+    """Whatever arrives, reports are at least the prompt pause apart, at most the longest quiet, and no ping waits."""
+    schedule = ReportSchedule(0.0)
+    now_s, last_s = 0.0, 0.0
+    for pause_s, packets, quiet_s in events:
+        now_s += pause_s
+        while schedule.due_s <= now_s:  # an alarm clock of its own, exact
+            assert PROMPT_S - 1e-9 <= schedule.due_s - last_s <= LONGEST_QUIET_S + 1e-9
+            last_s = schedule.due_s
+            schedule.note_sent(last_s)
+        if packets:
+            schedule.note_probe(packets=packets, quiet_s=quiet_s)
+        else:
+            schedule.note_traffic(WORTH_BYTES * (LONGEST_QUIET_S / QUIET_S) ** 2)
+        assert schedule.due_s - last_s <= (PROMPT_S if packets == 1 else BUSY_S) + 1e-9
+        if schedule.due_s <= now_s:
+            last_s = now_s
+            schedule.note_sent(now_s)
+
+
+@pytest.mark.parametrize("sizes", [(9, 3), (9, 1), (8, 2), (20, 4)])
+@pytest.mark.parametrize("gap_ns", [0, 20_000, 40_000])
+def test_the_rest_of_a_bundle_reads_no_more_than_the_link(sizes, gap_ns):
+    """A few packets behind a large group read the rate of the link roughly; the group itself never counts."""
+    train = measure(grouped(*sizes, gap_ns=gap_ns))
+    assert train.packets == sizes[-1]
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=0.2)
+
+
+@pytest.mark.parametrize("gap_ns", [0, 20_000, 40_000])
+def test_one_large_group_tells_nothing(gap_ns):
+    """However many packets a radio bundles, their stamps are the receiver's pace."""
+    assert measure(grouped(24, gap_ns=gap_ns)) is None

@@ -1,0 +1,127 @@
+"""The wire format of probes and reports: what goes in comes out, and what is no report is refused."""
+
+import math
+import random
+import struct
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("std_msgs", reason="ROS 2 is not installed")
+
+from arpd.probing import PeerReport, Train
+from arpd.ros.report import ProbeHeader, decode_probe, decode_report, encode_probe, encode_report
+
+REPORT = PeerReport(
+    peer="ceddp-3f2a",
+    received_at_s=12.5,
+    interval_s=0.125,
+    rx_bytes=250_000,
+    rx_packets=180,
+    delays_s=(-1.7e9 + 0.001234567, 3.217),
+    trains=(Train(payload_bytes=15_400, duration_s=0.0078125, sent_s=0.0009765625, packets=11),),
+    last_probe=4711,
+)
+
+
+def test_a_report_comes_back_as_it_was():
+    """Counters, delays, trains with their departures, and the name of the peer."""
+    assert decode_report(encode_report(REPORT), received_at_s=12.5) == REPORT
+
+
+def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
+    """Clocks half a century apart leave a delay as precise as any."""
+    reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
+    early, late = (decode_report(encode_report(report), received_at_s=0.0).delays_s[0] for report in reports)
+    assert late - early == pytest.approx(1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize(("name", "size"), [("ceddp", 33), ("x", 29), ("ceddp-3f2a", 38)])
+def test_a_report_is_as_short_as_its_name(name, size):
+    """With one delay a report has 28 bytes and the name; ten a second and a train are far below 1 kB/s."""
+    report = replace(REPORT, peer=name, delays_s=(0.1,), trains=())
+    assert len(encode_report(report).data) == size
+    assert 10 * size + 14 < 1000
+
+
+def test_a_long_name_is_cut_between_characters():
+    """64 bytes of a name are kept, and no half of a letter."""
+    decoded = decode_report(encode_report(replace(REPORT, peer="x" + "é" * 40)), received_at_s=0.0)
+    assert decoded.peer == "x" + "é" * 31
+
+
+def test_more_than_a_report_holds_is_cut_to_the_newest():
+    """Of a hundred delays and trains the last 32 are sent; counts beyond 32 bits read the most there is."""
+    delays = tuple(float(i) for i in range(100))
+    report = replace(REPORT, delays_s=delays, trains=REPORT.trains * 100, rx_bytes=10**12)
+    decoded = decode_report(encode_report(report), received_at_s=0.0)
+    assert decoded.delays_s == delays[-32:]
+    assert (len(decoded.trains), decoded.rx_bytes) == (32, 2**32 - 1)
+
+
+def test_a_train_of_nothing_is_left_out():
+    """A train without time, bytes or packets has no rate."""
+    (whole,) = REPORT.trains
+    empty = (replace(whole, duration_s=0.0), replace(whole, payload_bytes=0), replace(whole, packets=0))
+    assert decode_report(encode_report(replace(REPORT, trains=(*empty, whole))), received_at_s=0.0).trains == (whole,)
+
+
+def test_a_report_of_another_version_is_refused():
+    """Version 1 had no departures; it is not guessed at."""
+    message = encode_report(REPORT)
+    message.data[0] = 1
+    with pytest.raises(ValueError, match="version"):
+        decode_report(message, received_at_s=0.0)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"interval_s": 0.0},
+        {"interval_s": 60.0},
+        {"delays_s": (math.nan,)},
+        {"trains": (replace(REPORT.trains[0], duration_s=math.inf),)},
+        {"trains": (replace(REPORT.trains[0], sent_s=-1.0),)},
+        {"peer": ""},
+    ],
+)
+def test_impossible_numbers_are_refused(broken):
+    """What no peer can have measured is not taken for a measurement."""
+    with pytest.raises(ValueError, match="impossible"):
+        decode_report(encode_report(replace(REPORT, **broken)), received_at_s=0.0)
+
+
+def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
+    """Whatever bytes arrive, there is a report or a ValueError, and nothing else."""
+    chance = random.Random(5)
+    whole = bytes(encode_report(REPORT).data)
+    for _ in range(2000):
+        data = bytearray(whole[: chance.randrange(len(whole) + 1)] if chance.random() < 0.5 else whole)
+        for _ in range(chance.randrange(4)):
+            if data:
+                data[chance.randrange(len(data))] = chance.randrange(256)
+        message = encode_report(REPORT)
+        message.data = list(data)
+        try:
+            decoded = decode_report(message, received_at_s=0.0)
+        except ValueError:
+            continue
+        assert all(math.isfinite(delay) for delay in decoded.delays_s)
+        assert all(math.isfinite(train.rate_bytes_per_second) for train in decoded.trains)
+
+
+def test_a_probe_says_its_place():
+    """A probe's header comes back, and its payload has the size asked for."""
+    header = ProbeHeader(train=2**32 + 7, index=3, packets=12)
+    message = encode_probe(header, payload_bytes=1300)
+    assert len(message.data) == 1300
+    assert decode_probe(message) == replace(header, train=7)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x01", struct.pack("<BxHHI", 2, 0, 1, 1), struct.pack("<BxHHI", 1, 5, 5, 1)])
+def test_what_is_no_probe_is_refused(data):
+    """Too short, of another version, or outside of its own train."""
+    message = encode_probe(ProbeHeader(train=1, index=0, packets=1), payload_bytes=16)
+    message.data = list(data)
+    with pytest.raises(ValueError, match="probe"):
+        decode_probe(message)
