@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import Direction, MemoryState, Observation, PublisherState
 from arpd.probing import PeerReport
-from arpd.ros.peer import REPORT_S, Receiver
-from arpd.sim.link import Alarm
+from arpd.receiver import Receiver, ReportSchedule
+from arpd.sim.timeline import Alarm
 from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from arpd.model import Transition
     from arpd.probing import ProbeRequest
     from arpd.settings import GraphSettings
-    from arpd.sim.link import SimulatedLink, Timeline
+    from arpd.sim.link import SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
+    from arpd.sim.timeline import Timeline
 
 RELAY, PLANNER = "/arpd_relay", "/planner"
 _ON_HOST_S = 0.001
@@ -30,7 +31,6 @@ _ANNOUNCE_S = 1.0
 _STALE_S = 3.5  # as in arpd.ros.control
 _GATE_LEASE_S = 5.0  # as in arpd.ros.tuning
 _BACKOFF_S = (1.5, 12.0)  # first and most, as in arpd.ros.parameters
-_PROMPT_S = 0.05  # as in arpd.ros.peer
 _PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this; nothing may depend on it
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train, as Python publishes them
@@ -58,10 +58,11 @@ class _Node:
 class _Peer:
     """The receiver on the CEDDP."""
 
+    schedule: ReportSchedule
     receiver: Receiver = field(default_factory=Receiver)
     rx_bytes: int = 0
     rx_packets: int = 0
-    at_s: float = 0.0
+    stamp_s: float = 0.0
 
 
 class SimulatedWorld:
@@ -96,7 +97,8 @@ class SimulatedWorld:
         self._results: Counter[str] = Counter()
         self._probes = 0
         self._probe_bytes = 0
-        self._peer = _Peer(at_s=self._timeline.now_s)
+        self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
+        self._report_bytes = 0
         by_direction = {
             direction: [p for p in publishers if p.topic.direction is direction]
             for direction in (Direction.SENSING, Direction.ACTUATION)
@@ -109,8 +111,8 @@ class SimulatedWorld:
         for node in self._nodes.values():
             first_s = self._timeline.now_s + self._random.random()
             self._timeline.every(_ANNOUNCE_S, partial(self._announce, node), first_s=first_s)
-        self._report_alarm = Alarm(self._timeline, self._report)
-        self._report_alarm.set(self._timeline.now_s + REPORT_S * (1.0 + self._random.random()))
+        self._report_alarm = Alarm(self._timeline, self._look)
+        self._report_alarm.set(self._peer.schedule.due_s)
 
     # -- observe
 
@@ -141,6 +143,7 @@ class SimulatedWorld:
             interface="sim0",
             rx_bytes=int(down.received_bytes()),
             tx_bytes=int(up.sent_bytes),
+            backlog_bytes=int(up.backlog_bytes),
             rx_packets=down.received_packets,
             tx_packets=up.sent_packets,
             tx_dropped=up.dropped_packets,
@@ -182,6 +185,11 @@ class SimulatedWorld:
     def results(self) -> Mapping[str, int]:
         """Count parameter calls by result."""
         return dict(self._results)
+
+    @property
+    def report_bytes(self) -> int:
+        """Wire bytes of all reports sent."""
+        return self._report_bytes
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
@@ -230,34 +238,48 @@ class SimulatedWorld:
     # -- on the peer
 
     def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
-        received_s = self._timeline.now_s + _PEER_CLOCK_S + self._random.expovariate(1.0 / _STAMP_JITTER_S)
+        # One thread stamps what it receives: late, and in order.
+        stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
+        self._peer.stamp_s = stamp_s = max(stamp_s, self._peer.stamp_s)
         self._peer.receiver.on_probe(
             train=request.number,
             index=index,
             packets=request.packets,
             payload_bytes=request.packet_bytes,
             sent_ns=round(sent_s * 1e9),
-            received_ns=round(received_s * 1e9),
+            received_ns=round((stamp_s + _PEER_CLOCK_S) * 1e9),
         )
-        if request.packets == 1 and self._timeline.now_s - self._peer.at_s >= _PROMPT_S:
-            self._report()
+        self._peer.schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
+        if self._peer.schedule.due_s < self._report_alarm.when_s:
+            self._report_alarm.set(self._peer.schedule.due_s)
+
+    def _look(self) -> None:
+        """Report if that is due, as `arpd.ros.peer` does."""
+        schedule = self._peer.schedule
+        schedule.note_traffic(self._up.received_bytes() - self._peer.rx_bytes)
+        if self._timeline.now_s < schedule.due_s:
+            self._report_alarm.set(schedule.due_s)
+            return
+        self._report()
+        self._report_alarm.set(schedule.look_s)
 
     def _report(self) -> None:
         peer, up = self._peer, self._up
-        self._report_alarm.set(self._timeline.now_s + 1.2 * REPORT_S)
         rx_bytes = int(up.received_bytes())
         delays_s, trains = peer.receiver.take()
         report = PeerReport(
             peer="ceddp",
             received_at_s=0.0,
-            interval_s=self._timeline.now_s - peer.at_s,
+            interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
             rx_bytes=rx_bytes - peer.rx_bytes,
             rx_packets=up.received_packets - peer.rx_packets,
             delays_s=delays_s,
             trains=trains,
             last_probe=peer.receiver.last_probe,
         )
-        peer.rx_bytes, peer.rx_packets, peer.at_s = rx_bytes, up.received_packets, self._timeline.now_s
+        peer.rx_bytes, peer.rx_packets = rx_bytes, up.received_packets
+        peer.schedule.note_sent(self._timeline.now_s)
+        self._report_bytes += _REPORT_BYTES
         self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report))
 
     def _on_report(self, report: PeerReport) -> None:

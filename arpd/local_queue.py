@@ -1,0 +1,105 @@
+"""What this host alone can see of the link: its interface's counters, and the queue in front of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.interface import LinkCounters
+    from arpd.model import Observation
+
+_BLOCKED_SHARE = 0.2  # of the time: that long publishers waited for room in the socket
+_STANDING_S = 0.08
+_SENT_WINDOW_S = 0.35
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Look:
+    at_s: float
+    sent_bytes: int
+    dropped: int
+    blocked_s: float
+
+
+class LocalQueue:
+    """The queue of this host's interface, where the kernel shows one, and what leaves while it stands.
+
+    Parameters
+    ----------
+    window_s : span over which sending is averaged when nobody else measures it (s)
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
+        self._looks: deque[tuple[float, float, float]] = deque()  # when s, backlog bytes, sent bytes
+        self._since: _Look | None = None
+        self._sent: deque[tuple[float, int]] = deque()  # when s, sent bytes
+        self.handed_bytes: float | None = None
+        self.backlog_s = 0.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether the queue stood at every look lately: then the interface was never idle."""
+        return self.backlog_s > 0.0
+
+    @property
+    def sent_bytes_per_second(self) -> float:
+        """What left the interface lately (bytes/s), 0 while that is not known."""
+        span_s = self._sent[-1][0] - self._sent[0][0] if self._sent else 0.0
+        return (self._sent[-1][1] - self._sent[0][1]) / span_s if span_s > 0.5 * _SENT_WINDOW_S else 0.0
+
+    def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
+        """Look at the interface.
+
+        Parameters
+        ----------
+        burst_bytes : what may stand in its queue without being one
+        capacity : what is believed of the link (bytes/s)
+        """
+        self.handed_bytes, self.backlog_s = None, 0.0
+        if counters is None or not counters.is_up:
+            self._looks.clear()
+            self._sent.clear()
+            return
+        if self._sent and counters.tx_bytes < self._sent[-1][1]:
+            self._looks.clear()  # made anew: it counts from zero
+            self._sent.clear()
+        self._sent.append((now_s, counters.tx_bytes))
+        while now_s - self._sent[0][0] > _SENT_WINDOW_S:
+            self._sent.popleft()
+        backlog = counters.backlog_bytes or 0
+        self.handed_bytes = counters.tx_bytes + backlog
+        self._looks.append((now_s, backlog, counters.tx_bytes))
+        while len(self._looks) > 1 and now_s - self._looks[1][0] >= _STANDING_S:
+            self._looks.popleft()
+        span_s = now_s - self._looks[0][0]
+        # What stands is the least of what was seen lately: messages of many topics that meet come and go.
+        if span_s >= _STANDING_S and min(waiting for _, waiting, _ in self._looks) > burst_bytes:
+            rate = (counters.tx_bytes - self._looks[0][2]) / span_s
+            self.backlog_s = backlog / max(rate, 0.05 * capacity)
+
+    def pushes_back(self, observation: Observation) -> tuple[bool, float] | None:
+        """Tell whether the interface could not keep up, and what it sent (bytes/s), once in a window; else None."""
+        counters = observation.counters
+        if counters is None:
+            self._since = None
+            return None
+        look = _Look(
+            at_s=observation.now_s,
+            sent_bytes=counters.tx_bytes,
+            dropped=counters.tx_dropped,
+            blocked_s=sum(publisher.blocked_s for publisher in observation.publishers),
+        )
+        since = self._since
+        # Longer than two windows ago somebody else measured, or the interface was down: that was another time.
+        if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * self._window_s:
+            self._since = look
+            return None
+        span_s = look.at_s - since.at_s
+        if span_s < self._window_s:
+            return None
+        self._since = look
+        is_late = look.blocked_s - since.blocked_s > _BLOCKED_SHARE * span_s or look.dropped > since.dropped
+        return self.stands or is_late, (look.sent_bytes - since.sent_bytes) / span_s

@@ -1,0 +1,364 @@
+"""The estimator at work on a simulated link: what it finds out, and what must not matter to it."""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from random import Random
+from statistics import median
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.estimator import Estimator
+from arpd.model import CapacityKind, LinkState
+from arpd.settings import GraphSettings, LinkSettings
+from arpd.sim.foreign import ForeignFlow
+from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.timeline import Alarm, Timeline
+from arpd.sim.world import SimulatedWorld
+from arpd.wire import wire_size
+
+MBIT = 125_000.0  # bytes/s
+TICK_S = 0.1
+START_S = 1000.0
+
+
+def steps(*pairs):
+    return RateSchedule(
+        steps=tuple(RateStep(start_s=start_s, rate_bytes_per_second=mbit * MBIT) for start_s, mbit in pairs)
+    )
+
+
+class Peer:
+    """A peer on the other side, of a clock and a life of its own.
+
+    Parameters
+    ----------
+    name : of the host
+    share : of the data, that goes to it
+    clock_s : what its clock is ahead, by run time (s)
+    """
+
+    def __init__(self, name="ceddp", *, share=1.0, clock_s=lambda _: 0.0):
+        self.name, self.share, self.clock_s = name, share, clock_s
+        self.is_in_graph = self.is_heard = lambda _: True  # by run time
+
+
+class Run:
+    """An estimator on a link; load comes from nowhere, and goes to the peers."""
+
+    def __init__(self, schedule, *, peers=None, loads=(), model=None, link=None, seed=1):
+        self.timeline = Timeline(START_S)
+        model = model or LinkModel()
+        up, down = (
+            SimulatedLink(self.timeline, schedule, origin_s=START_S, model=model, random=Random(f"{seed} {way}"))
+            for way in ("up", "down")
+        )
+        for start_s, end_s, mbit in loads:
+            flow = ForeignFlow(start_s=start_s, end_s=end_s, rate_bytes_per_second=mbit * MBIT)
+            flow.play(self.timeline, up, origin_s=START_S)
+        self.peers = peers or [Peer()]
+        self.worlds = [
+            SimulatedWorld(
+                self.timeline,
+                up=up,
+                down=down,
+                publishers=(),
+                random=Random(f"{seed} peer {place}"),
+                graph=GraphSettings(),
+                on_report=self.wake,
+            )
+            for place in range(len(self.peers))
+        ]
+        self.estimator = Estimator(link or LinkSettings())
+        self.course = []  # run time, estimate
+        self.ticked_s = START_S
+        self.alarm = Alarm(self.timeline, self.tick)
+        self.alarm.set(START_S + TICK_S)
+
+    def until(self, end_s):
+        """Return the last estimate of some time."""
+        self.timeline.run_until(START_S + end_s)
+        return self.course[-1][1]
+
+    def wake(self):
+        """Tick right after a report, as the daemon does."""
+        self.alarm.set(min(self.alarm.when_s, max(self.timeline.now_s + 0.001, self.ticked_s + 0.02)))
+
+    def tick(self):
+        self.ticked_s = now_s = self.timeline.now_s
+        self.alarm.set(now_s + TICK_S)
+        run_s = now_s - START_S
+        seen = [world.observe(now_s) for world in self.worlds]
+        reports = [
+            self.told(report, peer, run_s)
+            for peer, observation in zip(self.peers, seen, strict=True)
+            if peer.is_heard(run_s)
+            for report in observation.reports
+        ]
+        observation = replace(
+            seen[0],
+            reports=tuple(sorted(reports, key=lambda report: report.received_at_s)),
+            peers=sum(peer.is_in_graph(run_s) for peer in self.peers),
+        )
+        self.course.append((run_s, self.estimator.update(observation)))
+        for request in self.estimator.wanted_probes(now_s):
+            for peer, world in zip(self.peers, self.worlds, strict=True):
+                if peer.is_in_graph(run_s):
+                    world.probe(request)
+
+    def told(self, report, peer, run_s):
+        ahead_s = peer.clock_s(run_s)
+        return replace(
+            report,
+            peer=peer.name,
+            rx_bytes=round(report.rx_bytes * peer.share),
+            delays_s=tuple(delay_s + ahead_s for delay_s in report.delays_s),
+        )
+
+    def estimates(self, since_s=0.0, until_s=math.inf):
+        return [estimate for run_s, estimate in self.course if since_s <= run_s < until_s]
+
+    def sampled(self, since_s):
+        """Return the capacity ten times a second, whenever the ticks were (Mbit/s)."""
+        out, course = [], iter(self.course)
+        last_s, last = next(course)
+        moments = round((self.course[-1][0] - since_s) * 10)
+        for moment in range(moments):
+            while last_s < since_s + moment / 10:
+                last_s, last = next(course)
+            out.append(last.capacity_bytes_per_second / MBIT)
+        return out
+
+    def delivery(self, since_s, until_s):
+        """Return what was delivered most of the time: not while a train was (bytes/s)."""
+        return median(each.delivery_rate_bytes_per_second for each in self.estimates(since_s, until_s))
+
+    def states(self, since_s=0.0, until_s=math.inf):
+        return {estimate.state for estimate in self.estimates(since_s, until_s)}
+
+
+# -- clocks
+
+CHANGING = steps((0, 20), (6, 5), (14, 20))
+LOADS = ((0, 7, 10), (7.5, 24, 2))  # a queue from the fall on, until the load follows
+
+
+def changing(clock_s=lambda _: 0.0):
+    run = Run(CHANGING, loads=LOADS, peers=[Peer(clock_s=clock_s)])
+    run.until(24.0)
+    return run
+
+
+@lru_cache(maxsize=1)
+def reference():
+    return changing()
+
+
+def test_it_finds_the_capacity_and_follows_it():
+    """A link of 20 Mbit/s that becomes one of 5 and returns: known within a second, and within some seconds again."""
+    run = reference()
+    truth = {(4.0, 6.0): 20.0, (7.5, 14.0): 5.0, (23.0, 24.0): 20.0}
+    for (since_s, until_s), mbit in truth.items():
+        seen = [estimate.capacity_bytes_per_second / MBIT for estimate in run.estimates(since_s, until_s)]
+        assert min(seen) > 0.85 * mbit
+        assert max(seen) < 1.1 * mbit
+
+
+@pytest.mark.parametrize("offset_s", [-1.7e9, 12.0])
+def test_the_peers_clock_does_not_matter(offset_s):
+    """Clocks that never agreed give the same course as clocks that do."""
+    run = changing(lambda _: offset_s)
+    assert run.sampled(0.1) == pytest.approx(reference().sampled(0.1), rel=0.01)
+    assert [each.state for each in run.estimates()] == [each.state for each in reference().estimates()]
+
+
+@pytest.mark.parametrize("drift", [-200e-6, 200e-6])
+def test_a_clock_that_drifts_does_not_matter(drift):
+    """Two hundred parts in a million add two milliseconds to a delay's least of ten seconds: no queue."""
+    run = changing(lambda run_s: drift * run_s)
+    assert run.sampled(23.0) == pytest.approx(reference().sampled(23.0), rel=0.05)
+    differs = [abs(a - b) > 0.1 * b for a, b in zip(run.sampled(0.1), reference().sampled(0.1), strict=True)]
+    assert sum(differs) * 0.1 <= 2.0  # a rise may come a train earlier or later
+    assert LinkState.OUTAGE not in run.states()
+
+
+@pytest.mark.parametrize("step_s", [-1e6, -0.2, 0.2, 60.0])
+@pytest.mark.parametrize("at_s", [3.0, 6.3, 9.05, 14.0])
+def test_a_clock_that_jumps_makes_neither_a_fall_nor_an_outage(step_s, at_s):
+    """Set right in either direction at any moment, a clock changes nothing but a few words about the queue."""
+    run = changing(lambda run_s: step_s * (run_s >= at_s))
+    assert LinkState.OUTAGE not in run.states()
+    for estimate in run.estimates(at_s, 6.0):
+        assert estimate.capacity_bytes_per_second > 0.9 * 20 * MBIT
+    for estimate in run.estimates(at_s):
+        assert estimate.capacity_bytes_per_second > 0.9 * 5 * MBIT
+    assert run.sampled(23.0) == pytest.approx([20.0] * len(run.sampled(23.0)), rel=0.15)
+
+
+@settings(deadline=None, max_examples=8)
+@given(st.lists(st.tuples(st.floats(2.0, 6.0), st.floats(-10.0, 10.0)), max_size=5))
+def test_a_clock_that_never_rests_does_not_matter(jumps):
+    """On a steady link any number of jumps leaves the capacity as it is, and makes no outage."""
+    run = Run(
+        steps((0, 10)),
+        loads=((0, 8, 5),),
+        peers=[Peer(clock_s=lambda run_s: sum(step_s for at_s, step_s in jumps if run_s >= at_s))],
+    )
+    run.until(7.0)
+    assert run.sampled(2.0) == pytest.approx([10.0] * len(run.sampled(2.0)), rel=0.05)
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+
+
+# -- several peers
+
+
+def two(*, second=None, mbit=5):
+    """Run a link of 10 Mbit/s, with a load shared out to two peers of different clocks."""
+    peers = [Peer("a", share=0.4, clock_s=lambda _: 5.0), second or Peer("b", share=0.6, clock_s=lambda _: -1e6)]
+    return Run(steps((0, 10)), loads=((0, 20, mbit),), peers=peers)
+
+
+def test_what_several_peers_receive_adds_up():
+    """Delivery is that of all, and the capacity is the link's, whatever the peers' clocks say."""
+    run = two()
+    run.until(8.0)
+    for estimate in run.estimates(4.0):
+        assert estimate.delivery_rate_bytes_per_second == pytest.approx(5 * MBIT, rel=0.15)
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.1)
+        assert estimate.kind is CapacityKind.PEER
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+
+
+@pytest.mark.parametrize("how", ["dies silently", "leaves the graph"])
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_peer_that_goes_changes_nothing_while_another_reports(how, which):
+    """One of two that dies, or leaves, is no outage and no fall, and neither is its return."""
+    run = two(mbit=0.5)
+    run.peers[which].is_heard = lambda run_s: not 6.0 <= run_s < 12.0
+    if how == "leaves the graph":
+        run.peers[which].is_in_graph = run.peers[which].is_heard
+    run.until(18.0)
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+    for estimate in run.estimates(2.0):
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.15)
+    share = run.peers[1 - which].share
+    assert run.delivery(8.0, 12.0) == pytest.approx(0.5 * MBIT * share, rel=0.2)
+    assert run.delivery(14.0, 18.0) == pytest.approx(0.5 * MBIT, rel=0.2)
+
+
+def test_the_longest_queue_counts():
+    """A queue shows as soon as one peer reports it, though the other says nothing of it."""
+    run = Run(steps((0, 10)), loads=((0, 5, 4), (5, 8, 14)), peers=[Peer("a", share=0.5), Peer("b", share=0.5)])
+    run.peers[0].is_heard = lambda run_s: run_s < 5.0
+    run.until(8.0)
+    assert max(estimate.queue_delay_s for estimate in run.estimates(6.5)) > 0.15
+    assert run.states(6.5) <= {LinkState.CONGESTED, LinkState.DRAINING}
+
+
+def test_all_of_them_silent_is_an_outage():
+    """Only when nobody reports any more is the link out."""
+    run = two()
+    run.peers[0].is_heard = lambda run_s: run_s < 5.0
+    run.peers[1].is_heard = lambda run_s: run_s < 7.0
+    run.until(8.0)
+    assert LinkState.OUTAGE not in run.states(2.0, 7.2)
+    assert run.states(7.7) == {LinkState.OUTAGE}
+
+
+def test_two_peers_of_one_name_make_no_fall():
+    """Hosts that were cloned share a name and not a clock: the capacity stays, and there is no outage."""
+    run = two(second=Peer("a", share=0.6, clock_s=lambda _: -3.0))
+    run.until(12.0)
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+    for estimate in run.estimates(2.0):
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.15)
+
+
+# -- what a packet costs
+
+
+@pytest.mark.parametrize(
+    ("mbit", "overhead_s"),
+    [(2, 0.0), (2, 500e-6), (5, 200e-6), (5, 1e-3), (20, 0.0), (20, 50e-6), (20, 200e-6), (50, 0.0), (50, 250e-6)],
+)
+def test_rmax_is_right_for_small_and_for_large_messages(mbit, overhead_s):
+    """The link time of k packets and s bytes, k·t_ovh + s/C, is found out for 10-byte and for 30-kB messages."""
+    run = Run(steps((0, mbit)), model=LinkModel(packet_overhead_s=overhead_s))
+    estimate = run.until(25.0)
+    for payload_bytes in (10, 30_000):
+        size, packets = wire_size(payload_bytes, rate_hz=10.0)
+        true_s = packets * overhead_s + size / (mbit * MBIT)
+        seen_s = packets * estimate.packet_overhead_s + size / estimate.capacity_bytes_per_second
+        assert seen_s == pytest.approx(true_s, rel=0.1)
+
+
+# -- what it costs
+
+
+@pytest.mark.parametrize("mbit", [5, 10, 50])
+def test_a_minute_of_measuring_costs_one_per_cent(mbit):
+    """Probes on the way there and reports on the way back, once the first trains have told the capacity."""
+    run = Run(steps((0, mbit)))
+    run.until(15.0)
+    (world,) = run.worlds
+    before = world.probes_sent()[1] + world.report_bytes
+    run.until(75.0)
+    assert world.probes_sent()[1] + world.report_bytes - before <= 0.01 * mbit * MBIT * 60.0
+
+
+@pytest.mark.parametrize("delay_s", [0.03, 0.08])
+@pytest.mark.parametrize("step_s", [-7.0, 0.3, 60.0])
+def test_a_clock_that_jumps_is_no_queue_on_a_long_way_either(delay_s, step_s):
+    """Where a round trip takes longer than a queue may, the step is still not taken for one."""
+    run = Run(
+        steps((0, 10)),
+        loads=((0, 10, 1),),
+        model=LinkModel(delay_s=delay_s),
+        peers=[Peer(clock_s=lambda run_s: step_s * (run_s >= 5.0))],
+    )
+    run.until(9.0)
+    before = run.estimates(4.0, 5.0)[-1].capacity_bytes_per_second
+    for estimate in run.estimates(5.0):
+        assert estimate.capacity_bytes_per_second == pytest.approx(before, rel=0.15)
+        assert estimate.queue_delay_s < 0.1
+
+
+def test_two_peers_of_one_name_make_no_queue():
+    """Hosts that were cloned share a name and not a clock: of two reports on one ping the second says nothing."""
+    run = two(second=Peer("a", share=0.6, clock_s=lambda _: -3.0), mbit=1)
+    run.until(10.0)
+    assert max(estimate.queue_delay_s for estimate in run.estimates(2.0)) < 0.3
+
+
+@pytest.mark.parametrize(("share", "mbit"), [(0.4, 5), (0.2, 5), (0.05, 9)])
+def test_an_upload_to_another_host_is_no_fall(share, mbit):
+    """What the peer does not receive because it is not for the peer says nothing of the link."""
+    run = Run(steps((0, 10)), loads=((0, 12, mbit),), peers=[Peer(share=share)])
+    run.until(12.0)
+    for estimate in run.estimates(2.0):
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.2)
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_peer_that_dies_while_it_is_still_sent_to_is_no_fall(which):
+    """Its copies go on for as long as the middleware believes in it, and nobody reports them."""
+    run = two(mbit=5)
+    run.peers[which].is_heard = lambda run_s: not 6.0 <= run_s < 12.0
+    run.until(16.0)
+    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
+    for estimate in run.estimates(2.0):
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.2)
+
+
+def test_a_fall_does_not_forget_what_a_packet_costs():
+    """The overhead is the radio's: in the seconds between a fall and the next train it counts as before."""
+    run = Run(steps((0, 20), (20, 5)), loads=((0, 30, 10),), model=LinkModel(packet_overhead_s=200e-6))
+    run.until(22.0)
+    known = run.estimates(18.0, 20.0)[-1].packet_overhead_s
+    assert known == pytest.approx(200e-6, rel=0.5)
+    assert LinkState.DRAINING in run.states(20.0)
+    assert all(estimate.packet_overhead_s > 0.5 * known for estimate in run.estimates(20.0))

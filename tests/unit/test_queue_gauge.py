@@ -1,0 +1,350 @@
+"""The queue as one peer's reports show it: exact where it can be, and quiet where it cannot."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.estimator_tuning import EstimatorTuning
+from arpd.probing import PeerReport
+from arpd.queue_gauge import QueueGauge, SentProbe
+
+TUNING = EstimatorTuning()
+RATE = 500_000.0  # bytes/s, of the link
+IDLE_S = 0.004  # one way with nothing in front
+
+
+class Fifo:
+    """A sender, a link of `RATE`, and a peer that reports whenever a ping arrives."""
+
+    def __init__(self, *, clock_s=0.0, is_counted=True):
+        self.gauge = QueueGauge(TUNING)
+        self.clock_s = clock_s  # what the peer's clock is ahead
+        self.now_s = 100.0
+        self.queue = 0.0  # bytes that stand before the link
+        self._is_counted = is_counted
+        self._handed = 7_000_000.0  # as the interface counts
+        self._received, self._told = 0.0, 0  # by the link; in reports
+        self._reported_s = self.now_s
+        self._sent = self._last = 0  # numbers of probes
+        self._waiting = []  # pings: number, when sent, bytes in front
+
+    def ping(self):
+        self._sent += 1
+        self.gauge.note_sent(SentProbe(number=self._sent, sent_s=self.now_s, handed_bytes=self._known()))
+        self._waiting.append((self._sent, self.now_s, self.queue))
+
+    def send(self, size):
+        self._handed += size
+        self.queue += size
+
+    def lose(self, size):
+        self._handed += size
+
+    def run(self, duration_s):
+        """Let the link work, with a report for every ping that arrives."""
+        end_s = self.now_s + duration_s
+        while self._waiting and (at_s := self.now_s + self._waiting[0][2] / RATE) <= end_s:
+            self._carry(at_s)
+            number, sent_s, _ = self._waiting.pop(0)
+            self._last = number
+            self.report(at_s - sent_s + IDLE_S + self.clock_s)
+        self._carry(end_s)
+
+    def report(self, *delays_s):
+        received = round(self._received) - self._told
+        self._told += received
+        interval_s, self._reported_s = max(1e-6, self.now_s - self._reported_s), self.now_s
+        self.gauge.digest(
+            PeerReport(
+                peer="p",
+                received_at_s=self.now_s,
+                interval_s=interval_s,
+                rx_bytes=received,
+                rx_packets=round(received / 1000),
+                delays_s=delays_s,
+                last_probe=self._last,
+            ),
+            handed_bytes=self._known(),
+        )
+
+    def cycle(self, size=0.0, duration_s=0.1):
+        """Send a ping, and then data."""
+        self.ping()
+        self.send(size)
+        self.run(duration_s)
+
+    def wait(self, duration_s, size=0.0):
+        """Send data, and report what came of it; no ping leaves."""
+        self.send(size)
+        self.run(duration_s)
+        self.report()
+
+    def backlog_s(self, burst_bytes=0.0, capacity=RATE):
+        return self.gauge.backlog_s(self.now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
+
+    def _carry(self, until_s):
+        carried = min(self.queue, RATE * (until_s - self.now_s))
+        self.queue -= carried
+        self._received += carried
+        self._waiting = [(number, at_s, in_front - carried) for number, at_s, in_front in self._waiting]
+        self.now_s = until_s
+
+    def _known(self):
+        return self._handed if self._is_counted else None
+
+
+LOADS = st.lists(st.floats(0.0, 2.5 * RATE * 0.1), min_size=1, max_size=40)
+CLOCKS = st.sampled_from([0.0, -3.0e9, 17.5])
+
+
+# -- delay and overdue
+
+
+@settings(deadline=None)
+@given(LOADS, CLOCKS)
+def test_a_ping_tells_how_long_it_waited(loads, clock_s):
+    """However the clocks differ, the delay above that of an empty queue is the time of what stood in front."""
+    fifo = Fifo(clock_s=clock_s)
+    fifo.cycle()
+    for load in loads:
+        fifo.send(load)
+        in_front = fifo.queue
+        fifo.cycle(duration_s=in_front / RATE + 0.01)
+        assert fifo.gauge.delay_s == pytest.approx(in_front / RATE, abs=1e-5)
+
+
+@pytest.mark.parametrize("step_s", [-1e6, -0.3, 0.3, 1e6])
+def test_a_step_of_the_peers_clock_is_at_most_the_round_trip(step_s):
+    """What a step adds to a delay never looks like more than the time that passed here."""
+    fifo = Fifo()
+    for _ in range(20):
+        fifo.cycle(0.02 * RATE)
+    fifo.clock_s = step_s
+    for _ in range(20):
+        fifo.cycle(0.02 * RATE)
+        assert 0.0 <= fifo.gauge.delay_s <= 0.02
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.0, 0.3), min_size=3, max_size=30), st.floats(0.0, 3.0))
+def test_what_is_overdue_will_have_waited_at_least_as_long(waits_s, standing_s):
+    """A ping under way longer than usual is behind a queue at least as long as the excess, and tells so at once."""
+    fifo = Fifo()
+    for wait_s in waits_s:
+        fifo.send(wait_s * RATE)
+        fifo.cycle(duration_s=wait_s + 0.01)
+    assert fifo.gauge.overdue_s(fifo.now_s) == 0.0
+    fifo.send(standing_s * RATE)
+    fifo.ping()
+    for _ in range(10):
+        fifo.wait(0.099 * standing_s)
+        assert 0.0 <= fifo.gauge.overdue_s(fifo.now_s) <= standing_s
+    usual_s = sorted(waits_s)[len(waits_s) // 2]
+    assert fifo.gauge.overdue_s(fifo.now_s) >= 0.98 * standing_s - usual_s - 1e-6
+    fifo.wait(0.02 * standing_s + 0.01)
+    assert fifo.gauge.overdue_s(fifo.now_s) == 0.0
+
+
+def test_before_any_ping_nothing_is_overdue():
+    """What is usual is not known before the first round trip, nor after everything was forgotten."""
+    gauge = QueueGauge(TUNING)
+    assert gauge.overdue_s(5.0) == 0.0
+    gauge.note_sent(SentProbe(number=1, sent_s=0.0, handed_bytes=None))
+    assert gauge.overdue_s(5.0) == 0.0
+
+
+# -- bytes
+
+
+@settings(deadline=None)
+@given(LOADS, CLOCKS, st.lists(st.floats(1e3, 0.5 * RATE * 0.1), min_size=4, max_size=10))
+def test_bytes_tell_the_queue_before_a_ping_can(loads, clock_s, growth):
+    """What was handed over and did not arrive stands in the queue, to the byte, while pings wait in it."""
+    fifo = Fifo(clock_s=clock_s)
+    fifo.cycle()
+    for load in loads:
+        fifo.cycle(load)
+    for load in growth:
+        fifo.wait(0.1, RATE * 0.1 + load)
+    # What was on the way at the last good ping is on the way now, too, and no queue.
+    assert fifo.backlog_s() == pytest.approx(fifo.queue / RATE, abs=1e-3 + max(loads) / RATE)
+
+
+def test_lost_bytes_raise_an_alarm_until_the_next_ping():
+    """What was lost looks like a queue for as long as no ping says otherwise, and not a moment longer."""
+    fifo = Fifo()
+    for _ in range(5):
+        fifo.cycle(0.5 * RATE * 0.1)
+    fifo.lose(100_000)
+    for _ in range(4):
+        fifo.wait(0.1, 0.5 * RATE * 0.1)
+    assert fifo.backlog_s() > 100_000 / RATE
+    fifo.cycle()
+    assert fifo.backlog_s() == 0.0
+    assert fifo.gauge.delay_s == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_burst_of_messages_is_no_queue():
+    """Up to what the largest messages put in front of the link at once, bytes say nothing; from there all of it."""
+    fifo = Fifo()
+    fifo.cycle()
+    for _ in range(4):
+        fifo.wait(0.1, 0.1 * RATE + 10_000)
+    assert fifo.backlog_s(9_999) == pytest.approx(40_000 / RATE, rel=0.01)
+    assert fifo.backlog_s(40_000) == 0.0
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.0, 0.9 * RATE * 0.1), min_size=5, max_size=40))
+def test_messages_that_pass_before_the_next_ones_come_are_no_queue(sizes):
+    """However much is sent at once, a queue that was empty a moment ago does not stand."""
+    fifo = Fifo()
+    fifo.cycle()
+    for size in sizes:
+        fifo.send(size)
+        fifo.report()
+        fifo.wait(0.1)
+        assert fifo.backlog_s(burst_bytes=1.0) == 0.0
+
+
+def test_a_link_that_carries_nothing_still_has_a_queue_of_some_length():
+    """Without anything arriving, the time is that at a small part of the capacity, and finite."""
+    fifo = Fifo()
+    fifo.cycle()
+    fifo.send(40_000)
+    for _ in range(4):
+        fifo.now_s += 0.1
+        fifo.report()
+    assert fifo.backlog_s(capacity=RATE) == pytest.approx(40_000 / (0.05 * RATE))
+
+
+def test_bytes_of_a_while_ago_say_nothing():
+    """Half a second without a report is too old to go by."""
+    fifo = Fifo()
+    fifo.cycle()
+    for _ in range(4):
+        fifo.wait(0.1, 0.15 * RATE)
+    assert fifo.backlog_s() > 0.0
+    fifo.now_s += 0.5
+    assert fifo.backlog_s() == 0.0
+
+
+@settings(deadline=None)
+@given(LOADS)
+def test_without_counters_only_pings_speak(loads):
+    """An interface that cannot be read takes the bytes away, and nothing else."""
+    fifo = Fifo(is_counted=False)
+    fifo.cycle()
+    for load in loads:
+        fifo.cycle(load)
+        fifo.report()
+        assert fifo.backlog_s() == 0.0
+    fifo.send(0.2 * RATE)
+    in_front = fifo.queue
+    fifo.cycle(duration_s=in_front / RATE + 0.01)
+    assert fifo.gauge.delay_s == pytest.approx(in_front / RATE, abs=1e-5)
+
+
+def test_what_was_forgotten_is_learnt_anew():
+    """After `forget` the first ping is the least there is: no queue, no bytes, nothing overdue, nothing delivered."""
+    fifo = Fifo()
+    for _ in range(10):
+        fifo.cycle(1.5 * RATE * 0.1)
+    fifo.gauge.forget()
+    assert fifo.gauge.delay_s == fifo.backlog_s() == fifo.gauge.overdue_s(fifo.now_s) == 0.0
+    assert fifo.gauge.delivery() == (0.0, 0.0)
+    for _ in range(4):
+        fifo.wait(0.2)
+    fifo.cycle()
+    assert fifo.gauge.delay_s == 0.0
+
+
+# -- delivery
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.02, 0.25), min_size=1, max_size=30), st.floats(1e3, 1e8))
+def test_delivery_is_bytes_over_the_time_they_took(intervals_s, rate):
+    """At a steady rate, intervals of whatever length read that rate."""
+    gauge = QueueGauge(TUNING)
+    now_s = 10.0
+    for interval_s in intervals_s:
+        now_s += interval_s
+        gauge.digest(steadily(rate, now_s, interval_s), handed_bytes=None)
+        bytes_per_second, packets_per_second = gauge.delivery()
+        assert bytes_per_second == pytest.approx(rate)
+        assert packets_per_second * 1000 == pytest.approx(rate)
+
+
+def test_a_peer_that_slept_reports_one_long_interval():
+    """A host that was suspended tells of all that time at once: that is its delivery, and what was before is gone."""
+    gauge = QueueGauge(TUNING)
+    for at_s in (1.0, 1.1, 1.2):
+        gauge.digest(steadily(4e5, at_s, 0.1), handed_bytes=None)
+    gauge.digest(steadily(1e3, 21.2, 20.0), handed_bytes=None)
+    assert gauge.delivery()[0] == pytest.approx(1e3)
+
+
+def test_delivery_follows_within_its_window():
+    """A window after the rate changed, nothing of the old one is left."""
+    gauge = QueueGauge(TUNING)
+    steps = round(TUNING.delivery_window_s / 0.1) + 1
+    for step in range(20):
+        rate = 4e5 if step < 20 - steps else 1e5
+        gauge.digest(steadily(rate, 0.1 * step, 0.1), handed_bytes=None)
+    assert gauge.delivery()[0] == pytest.approx(1e5)
+
+
+def test_delivery_since_a_moment_leaves_out_what_began_before():
+    """Intervals that began before are demand, and those after are capacity; with none of them it is nothing."""
+    gauge = QueueGauge(TUNING)
+    for step in range(10):
+        gauge.digest(steadily(1e5 if step < 9 else 3e5, 0.1 * step, 0.1), handed_bytes=None)
+    assert gauge.delivery(0.75)[0] == pytest.approx(3e5)
+    assert gauge.delivery(0.95) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("rates", "is_steady"),
+    [((3e5, 3e5), True), ((3e5, 2.8e5), True), ((3e5, 1.5e5), False), ((0.0, 0.0), False), ((3e5,), False)],
+)
+def test_only_an_even_stream_is_steady(rates, is_steady):
+    """A queue is served at one rate: two intervals that differ are an application's, and one is no evidence."""
+    gauge = QueueGauge(TUNING)
+    gauge.digest(steadily(9e5, 1.0, 0.1), handed_bytes=None)
+    for step, rate in enumerate(rates, start=1):
+        gauge.digest(steadily(rate, 1.0 + 0.1 * step, 0.1), handed_bytes=None)
+    assert gauge.is_steady(0.99) == is_steady
+
+
+def steadily(rate, now_s, interval_s):
+    return PeerReport(
+        peer="p",
+        received_at_s=now_s,
+        interval_s=interval_s,
+        rx_bytes=rate * interval_s,
+        rx_packets=rate * interval_s / 1000,
+    )
+
+
+def test_a_train_is_not_overdue():
+    """Its report waits for company, so only pings tell how long a queue is."""
+    fifo = Fifo()
+    for _ in range(5):
+        fifo.cycle()
+    fifo.gauge.note_sent(SentProbe(number=99, sent_s=fifo.now_s, handed_bytes=0.0, is_ping=False))
+    assert fifo.gauge.overdue_s(fifo.now_s + 0.15) == 0.0
+
+
+@pytest.mark.parametrize("elsewhere", [0.5, 0.95])
+def test_what_goes_elsewhere_is_no_queue(elsewhere):
+    """Bytes to another host than the peer never arrive there: nobody knows then what stands."""
+    fifo = Fifo()
+    for _ in range(20):
+        fifo.ping()
+        fifo.run(0.05)
+        fifo.send((1.0 - elsewhere) * 0.3 * RATE * 0.1)
+        fifo.lose(elsewhere * 0.3 * RATE * 0.1 + 20_000)
+        fifo.run(0.05)
+        fifo.report()
+    assert fifo.backlog_s() == 0.0

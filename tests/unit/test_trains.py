@@ -1,0 +1,228 @@
+"""Two packet sizes tell what a packet costs and what a byte costs: exact on an ideal link, deaf to bad trains."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.probe_schedule import ProbeTuning
+from arpd.probing import Train
+from arpd.trains import TrainLog
+from arpd.wire import probe_wire_bytes
+
+PROBES = ProbeTuning()
+LARGE = probe_wire_bytes(PROBES.packet_bytes)
+SMALL = probe_wire_bytes(PROBES.small_packet_bytes)
+MEMORY_S = 30.0
+PAIRS = 6  # enough to be believed
+CAPACITIES = st.floats(1e4, 1.25e8)  # bytes/s: 80 kbit/s to 1 Gbit/s
+
+
+class Link:
+    """A link on which s bytes take t_ovh + s/C, and a log of its trains."""
+
+    def __init__(self, capacity, overhead_s=0.0):
+        self.log = TrainLog(MEMORY_S)
+        self.capacity, self.overhead_s = capacity, overhead_s
+        self.now_s = 50.0
+
+    def packet_s(self, size):
+        return self.overhead_s + size / self.capacity
+
+    def train(self, size, *, longer=1.0, packets=20, sent=0.0, copies=1, after_s=0.1):
+        """Note a train of packets of some size, stretched by what else was on the link."""
+        self.now_s += after_s
+        duration_s = longer * packets * copies * self.packet_s(size)
+        train = Train(payload_bytes=packets * size, duration_s=duration_s, packets=packets, sent_s=sent * duration_s)
+        self.log.note(train, self.now_s, copies=copies)
+
+    def pair(self, *, large=1.0, small=1.0, sent=0.0, copies=1):
+        self.train(LARGE, longer=large, copies=copies, after_s=1.0)
+        self.train(SMALL, longer=small, sent=sent, copies=copies)
+
+    def pairs(self, count=PAIRS, **options):
+        for _ in range(count):
+            self.pair(**options)
+        return self
+
+    @property
+    def capacities(self):
+        return self.log.capacities(-math.inf, packet_overhead_s=self.log.packet_overhead_s)
+
+
+def with_overhead(capacity, part):
+    """Make a link whose overhead is that part of what a large packet takes."""
+    return Link(capacity, part / (1.0 - part) * LARGE / capacity)
+
+
+def capacity_of(overhead_s, part):
+    """Return the capacity of a link on which that overhead is that part of what a large packet takes."""
+    return part / (1.0 - part) * LARGE / overhead_s
+
+
+OVERHEADS_S = st.floats(52e-6, 5e-3)
+PARTS = st.floats(0.04, 0.79)
+
+
+@settings(deadline=None)
+@given(OVERHEADS_S, PARTS, st.integers(1, 4))
+def test_pairs_tell_capacity_and_overhead_exactly(overhead_s, part, copies):
+    """On any link, whatever a packet costs, as many copies as there are peers."""
+    capacity = capacity_of(overhead_s, part)
+    link = with_overhead(capacity, part).pairs(copies=copies)
+    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
+    assert link.capacities == pytest.approx([capacity] * PAIRS, rel=1e-6)
+
+
+@settings(deadline=None)
+@given(CAPACITIES, st.floats(0.0, 0.029))
+def test_an_overhead_too_small_to_tell_is_none(capacity, part):
+    """A few per cent of a large packet are jitter; leaving them out costs the capacity as little."""
+    link = with_overhead(capacity, part).pairs()
+    assert link.log.packet_overhead_s == 0.0
+    assert link.capacities == pytest.approx([capacity] * PAIRS, rel=0.05)
+
+
+def test_few_pairs_are_not_believed():
+    """The overhead is unknown, and so none, until several pairs have told it."""
+    link = with_overhead(1e6, 0.5).pairs(2)
+    assert link.log.packet_overhead_s == 0.0
+    assert link.log.needs_pairs
+    assert link.pairs(4).log.packet_overhead_s == pytest.approx(link.overhead_s)
+    assert not link.log.needs_pairs
+
+
+@settings(deadline=None)
+@given(OVERHEADS_S, PARTS, st.lists(st.floats(0.0, 0.99), min_size=4, max_size=10))
+def test_trains_with_something_in_between_do_not_matter(overhead_s, part, fills):
+    """Small trains that others made longer, and every other large one, change nothing while two pairs are clean."""
+    capacity = capacity_of(overhead_s, part)
+    link = with_overhead(capacity, part)
+    room = link.packet_s(LARGE) / link.packet_s(SMALL) - 1.0
+    link.pair()
+    for place, fill in enumerate(fills):
+        link.pair(large=1.0 + fill * (place % 2), small=1.0 + fill * room)
+    link.pair()
+    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
+
+
+@settings(deadline=None)
+@given(OVERHEADS_S, PARTS, st.floats(1.0, 5.0))
+def test_a_link_that_changed_inside_one_pair_does_not_matter(overhead_s, part, slower):
+    """One pair whose large half met a slower link says too little, and is left out."""
+    capacity = capacity_of(overhead_s, part)
+    link = with_overhead(capacity, part)
+    link.pair(large=slower)
+    link.train(LARGE, after_s=1.0)
+    link.pairs()
+    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
+
+
+@pytest.mark.parametrize("sent", [0.85, 1.0])
+def test_small_trains_of_a_slow_sender_are_no_overhead(sent):
+    """What arrives as it left says what the sender takes for a packet: that much is not the link's, or not known."""
+    assert Link(1e6).pairs(10, small=5.0, sent=sent).log.packet_overhead_s == 0.0
+
+
+def test_a_slow_sender_now_and_then_does_not_matter():
+    """Its trains only bound the overhead from above, and those of the link are below that."""
+    link = with_overhead(1e6, 0.4)
+    for _ in range(3):
+        link.pair(small=1.5, sent=0.9)
+        link.pair()
+    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s)
+
+
+def test_a_small_packet_that_takes_longer_than_a_large_one_tells_nothing():
+    """There was something in between, at least in part."""
+    log = with_overhead(1e6, 0.5).pairs(10, small=2.5).log
+    assert log.needs_pairs
+    assert log.packet_overhead_s == 0.0
+
+
+def test_halves_far_apart_are_no_pair():
+    """Seconds later the link may be another one."""
+    link = with_overhead(1e6, 0.5)
+    for _ in range(5):
+        link.train(LARGE, after_s=3.0)
+        link.train(SMALL, after_s=3.0)
+    assert link.log.needs_pairs
+    assert len(link.capacities) == 5
+
+
+def test_small_trains_are_no_capacity():
+    """Only large packets say what a byte costs."""
+    link = Link(1e6).pairs(3)
+    assert len(link.capacities) == 3
+
+
+def test_readings_grow_old():
+    """What is older than the memory is forgotten when the next one comes, and those asked for are the recent ones."""
+    link = Link(1e6)
+    link.train(LARGE)
+    first_s = link.now_s
+    link.capacity = 2e6
+    link.train(LARGE, after_s=10.0)
+    assert link.log.capacities(first_s + 1.0, packet_overhead_s=0.0) == pytest.approx([2e6])
+    assert link.log.newest_s == link.now_s
+    link.train(LARGE, after_s=MEMORY_S - 9.0)
+    assert link.capacities == pytest.approx([2e6, 2e6])
+
+
+def test_a_cleared_log_knows_no_capacity_and_still_the_overhead():
+    """What a packet costs is the radio's: the next train after a fall is read with it."""
+    link = with_overhead(1e6, 0.4).pairs()
+    link.log.clear()
+    assert link.capacities == []
+    assert link.log.newest_s is None
+    link.train(LARGE)
+    assert link.capacities == pytest.approx([1e6])
+
+
+@pytest.mark.parametrize(
+    "nothing",
+    [
+        Train(payload_bytes=0, duration_s=1.0, packets=3),
+        Train(payload_bytes=3000, duration_s=0.0, packets=3),
+        Train(payload_bytes=3000, duration_s=-1.0, packets=3),
+        Train(payload_bytes=3000, duration_s=1.0, packets=0),
+    ],
+)
+def test_a_train_of_nothing_is_ignored(nothing):
+    """Whoever reports a train without packets, bytes or time is not believed."""
+    link = Link(1e6)
+    link.log.note(nothing, link.now_s)
+    assert link.capacities == []
+
+
+TRAINS = st.lists(
+    st.tuples(st.integers(1, 10**7), st.floats(1e-9, 10.0), st.integers(1, 1000), st.floats(0.0, 1.0)), max_size=60
+)
+
+
+@settings(deadline=None)
+@given(TRAINS)
+def test_whatever_trains_say_it_stays_within_bounds(trains):
+    """The overhead is never all of a packet's time, and no capacity more than it can make of a train."""
+    log = TrainLog(MEMORY_S)
+    now_s, last_packet_s = 0.0, math.inf
+    for payload_bytes, duration_s, packets, after_s in trains:
+        now_s += after_s
+        before = log.newest_s, len(log.capacities(-math.inf, packet_overhead_s=0.0))
+        log.note(Train(payload_bytes=payload_bytes, duration_s=duration_s, packets=packets), now_s)
+        if (log.newest_s, len(log.capacities(-math.inf, packet_overhead_s=0.0))) != before:
+            last_packet_s = duration_s / packets
+        overhead_s = log.packet_overhead_s
+        assert 0.0 <= overhead_s <= 0.8 * last_packet_s
+        plain = log.capacities(-math.inf, packet_overhead_s=0.0)
+        corrected = log.capacities(-math.inf, packet_overhead_s=overhead_s)
+        for low, high in zip(plain, corrected, strict=True):
+            assert 0.0 < low <= high <= 10.001 * low
+
+
+def test_a_cleared_log_tells_the_overhead():
+    """It is asked for right after the fall that cleared it, before any train."""
+    link = with_overhead(1e6, 0.4).pairs()
+    link.log.clear()
+    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s)
