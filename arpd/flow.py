@@ -197,6 +197,8 @@ class Flow(Generic[W]):
         -------
         When to be called again, ``inf`` = not before something changes (s).
         """
+        if not (self._swap.is_busy or self._replay or self.is_waiting):
+            return math.inf
         self.step(now_s)
         self._release()
         return self.due_s(now_s)
@@ -248,7 +250,7 @@ class Flow(Generic[W]):
     def _release(self) -> None:
         self.before_take()
         self.replay()
-        while (sample := self.take()) is not None:
+        while self.is_waiting and (sample := self.take()) is not None:
             self.write(sample)
 
     def _count(self, sample: bytes, now_s: float) -> None:

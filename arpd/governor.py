@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 _GATE_CLOSED = 0.01  # floors are all that flows
 _DRAIN_S = 0.08  # a queue this far above the allowance closes the gate
 _FLAP_S = 15.0
+_FLAP_HOLD = 2.0
+_DEEP, _SHALLOW = 1.3, 8.0  # times the hold: for a fall to nearly nothing, and for a change that is barely one
+_LEAST_HOLD = 0.25  # times the hold, however urgent
+_LEAK = 0.25  # of the time below, off the time above
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25
 _NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
@@ -35,9 +39,12 @@ class Governor:
         self._settings = settings
         self._plan = _NO_PLAN
         self._below_since_s: float | None = None
-        self._above_since_s: float | None = None
+        self._above_s = 0.0  # time above, less some of the time not: a link that swings is used at its better half
+        self._looked_at_s = -math.inf
+        self._elapsed_s = 0.0
         self._demand_since_s: float | None = None
         self._topics: frozenset[str] = frozenset()
+        self._planned_overhead_s = 0.0
         self._planned_for: dict[str, tuple[float, float]] = {}  # wanted bytes/s and given Hz
         self._seen: frozenset[str] = frozenset()
         self._seen_since_s = -math.inf
@@ -84,6 +91,7 @@ class Governor:
     ) -> Decision:
         """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
         newest = max([newest, *(publisher.generation for publisher in publishers)])
+        self._elapsed_s, self._looked_at_s = max(0.0, min(1.0, now_s - self._looked_at_s)), now_s
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
         if not cause and 0 < self._plan.generation < newest and allocation.topics and link.state != LinkState.OUTAGE:
             cause = "takeover"  # of a daemon that has left or stepped back: what is older than its plan is refused
@@ -97,6 +105,7 @@ class Governor:
             else:
                 self._adopt(plan, cause, swaps, now_s)
                 self._planned_for = _demand(topics, allocation)
+                self._planned_overhead_s = link.available_packet_overhead_s
         self._refusals.update(reason for reason in refusals if reason not in self._refused)
         self._refused = frozenset(refusals)
         self._calm(now_s)
@@ -129,6 +138,7 @@ class Governor:
             return "", ""
         if link.state is LinkState.OUTAGE and self._plan.generation > 0:
             # The gate holds; a plan for a link that is gone would be a guess, and what is beyond it is only silent.
+            self._forget_changes()
             return "", ""
         names = frozenset(topic.name for topic in topics)
         if names != self._topics:
@@ -138,7 +148,7 @@ class Governor:
             return "reload", ""
         if self._loses_readers(publishers):
             return "readers", ""
-        return self._level_cause(now_s, allocation, topics)
+        return self._level_cause(now_s, link, allocation, topics)
 
     def _loses_readers(self, publishers: Sequence[PublisherState]) -> bool:
         """Whether a reader asks for a deadline the plan does not keep: it is disconnected until the next plan."""
@@ -153,24 +163,70 @@ class Governor:
             return ""
         return "start" if self._plan.generation == 0 else "topics"
 
-    def _level_cause(self, now_s: float, allocation: Allocation, topics: Sequence[Topic]) -> tuple[str, str]:
+    def _level_cause(
+        self, now_s: float, link: LinkEstimate, allocation: Allocation, topics: Sequence[Topic]
+    ) -> tuple[str, str]:
         g = self._settings.governor
-        level, capacity = self._plan.level_bytes_per_second, allocation.capacity_bytes_per_second
+        level = self._useful(topics, self._plan.level_bytes_per_second, self._planned_overhead_s)
+        overhead_s = link.available_packet_overhead_s
+        capacity = self._useful(topics, allocation.capacity_bytes_per_second, overhead_s)
         below, above = capacity < g.down_ratio * level, capacity > g.up_ratio * level
         moved = not below and not above and self._demand_moved(_demand(topics, allocation))
+        self._above_s = max(
+            0.0, self._above_s + self._elapsed_s * (_urgency(capacity, level, g.up_ratio) if above else -_LEAK)
+        )
         self._below_since_s = _since(below, self._below_since_s, now_s)
-        self._above_since_s = _since(above, self._above_since_s, now_s)
         self._demand_since_s = _since(moved, self._demand_since_s, now_s)
-        # The deeper the fall, the shorter the wait: the gate cuts all topics alike, only a plan knows their weights.
-        depth_of_fall = capacity / (g.down_ratio * level) if below else 1.0
-        for cause, since_s, hold_s, dwell_s in (
-            ("down", self._below_since_s, g.hold_s * depth_of_fall, 0.0),
-            ("up", self._above_since_s, g.hold_s, self._dwell_s),
-            ("demand", self._demand_since_s, g.hold_s, g.dwell_s),
+        since_change_s = now_s - self._changed_at_s
+        if below and self._held_s(self._below_since_s, now_s) >= self._down_hold_s(
+            now_s, link, topics, capacity / level
         ):
-            if since_s is not None and now_s - since_s >= hold_s:
-                return (cause, "") if now_s - self._changed_at_s >= dwell_s else ("", "dwell")
+            return "down", ""
+        if above and self._above_s >= g.hold_s:
+            return ("up", "") if since_change_s >= self._dwell_s else ("", "dwell")
+        if moved and self._held_s(self._demand_since_s, now_s) >= g.hold_s:
+            return ("demand", "") if since_change_s >= g.dwell_s else ("", "dwell")
         return "", ""
+
+    def _useful(self, topics: Sequence[Topic], level: float, overhead_s: float) -> float:
+        """Return what a level is worth to the topics of the plan when their packets cost ``overhead_s`` each (bytes/s).
+
+        A byte of many small messages takes longer than one of a few large ones: R/(1 + t·C·Σk/Σs) for every byte.
+        """
+        rates = [(topic, row.rate_hz) for topic in topics if (row := self._plan.topics.get(topic.name)) is not None]
+        size = sum(topic.wire_bytes * min(rate_hz, topic.desired_rate_hz) for topic, rate_hz in rates)
+        packets = sum(topic.packets * min(rate_hz, topic.desired_rate_hz) for topic, rate_hz in rates)
+        if size <= 0:
+            return level
+        return level / (1.0 + overhead_s * level / self._settings.link.headroom * packets / size)
+
+    def _down_hold_s(self, now_s: float, link: LinkEstimate, topics: Sequence[Topic], ratio: float) -> float:
+        """How long a fall must last before it is worth swaps: most of them pass, and the gate carries the link so long.
+
+        The deeper it is the shorter, for the gate cuts all topics alike, and only a plan knows their weights. Right
+        after a rise it is the longer the more often the link swung. Where the gate cannot help, since the floors of
+        the plan alone are more than the link carries, it is short.
+        """
+        g = self._settings.governor
+        floors = sum(
+            _link_bytes(topic, link) * row.min_rate_hz
+            for topic in topics
+            if (row := self._plan.topics.get(topic.name)) is not None
+        )
+        if floors > self._settings.link.headroom * link.available_bytes_per_second:
+            return g.hold_s * max(_LEAST_HOLD, ratio)
+        hold_s = g.hold_s * (_DEEP + (_SHALLOW - _DEEP) * (ratio / g.down_ratio) ** 3)
+        if now_s - self._up_at_s > _FLAP_S:
+            return hold_s
+        return max(hold_s, g.hold_s * _FLAP_HOLD * max(1.0, self._dwell_s / max(g.dwell_s, 1e-3)))
+
+    @staticmethod
+    def _held_s(since_s: float | None, now_s: float) -> float:
+        return now_s - since_s if since_s is not None else 0.0
+
+    def _forget_changes(self) -> None:
+        self._below_since_s = self._demand_since_s = None
+        self._above_s = 0.0
 
     def _demand_moved(self, demand: Mapping[str, tuple[float, float]]) -> bool:
         """Whether a source now wants something else than when the plan was made, and would get it.
@@ -212,7 +268,7 @@ class Governor:
         self._plan = plan
         self._topics = frozenset(plan.topics)
         self._changed_at_s = now_s
-        self._below_since_s = self._above_since_s = self._demand_since_s = None
+        self._forget_changes()
         self._reload_pending = False
         self._swapped.append((now_s, swaps))
         self._levels[cause] += 1
@@ -230,7 +286,7 @@ class Governor:
         if link.state is LinkState.OUTAGE:
             return _GATE_CLOSED
         planned = sum(
-            topic.wire_bytes * min(row.rate_hz, max(topic.desired_rate_hz, topic.min_rate_hz))
+            _link_bytes(topic, link) * min(row.rate_hz, max(topic.desired_rate_hz, topic.min_rate_hz))
             for topic in topics
             if (row := self._plan.topics.get(topic.name)) is not None
         )
@@ -241,6 +297,16 @@ class Governor:
         # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
         excess_s = link.queue_delay_s - link.queue_allowance_s
         return max(_GATE_CLOSED, gate * min(1.0, 1.0 - excess_s / _DRAIN_S))
+
+
+def _link_bytes(topic: Topic, link: LinkEstimate) -> float:
+    """Bytes the link could have carried in the time one message takes, its packets' overhead included."""
+    return topic.wire_bytes + topic.packets * link.packet_overhead_s * link.capacity_bytes_per_second
+
+
+def _urgency(capacity: float, level: float, up_ratio: float) -> float:
+    """Seconds that one second above the level counts: a small rise may be noise, and loses little while it waits."""
+    return min(1.0, (capacity / (up_ratio * level)) ** 2 / _SHALLOW) if level > 0 else 1.0
 
 
 def _changes_qos(old: TopicPlan | None, new: TopicPlan) -> bool:

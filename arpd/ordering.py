@@ -107,6 +107,7 @@ class Ordering:
 
     def __init__(self, *, patience_s: float = PATIENCE_S) -> None:
         self._writers, self._readers = _Side(patience_s), _Side(patience_s)
+        self._floors: dict[_Identity, float] = {}  # asked for last; no announcement shows it
 
     def steps(
         self,
@@ -181,7 +182,8 @@ class Ordering:
         )
         longest = min(requests, default=math.inf)
         if wanted <= longest:
-            return replace(row, deadline_ns=_nanoseconds(wanted)), False
+            deadline_ns = _nanoseconds(wanted)
+            return (row if deadline_ns == row.deadline_ns else replace(row, deadline_ns=deadline_ns)), False
         if self._writers.is_patient((publisher.node, publisher.topic), now_s):
             kept = min(_period(publisher.deadline_ns), longest)
             return replace(row, depth=publisher.depth, deadline_ns=_nanoseconds(kept)), True
@@ -217,7 +219,9 @@ class Ordering:
             if identity not in rows:
                 continue
             row, _ = rows[identity]
-            is_settled = is_confirmed(publisher, row) and has_lease(publisher, lease_s)
+            has_floor = self._floors.get(identity, row.min_rate_hz) == row.min_rate_hz
+            self._floors[identity] = row.min_rate_hz
+            is_settled = has_floor and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
             if not is_settled or self._writers.is_unanswered(publisher):
                 self._writers.ask(identity, _Ask(generation, row.deadline_ns))
                 due.append((publisher, row))

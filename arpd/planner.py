@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # more growth than that is a change of demand, and a matter for the next plan.
 _SOURCE_MARGIN = 1.25
 _SPARED_SHARE = 0.05
+_MOST_FLOORS = 0.5  # of what is planned: the gate can always take away the other half
 
 
 def make_plan(
@@ -49,9 +50,22 @@ def make_plan(
         kept = previous.topics.get(topic.name)
         if kept is not None and keeps_its_readers(kept, requested.get(topic.name, 0)):
             is_near = topic.name in silent or _within(kept, fresh, settings.governor.deadband)
-            fresh = kept if is_near else fresh
+            if is_near:
+                # A floor costs no swap: it follows what the link gives.
+                fresh = replace(kept, min_rate_hz=min(fresh.min_rate_hz, kept.rate_hz))
         rows[topic.name] = fresh
+    _leave_room(rows, allocation)
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
+
+
+def _leave_room(rows: dict[str, TopicPlan], allocation: Allocation) -> None:
+    """Lower floors that would leave the gate nothing to take away: a queue that no gate can drain stands for ever."""
+    floors = sum(rows[row.name].min_rate_hz / row.max_rate_hz for row in allocation.topics if row.max_rate_hz > 0)
+    planned = sum(row.share for row in allocation.topics)
+    if floors > _MOST_FLOORS * planned > 0:
+        part = _MOST_FLOORS * planned / floors
+        for row in allocation.topics:
+            rows[row.name] = replace(rows[row.name], min_rate_hz=part * rows[row.name].min_rate_hz)
 
 
 def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, settings: Settings) -> TopicPlan:

@@ -190,6 +190,8 @@ class WriterSwap(Generic[W]):
     @property
     def awaits_silence(self) -> bool:
         """Whether the instant before a sample leaves is the one to `step` at."""
+        if self.state is SwapState.IDLE:
+            return False  # asked for every sample, and mostly so
         return self.state in {SwapState.WATCHING, SwapState.HOLDING, SwapState.PROVING}
 
     @property

@@ -131,7 +131,7 @@ def reader_at(deadline_ns, node="/r", **fields):
 DEADLINES = st.one_of(st.just(0), st.integers(1, 2000)).map(lambda ms: ms * MS)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 @given(st.integers(1, 2), st.integers(1, 2), st.integers(0, 2**32))
 def test_no_order_of_answers_separates_a_pair(writers, readers, seed):
     """Whoever answers when, or not at all, a reader that hears a writer goes on hearing it."""
@@ -316,3 +316,23 @@ def test_the_lease_reaches_readers_too():
             lease_s=lease_s,
         )
         assert [step.lease_s for step in steps.transitions] == [lease_s] * count
+
+
+def test_a_floor_alone_is_sent_too():
+    """An announcement shows no floor: a plan that changes only that is sent until the publisher announces the plan."""
+    ordering = Ordering()
+    settled = publisher("/n", TOPIC, generation=1, depth=20, deadline_ns=SHORT, rate_hz=5.0)
+
+    def sent(generation, floor_hz):
+        rows = {TOPIC: replace(row(SHORT), min_rate_hz=floor_hz)}
+        plan = QosPlan(generation=generation, topics=rows, level_bytes_per_second=1.0)
+        known = replace(settled, generation=min(generation, heard))
+        steps = ordering.steps(0.0, publishers=[known], readers=[], plan=plan, reader_plans={}, reason="")
+        return [step.topics[TOPIC].min_rate_hz for step in steps.transitions]
+
+    heard = 1
+    assert sent(1, 1.0) == []
+    assert sent(2, 3.0) == [3.0]
+    assert sent(2, 3.0) == [3.0]
+    heard = 2
+    assert sent(2, 3.0) == []
