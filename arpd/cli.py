@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arpd.cli_simulate import add_simulate
 from arpd.cli_solve import add_solve
 from arpd.cli_status import add_status
 from arpd.errors import ArpdError, ConfigError
@@ -73,6 +74,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
     _add_peer(commands)
     _add_check(commands)
     add_solve(commands)
+    add_simulate(commands, default_config=DEFAULT_CONFIG)
     add_status(commands)
     return parser
 

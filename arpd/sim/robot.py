@@ -1,4 +1,4 @@
-"""The demo robot in virtual time: its topics, their sources, and publishers with arpd's own pacing and swap."""
+"""A robot in virtual time: its topics, their sources, and publishers with arpd's own pacing and swap."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from arpd.flow import Flow
 from arpd.model import Direction, PublisherState
 from arpd.settings import Overflow
 from arpd.sim.arrivals import Arrivals
-from arpd.sim.link import Alarm
 from arpd.sim.result import TopicResult
+from arpd.sim.timeline import Alarm
 from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
 from arpd.swap import WriterQos
+from arpd.topics import assumed_traffic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from random import Random
 
     from arpd.model import TopicPlan
-    from arpd.sim.link import Timeline
+    from arpd.settings import Settings
+    from arpd.sim.timeline import Timeline
 
 RCLPY_DEPTH = 10  # what every rclpy tutorial passes
 PREFIX = "/link"
@@ -28,28 +30,64 @@ PREFIX = "/link"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SimTopic:
-    """One topic of the robot: serialized payload (bytes) and source rate (Hz)."""
+    """One topic of the robot.
+
+    Parameters
+    ----------
+    name : as the application calls it
+    payload_bytes : serialized size of a sample (bytes)
+    rate_hz : rate the application publishes at (Hz)
+    direction : which way it crosses the link
+    prefix : the relay carries it as ``prefix + name``; empty when its own publisher is adaptive
+    """
 
     name: str
     payload_bytes: int
     rate_hz: float
     direction: Direction = Direction.SENSING
+    prefix: str = ""
+
+
+def _relayed(name: str, payload_bytes: int, rate_hz: float) -> SimTopic:
+    return SimTopic(name=name, payload_bytes=payload_bytes, rate_hz=rate_hz, prefix=PREFIX)
 
 
 DEMO_TOPICS = (
-    SimTopic(name="/scan/front", payload_bytes=5800, rate_hz=20.0),
-    SimTopic(name="/scan/rear", payload_bytes=5800, rate_hz=20.0),
-    SimTopic(name="/camera/image/compressed", payload_bytes=30_000, rate_hz=30.0),
-    SimTopic(name="/points", payload_bytes=16_400, rate_hz=10.0),
-    SimTopic(name="/imu", payload_bytes=330, rate_hz=200.0),
-    SimTopic(name="/odom", payload_bytes=730, rate_hz=50.0),
-    SimTopic(name="/joint_states", payload_bytes=600, rate_hz=50.0),
-    SimTopic(name="/battery", payload_bytes=250, rate_hz=1.0),
-    SimTopic(name="/gps/fix", payload_bytes=130, rate_hz=5.0),
-    SimTopic(name="/temperature", payload_bytes=60, rate_hz=2.0),
-    SimTopic(name="/range/front", payload_bytes=60, rate_hz=20.0),
+    _relayed("/scan/front", 5800, 20.0),
+    _relayed("/scan/rear", 5800, 20.0),
+    _relayed("/camera/image/compressed", 30_000, 30.0),
+    _relayed("/points", 16_400, 10.0),
+    _relayed("/imu", 330, 200.0),
+    _relayed("/odom", 730, 50.0),
+    _relayed("/joint_states", 600, 50.0),
+    _relayed("/battery", 250, 1.0),
+    _relayed("/gps/fix", 130, 5.0),
+    _relayed("/temperature", 60, 2.0),
+    _relayed("/range/front", 60, 20.0),
     SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=20.0, direction=Direction.ACTUATION),
 )
+
+
+def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:
+    """Return the robot that a configuration describes: every topic of which it says what it publishes.
+
+    Parameters
+    ----------
+    settings : the configuration
+    actuation : names of topics that cross towards the robot; it does not say which do
+    """
+    relayed = {settings.relay.prefix + name: name for name in settings.relay.topics}
+    return tuple(
+        SimTopic(
+            name=relayed.get(each.topic, each.topic),
+            payload_bytes=max(1, round(each.payload_bytes)),
+            rate_hz=each.source_rate_hz,
+            direction=Direction.ACTUATION if each.topic in actuation else Direction.SENSING,
+            prefix=settings.relay.prefix if each.topic in relayed else "",
+        )
+        for each in assumed_traffic(settings)
+        if each.source_rate_hz > 0
+    )
 
 
 class SimulatedPublisher:
@@ -71,6 +109,7 @@ class SimulatedPublisher:
     ) -> None:
         self.topic = topic
         self.arrivals = Arrivals()
+        self._writers = 0
         self._timeline = route.timeline
         self._node = node
         self._ingress_s = ingress_s
@@ -108,6 +147,11 @@ class SimulatedPublisher:
         self._flow.set_gate(gate)
         self._service()
 
+    @property
+    def swaps(self) -> int:
+        """Writers made to take another's place, since the start."""
+        return self._writers - 1
+
     def state(self, *, generation: int) -> PublisherState:
         """Announce what is in force."""
         flow = self._flow.state()
@@ -130,6 +174,7 @@ class SimulatedPublisher:
         )
 
     def _create(self, route: Route, payload_bytes: int, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
+        self._writers += 1
         return SimulatedWriter(route, self.arrivals, payload_bytes=payload_bytes, qos=qos, heartbeat_s=heartbeat_s)
 
     def _service(self) -> None:

@@ -1,4 +1,4 @@
-"""The whole of arpd against the demo robot in virtual time: the daemon's own tick, no ROS, no waiting."""
+"""The whole of arpd against a robot in virtual time: the daemon's own tick, no ROS, no waiting."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ from typing import TYPE_CHECKING
 from arpd.daemon import TICK_S, Daemon
 from arpd.model import Direction
 from arpd.settings import RelaySettings, Settings, TopicSettings
-from arpd.sim.link import Alarm, LinkModel, SimulatedLink, Timeline
+from arpd.sim.baselines import Truth
+from arpd.sim.link import LinkModel, SimulatedLink
 from arpd.sim.robot import DEMO_TOPICS, PREFIX, SimulatedPublisher, Source
+from arpd.sim.service import Service
+from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.sim.writer import Route
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import TypeAlias
 
     from arpd.model import LinkState
     from arpd.sim.foreign import ForeignFlow
     from arpd.sim.result import TopicResult
+    from arpd.sim.robot import SimTopic
     from arpd.sim.schedule import RateSchedule
+    from arpd.world import CapacityEstimator
+
+    EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
 
 _RUN_STARTS_S = 1000.0  # an uptime like any other; run time is counted from here
 _LEAD_S = 3.0  # daemon, relay and peer are up this long before the sensors publish
@@ -43,13 +51,18 @@ class Moment:
     Parameters
     ----------
     t_s : run time (s)
-    truth_bytes_per_second : rate of the link (bytes/s)
+    truth_bytes_per_second : rate of the link until the next moment, in the mean (bytes/s)
     queue_delay_s : what a packet sent now would wait on the robot's side (s)
     estimate_bytes_per_second : the estimator's capacity (bytes/s)
     foreign_bytes_per_second : the estimator's foreign traffic (bytes/s)
     level_bytes_per_second : what the plan in force was made for (bytes/s)
-    gate, generation, confirmed : gate in force, plan generation, publishers that announce the plan
-    cause : why the plan changed in this tick, empty if it did not
+    packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
+    gate, generation : gate in force, generation of the plan
+    planned, confirmed : publishers in the plan, and those that announce it
+    cause : why the plan changed since the last moment, empty if it did not
+    delivered_bytes : payload that has reached its readers across the link so far, from the robot (bytes)
+    probe_bytes, report_bytes : what measuring has put on the link so far, there and back (wire bytes)
+    swaps : writers made to take another's place so far, all topics together
     """
 
     t_s: float
@@ -58,12 +71,17 @@ class Moment:
     estimate_bytes_per_second: float | None = None
     foreign_bytes_per_second: float | None = None
     level_bytes_per_second: float | None = None
+    packet_overhead_s: float | None = None
     state: LinkState | None = None
     gate: float = 1.0
     generation: int = 0
     planned: int = 0
     confirmed: int = 0
     cause: str = ""
+    delivered_bytes: int = 0
+    probe_bytes: int = 0
+    report_bytes: int = 0
+    swaps: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,8 +120,10 @@ def run(
     managed: bool,
     model: LinkModel | None = None,
     foreign: tuple[ForeignFlow, ...] = (),
+    topics: tuple[SimTopic, ...] = DEMO_TOPICS,
+    make_estimator: EstimatorMaker | None = None,
 ) -> ScenarioResult:
-    """Let the demo robot work for ``duration_s`` of virtual time.
+    """Let a robot work for ``duration_s`` of virtual time.
 
     Parameters
     ----------
@@ -113,19 +133,31 @@ def run(
     managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
     foreign : what else goes from the robot over the link
+    topics : what the robot publishes; the demo robot's by default
+    make_estimator : makes what tells arpd the capacity, out of what tells the truth; arpd's own by default
     """
-    plant = _Plant(schedule, duration_s, seed=seed, model=model or LinkModel())
-    for flow in foreign:
-        flow.play(plant.timeline, plant.up, origin_s=_RUN_STARTS_S)
-    return _managed(plant, settings) if managed else _plain(plant)
+    plant = _Plant(schedule, duration_s, seed=seed, model=model or LinkModel(), foreign=foreign, topics=topics)
+    return _managed(plant, settings, make_estimator) if managed else _plain(plant)
 
 
 class _Plant:
     """Links, publishers and sources of one run, and the course of what is measured."""
 
-    def __init__(self, schedule: RateSchedule, duration_s: float, *, seed: int, model: LinkModel) -> None:
+    def __init__(
+        self,
+        schedule: RateSchedule,
+        duration_s: float,
+        *,
+        seed: int,
+        model: LinkModel,
+        foreign: tuple[ForeignFlow, ...],
+        topics: tuple[SimTopic, ...],
+    ) -> None:
         self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
-        self.schedule = schedule
+        self._service = Service(schedule, 0.0)
+        self._model = model
+        self._foreign = foreign
+        self._topics = topics
         self.end_s = _RUN_STARTS_S + duration_s
         self._seed = seed
         self.up, self.down = (
@@ -134,6 +166,8 @@ class _Plant:
             )
             for name in ("up", "down")
         )
+        for flow in foreign:
+            flow.play(self.timeline, self.up, origin_s=_RUN_STARTS_S)
         self.publishers: list[SimulatedPublisher] = []
         self.moments: list[Moment] = []
 
@@ -142,15 +176,15 @@ class _Plant:
         return Random(f"{self._seed} {purpose}")  # noqa: S311 - a repeatable run, not a secret
 
     def populate(self, *, managed: bool) -> None:
-        """Make a publisher and a source per topic; a managed sensor topic crosses the link under the relay's name."""
-        for topic in DEMO_TOPICS:
+        """Make a publisher and a source per topic; with arpd, some cross the link under the relay's name."""
+        for topic in self._topics:
             sensing = topic.direction is Direction.SENSING
             there, back = (self.up, self.down) if sensing else (self.down, self.up)
-            relayed = managed and sensing
+            relayed = managed and bool(topic.prefix)
             publisher = SimulatedPublisher(
                 Route(timeline=self.timeline, there=there, back=back),
                 topic,
-                name=PREFIX + topic.name if relayed else topic.name,
+                name=topic.prefix + topic.name if relayed else topic.name,
                 node=RELAY if sensing else PLANNER,
                 heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
                 ingress_s=_RELAY_HOP_S if relayed else 0.0,
@@ -166,6 +200,21 @@ class _Plant:
             )
         self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
 
+    def truth(self) -> Truth:
+        """Say what is true of the link now."""
+        run_s = max(0.0, self.timeline.now_s - _RUN_STARTS_S)
+        rate = self._mean_rate(run_s, TICK_S)
+        return Truth(
+            capacity_bytes_per_second=rate,
+            queue_delay_s=self.up.queue_delay_s,
+            foreign_bytes_per_second=sum(
+                flow.rate_bytes_per_second for flow in self._foreign if flow.start_s <= run_s < flow.end_s
+            ),
+            # On a busy link aggregates are full.
+            packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
+            is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
+        )
+
     def finish(self, show: Callable[[Moment], Moment]) -> ScenarioResult:
         """Run to the end, noting a moment ten times a second."""
         self.timeline.every(_SHOW_S, partial(self._show, show), first_s=_RUN_STARTS_S)
@@ -174,17 +223,32 @@ class _Plant:
             topics=tuple(publisher.result() for publisher in self.publishers), moments=tuple(self.moments)
         )
 
+    def _mean_rate(self, start_s: float, span_s: float) -> float:
+        """Return the rate over a span of run time; a recorded one changes faster than anybody looks (bytes/s)."""
+        return (self._service.by(start_s + span_s) - self._service.by(start_s)) / span_s
+
     def _sample_ages(self) -> None:
         if self.timeline.now_s < self.end_s:
             for publisher in self.publishers:
                 publisher.arrivals.on_age(self.timeline.now_s)
 
     def _show(self, show: Callable[[Moment], Moment]) -> None:
-        t_s = self.timeline.now_s - _RUN_STARTS_S
+        t_s = round(self.timeline.now_s - _RUN_STARTS_S, 6)  # run time people can read
         if self.timeline.now_s < self.end_s:
-            truth = self.schedule.rate_at(max(0.0, t_s))
             self.moments.append(
-                show(Moment(t_s=t_s, truth_bytes_per_second=truth, queue_delay_s=self.up.queue_delay_s))
+                show(
+                    Moment(
+                        t_s=t_s,
+                        truth_bytes_per_second=self._mean_rate(t_s, _SHOW_S),
+                        queue_delay_s=self.up.queue_delay_s,
+                        delivered_bytes=sum(
+                            publisher.arrivals.delivered_bytes
+                            for publisher in self.publishers
+                            if publisher.topic.direction is Direction.SENSING
+                        ),
+                        swaps=sum(publisher.swaps for publisher in self.publishers),
+                    )
+                )
             )
 
 
@@ -193,7 +257,7 @@ def _plain(plant: _Plant) -> ScenarioResult:
     return plant.finish(lambda moment: moment)
 
 
-def _managed(plant: _Plant, settings: Settings) -> ScenarioResult:
+def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker | None) -> ScenarioResult:
     plant.populate(managed=True)
     clock = plant.timeline
     ticked_s = clock.now_s
@@ -211,7 +275,12 @@ def _managed(plant: _Plant, settings: Settings) -> ScenarioResult:
         on_report=wake,
     )
     daemon = Daemon(
-        world, settings, interface="sim0", clock=lambda: clock.now_s, wall_clock=lambda: _UNIX_S + clock.now_s
+        world,
+        settings,
+        interface="sim0",
+        clock=lambda: clock.now_s,
+        wall_clock=lambda: _UNIX_S + clock.now_s,
+        estimator=make_estimator(plant.truth) if make_estimator else None,
     )
     causes: list[str] = []
 
@@ -234,12 +303,15 @@ def _managed(plant: _Plant, settings: Settings) -> ScenarioResult:
             estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
             foreign_bytes_per_second=snapshot.link.foreign_bytes_per_second,
             level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
+            packet_overhead_s=snapshot.link.packet_overhead_s,
             state=snapshot.link.state,
             gate=snapshot.decision.gate,
             generation=snapshot.decision.plan.generation,
             planned=len(snapshot.decision.plan.topics),
             confirmed=snapshot.confirmed,
             cause=cause,
+            probe_bytes=world.probes_sent()[1],
+            report_bytes=world.report_bytes,
         )
 
     alarm = Alarm(clock, tick)

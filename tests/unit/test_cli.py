@@ -17,6 +17,7 @@ import pytest
 from arpd import cli
 from arpd.config_schema import flatten
 from arpd.errors import LinkError, RosUnavailableError
+from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import (
     Allocation,
     AllocationStatus,
@@ -33,12 +34,13 @@ from arpd.model import (
 )
 from arpd.refusal import RefusalReason
 from arpd.settings import Settings
+from arpd.sim.robot import DEMO_TOPICS
 from arpd.snapshot import Snapshot, Totals
 from arpd.version import VERSION
 from arpd.web.status import status_document
 from tests.sample_publishers import publisher
 
-COMMANDS = ("run", "relay", "peer", "check", "solve", "status")
+COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status")
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
 
 
@@ -370,7 +372,15 @@ def document(**changes):
         tick_s=0.002,
         observation=Observation(
             now_s=10.0,
-            counters=None,
+            counters=LinkCounters(
+                interface="wlan0",
+                rx_bytes=0,
+                tx_bytes=0,
+                rx_packets=0,
+                tx_packets=0,
+                tx_dropped=0,
+                state=changes.pop("interface_state", InterfaceState.UP),
+            ),
             reports=(),
             publishers=changes.pop("publishers", (camera,)),
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
@@ -438,6 +448,27 @@ TOPIC   RATE Hz  planned  source  DEPTH  planned  DEADLINE  planned  WITHHELD  B
 /image     12.5     12.5      30      7        8    100 ms   100 ms  50 (25%)  link
 """
     )
+
+
+def test_status_says_why_the_interface_carries_nothing(run):
+    """One line more, and only while that is so."""
+    with serving(json.dumps(document(interface_state=InterfaceState.NO_CARRIER))) as url:
+        faulty = run("status", "--url", url)[1].splitlines()
+    with serving(json.dumps(document())) as url:
+        sound = run("status", "--url", url)[1].splitlines()
+    assert [line for line in faulty if line not in sound] == ["         wlan0 has no carrier"]
+    assert len(faulty) == len(sound) + 1
+
+
+def test_the_demo_robots_status_fits_a_terminal_of_24_lines(run):
+    """A dozen topics and an interface that has failed, and nothing scrolls."""
+    robot = tuple(publisher("/arpd_relay", topic.prefix + topic.name) for topic in DEMO_TOPICS)
+    status = document(publishers=robot, interface_state=InterfaceState.NO_CARRIER)
+    status["allocation"]["degradation"] = status["plan"]["reason"] = ""
+    status["plan"]["refusals"] = []
+    with serving(json.dumps(status)) as url:
+        out = run("status", "--url", url)[1]
+    assert len(out.splitlines()) <= 24
 
 
 def test_status_prints_the_documents_json(run):

@@ -1,0 +1,213 @@
+"""What holds of arpd on any link: bounds, dwell, rest. The links are drawn at random, and named by their seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from itertools import pairwise
+from random import Random
+from typing import TYPE_CHECKING
+from unittest import mock
+
+import pytest
+
+from arpd.daemon import Daemon
+from arpd.model import Direction, LinkState
+from arpd.planner import _SOURCE_MARGIN
+from arpd.settings import Backend, ProgramSettings, Settings, TopicSettings
+from arpd.sim.link import LinkModel
+from arpd.sim.loss import GilbertElliott, LossStep
+from arpd.sim.robot import SimTopic
+from arpd.sim.scenario import run
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.topics import topics_to_plan
+
+if TYPE_CHECKING:
+    from arpd.snapshot import Snapshot
+
+MBIT = 125_000.0
+PAST_S, REST_S, WATCH_S = 25.0, 60.0, 15.0
+SEEDS = range(5)
+CONSTANTS = ((0, 0.5), (1, 2.0), (2, 6.0), (3, 20.0), (4, 50.0))
+ROBOT = (
+    SimTopic(name="/camera", payload_bytes=20_000, rate_hz=15.0),
+    SimTopic(name="/scan", payload_bytes=5_000, rate_hz=10.0),
+    SimTopic(name="/imu", payload_bytes=330, rate_hz=20.0),
+    SimTopic(name="/battery", payload_bytes=250, rate_hz=1.0),
+    SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=10.0, direction=Direction.ACTUATION),
+)
+SETTINGS = Settings(
+    program=ProgramSettings(backend=Backend.EXACT),
+    topics={"/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=10.0), "/imu": TopicSettings(weight=4.0)},
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tick:
+    """What one tick believed and decided."""
+
+    t_s: float
+    snapshot: Snapshot
+
+
+def watched(schedule: RateSchedule, duration_s: float, model: LinkModel, *, seed: int, topics=ROBOT) -> list[Tick]:
+    """Let the robot run under arpd and return every tick of the daemon."""
+    ticks: list[Tick] = []
+
+    class Watched(Daemon):
+        def tick(self, now_s):
+            decision = super().tick(now_s)
+            ticks.append(Tick(t_s=now_s - 1000.0, snapshot=self.snapshot))
+            return decision
+
+    with mock.patch("arpd.sim.scenario.Daemon", Watched):
+        run(SETTINGS, schedule, duration_s, seed=seed, managed=True, model=model, topics=topics)
+    return ticks
+
+
+def random_rates(random: Random, until_s: float) -> list[RateStep]:
+    """Draw a link that goes anywhere from 0.3 to 50 Mbit/s, by steps of 0.1 s to 10 s, and stalls now and then."""
+    steps, t_s = [], 0.0
+    while t_s < until_s:
+        stalls = random.random() < 0.1
+        rate = 0.0 if stalls and t_s > 0 else 0.3 * (50 / 0.3) ** random.random() * MBIT
+        steps.append(RateStep(start_s=t_s, rate_bytes_per_second=rate))
+        t_s += 0.1 * (30.0 if stalls else 100.0) ** random.random()
+    return steps if steps[-1].rate_bytes_per_second else steps[:-1]
+
+
+def random_model(random: Random, until_s: float) -> LinkModel:
+    """Draw everything else that a link does to packets; what comes and goes has gone by then."""
+    outages, losses, t_s = [], [], 0.0
+    while random.random() < 0.4 and (t_s := t_s + random.uniform(1.0, 20.0)) < until_s - 4.0:
+        outages.append((t_s, t_s + random.uniform(0.1, 4.0)))
+        t_s = outages[-1][1]
+    if random.random() < 0.4:
+        start_s = random.uniform(0.0, until_s - 10.0)
+        losses = [
+            LossStep(start_s=start_s, loss=random.choice([0.05, 0.3, 0.9])),
+            LossStep(start_s=start_s + random.uniform(0.5, 9.0), loss=0.0),
+        ]
+    has_overhead = random.random() < 0.5
+    return LinkModel(
+        delay_s=random.choice([0.001, 0.005, 0.03]),
+        queue_bytes=random.choice([30_000, 256_000, 1_000_000]),
+        loss=random.choice([0.0, 0.0, 0.01]),
+        outages=tuple(outages),
+        losses=tuple(losses),
+        packet_overhead_s=random.choice([50e-6, 200e-6]) if has_overhead else 0.0,
+        aggregate_packets=random.choice([1, 16, 64]) if has_overhead else 1,
+        firmware_bytes=random.choice([0, 0, 20_000, 100_000]),
+    )
+
+
+@cache
+def anywhere(seed):
+    """Play a link that changes to the end, with bursts of loss on some."""
+    random = Random(f"anywhere {seed}")
+    steps = random_rates(random, PAST_S)
+    model = random_model(random, PAST_S)
+    if random.random() < 0.5:
+        bad_loss = random.choice([0.5, 1.0])
+        bursts = GilbertElliott(good_s=random.choice([0.3, 3.0]), bad_s=random.choice([0.05, 0.3]), bad_loss=bad_loss)
+        model = replace(model, bursts=bursts)
+    return watched(RateSchedule(steps=tuple(steps)), PAST_S, model, seed=seed)
+
+
+@cache
+def settling(seed, mbits):
+    """Play a link that has a random past, and is constant and loses nothing from then on."""
+    random = Random(f"settling {seed}")
+    last = RateStep(start_s=PAST_S, rate_bytes_per_second=mbits * MBIT)
+    steps = [step for step in random_rates(random, PAST_S) if step.start_s < PAST_S]
+    model = replace(random_model(random, PAST_S), loss=0.0, aggregate_packets=1)
+    return watched(RateSchedule(steps=(*steps, last)), PAST_S + REST_S + WATCH_S, model, seed=seed)
+
+
+def plans(ticks):
+    return [(tick.t_s, tick.snapshot.decision.reason) for tick in ticks if tick.snapshot.decision.level_changed]
+
+
+# -- on any link, at every tick
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_believed_and_told_is_a_number(seed):
+    """Nothing is negative, infinite or not a number, and the gate is a factor."""
+    for tick in anywhere(seed):
+        link, decision = tick.snapshot.link, tick.snapshot.decision
+        for field in fields(link):
+            value = getattr(link, field.name)
+            assert not isinstance(value, float) or 0 <= value < math.inf, (tick.t_s, field.name, value)
+        assert 0 < decision.gate <= 1
+        for row in decision.plan.topics.values():
+            assert 0 <= row.min_rate_hz <= row.rate_hz < math.inf
+            assert 1 <= row.depth <= 5000
+            assert row.deadline_ns >= 0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_level_is_above_what_was_ever_believed(seed):
+    """A level is what the headroom leaves of some capacity the estimator did believe."""
+    most = 0.0
+    for tick in anywhere(seed):
+        most = max(most, tick.snapshot.link.capacity_bytes_per_second)
+        level = tick.snapshot.decision.plan.level_bytes_per_second
+        assert 0 <= level <= SETTINGS.link.headroom * most * (1 + 1e-9), tick.t_s
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_rate_is_above_what_its_source_wanted(seed):
+    """Nobody is paced above a little more than its source publishes, which is so that jitter is not throttled."""
+    desired: dict[str, float] = {}
+    for tick in anywhere(seed):
+        for topic in topics_to_plan(tick.snapshot.observation.publishers, SETTINGS):
+            desired[topic.name] = max(topic.desired_rate_hz, desired.get(topic.name, 0.0))
+        for name, row in tick.snapshot.decision.plan.topics.items():
+            assert row.rate_hz <= _SOURCE_MARGIN * desired[name] * (1 + 1e-9), (tick.t_s, name)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_rise_comes_sooner_than_the_dwell(seed):
+    """After any other plan, and on any link; in an outage there is none at all."""
+    ticks = anywhere(seed)
+    for (before_s, _), (at_s, cause) in pairwise(plans(ticks)):
+        assert cause not in ("up", "demand") or at_s - before_s >= SETTINGS.governor.dwell_s - 1e-6
+    silent = [tick for tick in ticks if tick.snapshot.link.state is LinkState.OUTAGE and tick.t_s > 0]
+    assert not [plan for plan in plans(silent) if plan[1] != "start"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_minute_has_more_plans_than_it_has_dwells(seed):
+    """Falls need no dwell, but each leaves less to fall, and soon after a rise it is held."""
+    moments_s = [at_s for at_s, _ in plans(anywhere(seed))]
+    most = 60.0 / SETTINGS.governor.dwell_s
+    assert 0 < max(sum(at_s <= other_s < at_s + 60.0 for other_s in moments_s) for at_s in moments_s) <= most
+
+
+def test_these_links_are_hard():
+    """Else the above would say little: they are out, they queue, the gate closes, the level goes up and down."""
+    ticks = [tick for seed in SEEDS for tick in anywhere(seed)]
+    assert {LinkState.OUTAGE, LinkState.CONGESTED, LinkState.STEADY} <= {tick.snapshot.link.state for tick in ticks}
+    assert {"start", "up", "down"} <= {cause for _, cause in plans(ticks)}
+    assert min(tick.snapshot.decision.gate for tick in ticks) < 0.05
+    assert max(tick.snapshot.link.queue_delay_s for tick in ticks) > 0.5
+
+
+# -- on a link that stays as it is
+
+
+@pytest.mark.parametrize(("seed", "mbits"), CONSTANTS)
+def test_on_a_constant_link_plans_end(seed, mbits):
+    """Whatever came before, a minute later nothing is swapped any more, for the sources do not change either."""
+    ticks = settling(seed, mbits)
+    assert not [plan for plan in plans(ticks) if PAST_S + REST_S <= plan[0] < PAST_S + REST_S + WATCH_S]
+
+
+@pytest.mark.parametrize(("seed", "mbits"), CONSTANTS)
+def test_on_a_constant_link_the_truth_is_found(seed, mbits):
+    """Whatever came before, half a minute later the capacity is known within a fifth."""
+    ticks = [tick for tick in settling(seed, mbits) if PAST_S + 30.0 <= tick.t_s < PAST_S + REST_S + WATCH_S]
+    capacities = [tick.snapshot.link.capacity_bytes_per_second for tick in ticks]
+    assert 0.8 * mbits * MBIT < min(capacities) <= max(capacities) < 1.2 * mbits * MBIT
