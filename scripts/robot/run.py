@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import shutil
@@ -26,7 +27,7 @@ from scripts.robot.proxy import window
 from scripts.robot.sensors import BASE_DRIVER, COMMAND_TOPIC, SENSORS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from arpd.sim.namespaces import HostName
     from arpd.sim.schedule import RateSchedule
@@ -39,6 +40,7 @@ HTTP_PORT = 9464
 _START_S = 40.0
 _DRAIN_S = 4.0  # several heartbeats of rclpy's default writer, so that late samples still count as delivered
 _TICK_S = 0.5
+_SHAPE_S = 0.02  # how late the link may follow its schedule
 
 
 class DemoError(ArpdError):
@@ -54,11 +56,13 @@ class Side:
     link : the two hosts
     workdir : logs and results of the processes
     is_managed : with arpd
+    started_s : monotonic clock when the sources began to publish (s)
     """
 
     link: SimLink
     workdir: Path
     is_managed: bool
+    started_s: float = math.inf
     processes: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     arrivals: dict[str, Any] = field(default_factory=dict)
     url: str = ""
@@ -165,16 +169,22 @@ def robot(link: SimLink, workdir: Path, *, is_managed: bool) -> Iterator[Side]:
 
 
 def run(
-    side: Side, schedule: RateSchedule, duration_s: float, *, on_tick: Callable[[float], None]
+    side: Side,
+    schedule: RateSchedule,
+    duration_s: float,
+    *,
+    on_tick: Callable[[float], None],
+    outages: Sequence[tuple[float, float]] = (),
 ) -> list[TopicResult]:
     """Let the robot work for ``duration_s`` while the link follows the schedule, and return what arrived.
 
     Parameters
     ----------
     on_tick : called twice a second with the time since the start (s)
+    outages : spans in which every packet is lost where it arrives, in both directions (s, s)
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
-    play(side, schedule.rate_at, duration_s, on_tick=on_tick)
+    play(side, schedule.rate_at, duration_s, on_tick=on_tick, outages=outages)
     side.signal(signal.SIGUSR2, *_sources())
     time.sleep(_DRAIN_S)
     final = side.status() if side.is_managed else None
@@ -189,17 +199,30 @@ def run(
     return results
 
 
-def play(side: Side, rate_at: Callable[[float], float], duration_s: float, *, on_tick: Callable[[float], None]) -> None:
+def play(
+    side: Side,
+    rate_at: Callable[[float], float],
+    duration_s: float,
+    *,
+    on_tick: Callable[[float], None],
+    outages: Sequence[tuple[float, float]] = (),
+) -> None:
     """Let every source publish while the link follows ``rate_at``; they go on publishing afterwards."""
     side.signal(signal.SIGUSR1, *_sources())
-    started_s = time.monotonic()
-    while (elapsed_s := time.monotonic() - started_s) < duration_s:
-        rate = rate_at(elapsed_s)
-        if rate != side.link.rate_bytes_per_second:
+    side.started_s = time.monotonic()
+    was_out, next_tick_s = False, 0.0
+    while (elapsed_s := time.monotonic() - side.started_s) < duration_s:
+        if (rate := rate_at(elapsed_s)) != side.link.rate_bytes_per_second:
             side.link.set_rate(rate)
-        on_tick(elapsed_s)
-        _check_alive(side)
-        time.sleep(max(0.0, _TICK_S - (time.monotonic() - started_s - elapsed_s)))
+        is_out = any(start_s <= elapsed_s < end_s for start_s, end_s in outages)
+        if is_out != was_out:
+            side.link.set_loss(1.0 if is_out else 0.0)
+            was_out = is_out
+        if elapsed_s >= next_tick_s:
+            next_tick_s = elapsed_s + _TICK_S
+            on_tick(elapsed_s)
+            _check_alive(side)
+        time.sleep(_SHAPE_S)
 
 
 def _await_discovery(side: Side) -> None:

@@ -1,0 +1,184 @@
+"""arpd on the real link: the demo robot over namespaces, veth and token buckets, beside the same in virtual time.
+
+Usage: .venv/bin/python scripts/bench/link.py [--quick] [--rounds N] [--only TEXT] [--json FILE] [--plot FILE]
+
+Needs root, as the simulated link does.
+
+In every scenario the link does one thing: it stays, drops, rises or is gone for five seconds. Runs with and without
+arpd alternate, each with a robot of its own. Truth is the rate and the queue that the kernel's token bucket has, read
+fifty times a second; beliefs are arpd's status page, read ten times a second, so that every reaction time below is
+known to a tenth of a second and includes the reading. The same schedule then runs in virtual time with the same
+configuration.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from arpd.config import load_settings
+from arpd.errors import ArpdError
+from arpd.probing import PeerReport
+from arpd.sim.link import LinkModel
+from arpd.sim.scenario import run as simulate
+from arpd.sim.simlink import SimLink
+from arpd.wire import probe_wire_bytes
+from scripts.bench.child import REPO, RESULTS
+from scripts.bench.link_course import SCENARIOS, Run, virtual_course, with_outages
+from scripts.bench.link_figures import figures
+from scripts.bench.link_report import draw, save, table
+from scripts.bench.link_sampler import sampling
+from scripts.robot.run import CONFIG, HTTP_PORT, robot, run
+
+if TYPE_CHECKING:
+    from arpd.sim.result import TopicResult
+    from scripts.bench.link_course import Instant, Scenario
+
+QUICK = ("20→5", "outage")
+
+
+def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Run:
+    """Let the real robot work over the real link."""
+    run_id = f"link-{os.getpid()}-{time.monotonic_ns() % 10**6}"
+    folder = logs / f"{scenario.name.replace(' ', '-')}-{number}-{'with' if is_managed else 'without'}"
+    with (
+        SimLink(run_id, rate_bytes_per_second=scenario.rates.rate_at(0.0)) as link,
+        robot(link, folder, is_managed=is_managed) as side,
+        sampling(
+            link.robot,
+            is_managed=is_managed,
+            url=f"http://127.0.0.1:{HTTP_PORT}/api/v1/status",
+            report_wire_bytes=report_wire_bytes(),
+        ) as sampler,
+    ):
+        topics = run(
+            side, scenario.rates, scenario.duration_s, on_tick=lambda _elapsed_s: None, outages=scenario.outages
+        )
+        course = with_outages(sampler.course(started_s=side.started_s, duration_s=scenario.duration_s), scenario)
+    return _run(scenario, "real", number, course, topics, is_managed=is_managed)
+
+
+@cache
+def report_wire_bytes() -> int:
+    """Size on the wire of a report with one delay and no train, as nearly all are (bytes)."""
+    from arpd.ros.report import encode_report
+
+    report = PeerReport(peer="ceddp", received_at_s=0.0, interval_s=0.1, rx_bytes=0, rx_packets=0, delays_s=(0.0,))
+    return probe_wire_bytes(len(encode_report(report).data))
+
+
+def virtual(scenario: Scenario, *, is_managed: bool, number: int) -> Run:
+    """Do the same in virtual time, with the same configuration."""
+    result = simulate(
+        load_settings(CONFIG, interfaces=None),
+        scenario.rates,
+        scenario.duration_s,
+        seed=number,
+        managed=is_managed,
+        model=LinkModel(outages=scenario.outages),
+    )
+    course = virtual_course(result.moments, scenario)
+    return _run(scenario, "virtual", number, course, result.topics, is_managed=is_managed)
+
+
+def _run(
+    scenario: Scenario,
+    side: str,
+    number: int,
+    course: Sequence[Instant],
+    topics: Sequence[TopicResult],
+    *,
+    is_managed: bool,
+) -> Run:
+    return Run(
+        scenario=scenario.name,
+        side=side,
+        is_managed=is_managed,
+        round=number,
+        course=tuple(course),
+        topics=tuple(topics),
+        figures=figures(course, scenario),
+        load=os.getloadavg()[0],
+    )
+
+
+def measure(scenarios: Sequence[Scenario], rounds: int, logs: Path) -> Iterator[Run]:
+    """Yield every run as it ends; with and without arpd take turns at going first."""
+    started_s = time.monotonic()
+    for number in range(1, rounds + 1):
+        for place, scenario in enumerate(scenarios):
+            for is_managed in (True, False) if (number + place) % 2 else (False, True):
+                try:
+                    done = real(scenario, is_managed=is_managed, number=number, logs=logs)
+                except ArpdError as error:
+                    print(f"{scenario.name}, round {number}: {error}", file=sys.stderr, flush=True)
+                    continue
+                print(f"{time.monotonic() - started_s:5.0f} s {line(done)}", flush=True)
+                yield done
+                yield virtual(scenario, is_managed=is_managed, number=number)
+
+
+def line(done: Run) -> str:
+    """Say in a line what came of a run."""
+    found = " ".join(
+        f"{name.removesuffix('_s')} {'never' if value is None else format(value, '.3g')}"
+        for name, value in done.figures.items()
+    )
+    return f"{done.scenario:>10} {'with' if done.is_managed else 'without':>7} load {done.load:.1f}  {found}"
+
+
+def machine() -> dict[str, Any]:
+    """Say what was measured, and on what."""
+
+    def git(*argv: str) -> str:
+        return subprocess.run(["git", *argv], cwd=REPO, capture_output=True, text=True, check=False).stdout.strip()
+
+    return {
+        "commit": git("rev-parse", "HEAD"),
+        "is_modified": bool(git("status", "--porcelain", "--untracked-files=no")),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "load_at_start": os.getloadavg()[0],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a drop and an outage, once: four minutes")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="times each scenario runs (default 3)")
+    parser.add_argument("--only", default="", metavar="TEXT", help="scenarios whose name contains this")
+    parser.add_argument("--json", type=Path, default=RESULTS / "link.json", metavar="FILE")
+    parser.add_argument("--plot", type=Path, default=RESULTS / "link.png", metavar="FILE")
+    parser.add_argument("--logs", type=Path, help="folder for the processes' logs (default: a temporary one)")
+    options = parser.parse_args()
+    scenarios = [s for s in SCENARIOS if options.only in s.name and (not options.quick or s.name in QUICK)]
+    if not scenarios:
+        parser.error(f"--only {options.only}: no such scenario; there are {', '.join(s.name for s in SCENARIOS)}")
+    logs = options.logs or Path(tempfile.mkdtemp(prefix="arpd-link-"))
+    print(f"logs in {logs}", flush=True)
+    about, runs = machine(), list[Run]()
+    for done in measure(scenarios, 1 if options.quick else options.rounds, logs):
+        runs.append(done)
+        save(about, runs, options.json)
+    if not runs:
+        sys.exit("link: no run came to its end")
+    print(table(scenarios, runs))
+    draw(scenarios, runs, options.plot)
+    print(f"\n{options.json}  {options.plot}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""What probe trains read on the real link: bias and spread by rate, with the daemon's own probing and `arpd peer`.
+
+Usage: .venv/bin/python scripts/bench/link_trains.py [--trains N] [--json FILE]
+
+Needs root, as the simulated link does. The link is otherwise idle. Per rate and packet size, N trains as long as the
+estimator's (15 ms of the link, at least 12 kB), but of 100 packets at most. A train that counts has lost a tenth of
+its packets at most. "sent in" is what publishing it took the sender, as a share of what the link needs for it: near 1
+and above, the sender is the bottleneck, not the link.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from arpd.probing import ProbeRequest
+from arpd.sim.result import percentile
+from arpd.sim.simlink import SimLink
+from arpd.wire import probe_wire_bytes
+from scripts.bench.child import RESULTS, Child, commands, say
+from scripts.bench.link_course import MBIT
+
+RATES_MBIT = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+PACKET_BYTES = (1300, 200)
+EVERY_S = 0.3
+_MOST_PACKETS = 100
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cell:
+    """Trains of one size at one rate."""
+
+    rate_mbit: float
+    packet_bytes: int
+
+    @property
+    def packets(self) -> int:
+        """As many as the estimator would send at this rate."""
+        size = max(12_000.0, 0.015 * self.rate_mbit * MBIT)
+        return min(_MOST_PACKETS, 1 + math.ceil(size / self.packet_bytes))
+
+    @property
+    def link_s(self) -> float:
+        """How long the link needs for all packets after the first (s)."""
+        return (self.packets - 1) * probe_wire_bytes(self.packet_bytes) / (self.rate_mbit * MBIT)
+
+
+def probe() -> None:
+    """Send trains as told, through the daemon's own adapter, and say what the peer reported."""
+    from rclpy.executors import MultiThreadedExecutor
+
+    from arpd.ros.control import RosControl
+    from arpd.ros.runtime import ros_node, spinning
+    from arpd.settings import GraphSettings
+
+    told = commands()
+    with ros_node("link_trains") as node:
+        world = RosControl(node, interface="link0", graph=GraphSettings(), on_report=lambda: None)
+        executor = MultiThreadedExecutor(num_threads=2)
+        executor.add_node(node)
+        with spinning(executor):
+            number = 0
+            while (command := told.get()) is not None:
+                spans_s, trains = [], []
+                for _ in range(command["trains"] + 1):
+                    number += 1
+                    request = ProbeRequest(
+                        packets=command["packets"], packet_bytes=command["packet_bytes"], number=number
+                    )
+                    started_s = time.monotonic()
+                    world.probe(request)
+                    spans_s.append(time.monotonic() - started_s)
+                    time.sleep(EVERY_S)
+                    reports = world.observe(time.monotonic()).reports
+                    trains += [
+                        (train.payload_bytes, train.duration_s, train.packets, train.sent_s)
+                        for report in reports
+                        for train in report.trains
+                    ]
+                say(spans_s=spans_s, trains=trains)
+
+
+def measure(cell: Cell, trains: int) -> dict[str, object]:
+    """Let one cell's trains cross a link of its own."""
+    with SimLink(f"trains-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=cell.rate_mbit * MBIT) as link:
+        peer = Child(link, "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
+        sender = Child(link, "robot", "scripts.bench.link_trains", "--role", "sender")
+        sender.ask(trains=5, packets=2, packet_bytes=200)  # both sides have found each other
+        found = sender.ask(trains=trains, packets=cell.packets, packet_bytes=cell.packet_bytes)
+        peer.process.terminate()
+        for child in (sender, peer):
+            child.end()
+    spans_s = found["spans_s"]
+    reads = [size / duration_s / (cell.rate_mbit * MBIT) - 1.0 for size, duration_s, _, _ in found["trains"]]
+    return {
+        "rate_mbit": cell.rate_mbit,
+        "packet_bytes": cell.packet_bytes,
+        "packets": cell.packets,
+        "sent": len(spans_s),
+        "arrived": len(reads),
+        "publishing_share": median(spans_s) / cell.link_s,
+        "trains": found["trains"],
+        "bias": median(reads) if reads else None,
+        "p10": percentile(reads, 0.1),
+        "p90": percentile(reads, 0.9),
+        "least": min(reads, default=None),
+        "most": max(reads, default=None),
+    }
+
+
+def row(found: dict[str, object]) -> str:
+    def percent(name: str) -> str:
+        value = found[name]
+        return f"{value:>+8.1%}" if isinstance(value, float) else f"{'-':>8}"
+
+    return (
+        f"{found['rate_mbit']:>7g}{found['packet_bytes']:>7}{found['packets']:>9}{found['sent']:>6}{found['arrived']:>9}"
+        f"{percent('publishing_share')}" + "".join(percent(name) for name in ("least", "p10", "bias", "p90", "most"))
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trains", type=int, default=40, metavar="N", help="per rate and packet size (default 40)")
+    parser.add_argument("--json", type=Path, default=RESULTS / "link_trains.json", metavar="FILE")
+    parser.add_argument("--role", choices=("sender",), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.role == "sender":
+        probe()
+        return
+    print(f"{'Mbit/s':>7}{'bytes':>7}{'packets':>9}{'sent':>6}{'counted':>9}{'sent in':>8}", end="")
+    print("".join(f"{name:>8}" for name in ("least", "p10", "median", "p90", "most")))
+    measured = []
+    for rate_mbit in RATES_MBIT:
+        for packet_bytes in PACKET_BYTES:
+            measured.append(measure(Cell(rate_mbit=rate_mbit, packet_bytes=packet_bytes), options.trains))
+            print(row(measured[-1]), flush=True)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(measured) + "\n")
+    print(f"\n{options.json}")
+
+
+if __name__ == "__main__":
+    main()

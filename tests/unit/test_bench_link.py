@@ -1,0 +1,240 @@
+"""What the benchmark of the real link makes of its readings; the readings themselves need the link."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from arpd.config import load_settings
+from arpd.sim.scenario import run as simulate
+from arpd.web.status import status_document
+from scripts.bench.link_course import MBIT, SCENARIOS, Belief, Instant, Run, Scenario, virtual_course, with_outages
+from scripts.bench.link_figures import FIGURES, figures, gather
+from scripts.bench.link_report import draw, save, table
+from scripts.bench.link_sampler import BucketReading, believed, make_course
+
+CONFIG = Path(__file__).resolve().parents[2] / "scripts" / "robot" / "arpd.yaml"
+DROP = Scenario(name="drop", schedule="0:20mbit,12:5mbit", duration_s=35.0)
+RISE = Scenario(name="rise", schedule="0:5mbit,12:20mbit", duration_s=35.0)
+STEADY = Scenario(name="steady", schedule="0:20mbit", duration_s=35.0)
+OUTAGE = Scenario(name="outage", schedule="0:20mbit", duration_s=35.0, outages=((12.0, 17.0),))
+
+
+def belief(**changes):
+    values: dict[str, Any] = {
+        "estimate_bytes_per_second": 20 * MBIT,
+        "foreign_bytes_per_second": 0.0,
+        "level_bytes_per_second": 17 * MBIT,
+        "kind": "peer",
+        "state": "steady",
+        "queue_delay_s": 0.0,
+        "gate": 1.0,
+        "generation": 1,
+        "levels_by_cause": {"start": 1},
+        "swaps": 12,
+        "probe_bytes": 0,
+        "report_bytes": 0,
+    }
+    return Belief(**(values | changes))
+
+
+def course_of(scenario, believe, *, queue_s=lambda _t: 0.01, sent=lambda t: round(t * MBIT * 10)):
+    times = [round(0.1 * k, 1) for k in range(1, round(scenario.duration_s / 0.1) + 1)]
+    instants = [
+        Instant(
+            t_s=t,
+            truth_bytes_per_second=scenario.rates.rate_at(t),
+            queue_delay_s=queue_s(t),
+            carried_bytes=sent(t),
+            belief=believe(t),
+        )
+        for t in times
+    ]
+    return with_outages(instants, scenario)
+
+
+def test_readings_at_their_own_moments_come_to_one_grid():
+    """An instant has the longest queue seen in it, the last rate, what was sent since the start, and a fresh belief."""
+    buckets = [
+        BucketReading(at_s=at_s, rate_bytes_per_second=rate, backlog_bytes=backlog, sent_bytes=sent)
+        for at_s, rate, backlog, sent in (
+            (99.99, 1000.0, 500, 70),  # before the start
+            (100.03, 1000.0, 100, 80),
+            (100.06, 1000.0, 300, 90),
+            (100.09, 1000.0, 200, 100),
+            (100.15, 500.0, 50, 110),
+        )
+    ]
+    course = make_course(buckets, [(100.05, belief(gate=0.7))], started_s=100.0, duration_s=0.8)
+    assert [instant.t_s for instant in course] == pytest.approx([0.1 * k for k in range(1, 9)])
+    assert [instant.queue_delay_s for instant in course[:3]] == pytest.approx([0.3, 0.1, 0.1])
+    assert [instant.truth_bytes_per_second for instant in course[:2]] == [1000.0, 500.0]
+    assert [instant.carried_bytes for instant in course[:2]] == [30, 40]
+    assert [instant.belief is not None for instant in course] == [True] * 5 + [False] * 3
+
+
+def test_a_status_document_becomes_a_belief(sample_snapshot):
+    """Everything the bench plots is read from the status page, and swaps with a rest are not counted twice."""
+    document = status_document(sample_snapshot)
+    document["topics"][0]["swaps"] = {"ok": 2, "timeout": 1, "undelivered": 3}
+    others = sum(sum(topic["swaps"].values()) for topic in document["topics"][1:])
+    found = believed(document, report_wire_bytes=200)
+    assert found.estimate_bytes_per_second == document["link"]["capacity_bytes_per_second"]
+    assert found.gate == document["gate"]
+    assert found.swaps == 3 + others
+    assert found.report_bytes == 200 * sample_snapshot.totals.reports
+
+
+def test_the_steady_error_leaves_out_the_start_and_the_reaction():
+    """Error and bias are those of the estimate long after the link changed, and long after the start."""
+
+    def believe(t):
+        truth = DROP.rates.rate_at(t)
+        return belief(estimate_bytes_per_second=(0.9 if t >= 20 else 1.1 if 8 <= t < 12 else 9.0) * truth)
+
+    found = figures(course_of(DROP, believe), DROP)
+    assert found["error_median"] == pytest.approx(0.1)
+    assert found["error_p90"] == pytest.approx(0.1)
+    assert found["bias"] == pytest.approx(-0.1)
+
+
+def test_the_reaction_to_a_drop_is_when_the_estimate_is_near_and_stays():
+    """A value on the way through is no reaction; the gate reacts when it is below one half for the first time."""
+
+    def believe(t):
+        near = 12.5 <= t < 12.8 or t >= 13.2
+        return belief(estimate_bytes_per_second=(6.0 if near else 20.0) * MBIT, gate=0.3 if 12.35 < t < 12.6 else 1.0)
+
+    found = figures(course_of(DROP, believe, queue_s=lambda t: 0.4 if 12.2 < t < 12.6 else 0.02), DROP)
+    assert found["reaction_s"] == pytest.approx(1.2)
+    assert found["gate_half_s"] == pytest.approx(0.4)
+    assert found["peak_queue_s"] == 0.4
+    assert "rise_s" not in found
+
+
+def test_what_never_happens_is_none():
+    """An estimate that stays high has no reaction time, and one that stays low never rises."""
+    assert figures(course_of(DROP, lambda _t: belief()), DROP)["reaction_s"] is None
+    low = belief(estimate_bytes_per_second=5 * MBIT)
+    assert figures(course_of(RISE, lambda _t: low), RISE)["rise_s"] is None
+
+
+def test_the_rise_is_when_80_per_cent_are_known():
+    """80 % of 20 Mbit/s, and not before."""
+
+    def believe(t):
+        return belief(estimate_bytes_per_second=min(20.0, 5.0 + max(0.0, t - 12.0)) * MBIT)
+
+    assert figures(course_of(RISE, believe), RISE)["rise_s"] == pytest.approx(11.0)
+
+
+def test_an_outage_has_three_times():
+    """Until the gate is closed, until the estimate is back, and until the traffic is."""
+
+    def believe(t):
+        return belief(
+            gate=0.01 if 12.4 <= t < 17.3 else 1.0,
+            estimate_bytes_per_second=(12.0 if 17.0 <= t < 19.0 else 20.0) * MBIT,
+        )
+
+    def sent(t):
+        return round(MBIT * 10 * (min(t, 12.0) + max(0.0, t - 18.0)))
+
+    found = figures(course_of(OUTAGE, believe, sent=sent), OUTAGE)
+    assert found["gate_closed_s"] == pytest.approx(0.4)
+    assert found["recovery_s"] == pytest.approx(2.0)
+    assert found["traffic_back_s"] == pytest.approx(1.8)
+
+
+def test_costs_are_counted_after_the_start_and_per_minute():
+    """Plans and swaps of the first seconds are the robot's start; probes and reports are shares of the truth."""
+
+    def believe(t):
+        return belief(
+            levels_by_cause={"start": 1, "down": 1 if t > 20 else 0},
+            swaps=12 if t > 9 else 0,
+            probe_bytes=round(t * 0.01 * 20 * MBIT),
+            report_bytes=round(t * 0.002 * 20 * MBIT),
+        )
+
+    found = figures(course_of(STEADY, believe), STEADY)
+    minutes = 24.9 / 60.0
+    assert found["levels_per_minute"] == pytest.approx(1 / minutes)
+    assert found["swaps_per_minute"] == 0.0
+    assert found["probe_share"] == pytest.approx(0.01, rel=1e-3)
+    assert found["report_share"] == pytest.approx(0.002, rel=1e-3)
+    assert found["utilisation"] == pytest.approx(0.5, rel=1e-3)
+
+
+def test_without_arpd_only_the_link_is_judged():
+    """A run without arpd has a queue and traffic, and no error."""
+    found = figures(course_of(DROP, lambda _t: None), DROP)
+    assert set(found) == {"peak_queue_s", "start_queue_s", "utilisation"}
+
+
+def test_never_is_worse_than_any_number():
+    """Median and worst count what never happened as the worst; bias by its size; utilisation the other way round."""
+    assert gather([{"rise_s": 3.0}, {"rise_s": None}, {"rise_s": 2.0}], "rise_s") == (3.0, None)
+    assert gather([{"rise_s": None}, {"rise_s": None}, {"rise_s": 2.0}], "rise_s") == (None, None)
+    assert gather([{"bias": -0.2}, {"bias": 0.1}, {"bias": 0.05}], "bias") == (0.05, -0.2)
+    assert gather([{"utilisation": 0.9}, {"utilisation": 0.7}], "utilisation") == pytest.approx((0.8, 0.7))
+    assert gather([{}, {}], "rise_s") is None
+
+
+@pytest.fixture(scope="module")
+def virtual_runs():
+    settings = load_settings(CONFIG, interfaces=None)
+    return {
+        is_managed: simulate(settings, STEADY.rates, 12.0, seed=1, managed=is_managed) for is_managed in (True, False)
+    }
+
+
+def test_a_simulated_run_has_the_same_form(virtual_runs):
+    """The course of a run in virtual time says what that of a real one says, levels counted from its causes."""
+    course = virtual_course(virtual_runs[True].moments, STEADY)
+    last = course[-1].belief
+    assert last is not None
+    assert sum(last.levels_by_cause.values()) == len(virtual_runs[True].plans)
+    assert last.swaps >= 12
+    assert last.probe_bytes > 0
+    assert all(instant.belief is None for instant in virtual_course(virtual_runs[False].moments, STEADY))
+
+
+def test_the_report_shows_every_run(virtual_runs, tmp_path):
+    """The table has a row for each figure that was found, the picture is drawn, the document has every run."""
+    runs = [
+        Run(
+            scenario=STEADY.name,
+            side=side,
+            is_managed=is_managed,
+            round=1,
+            course=(course := virtual_course(result.moments, STEADY)),
+            topics=result.topics,
+            figures=figures(course, STEADY),
+            load=0.0,
+        )
+        for side in ("real", "virtual")
+        for is_managed, result in virtual_runs.items()
+    ]
+    text = table([STEADY], runs)
+    for name in runs[0].figures:
+        assert FIGURES[name][0] in text
+    assert "commands, latency p99" in text
+    save({"commit": "abc"}, runs, tmp_path / "link.json")
+    document = json.loads((tmp_path / "link.json").read_text())
+    assert document["commit"] == "abc"
+    assert [run["figures"] for run in document["runs"]] == [run.figures for run in runs]
+    assert document["runs"][0]["truth_bytes_per_second"] == [[0.0, 20 * MBIT]]
+    draw([STEADY], runs, tmp_path / "link.png")
+    assert (tmp_path / "link.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_scenarios_are_what_they_are_called():
+    """Each has its event where its schedule puts it, and time after it to settle."""
+    by_name = {scenario.name: scenario for scenario in SCENARIOS}
+    assert set(by_name) == {"steady 20", "steady 5", "20→5", "5→20", "outage"}
+    assert by_name["20→5"].rates.rate_at(math.inf) == 5 * MBIT
+    assert by_name["5→20"].rates.rate_at(0.0) == 5 * MBIT
+    assert all(scenario.duration_s > scenario.changes_s[-1] + 10.0 for scenario in SCENARIOS)
