@@ -89,7 +89,7 @@ def test_identical_topics_are_the_paper(backend, max_rate_hz):
         assert row.max_rate_hz == max_rate_hz
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=120)
 @given(
     count=st.integers(1, 60),
     max_rate_hz=st.one_of(st.integers(1, 5000), st.decimals("0.5", 5000, places=3)),
@@ -139,7 +139,7 @@ def test_whole_optima_do_not_fall_through_binary_noise(count):
             assert row.deadline_ns == -(-(10**9) // rate_hz)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(topics=demands(), capacity=capacities, memory=memories, overhead=st.sampled_from([0.0, 1e-4]))
 def test_applied_values_are_feasible(topics, capacity, memory, overhead):
     """Periods keep the headroom, depths keep memory, caps and bounds, all in exact arithmetic."""
@@ -161,7 +161,7 @@ def test_applied_values_are_feasible(topics, capacity, memory, overhead):
         assert answer.depth_applied <= max(cap, row.min_depth)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(topics=demands(), capacity=capacities)
 def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
     """Every topic gets its floor when all floors fit below the headroom, and the answer is degraded when not."""
@@ -174,7 +174,7 @@ def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
             assert answer.rate_hz >= floor * (1 - 1e-9)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(
     topics=demands(),
     capacity=capacities,
@@ -191,7 +191,7 @@ def test_rates_grow_with_capacity(topics, capacity, growth, overhead, reserve):
         assert high.rate_hz >= low.rate_hz
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(
     topics=demands(),
     capacity=capacities,
@@ -210,7 +210,7 @@ def test_what_is_planned_is_1_lipschitz_in_the_capacity(topics, capacity, growth
     assert moved <= capacity * growth - capacity + 1e-12 * capacity
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=50)
 @given(topics=demands(), capacity=capacities, memory=memories, seed=st.integers(0, 2**32))
 def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, seed):
     """Permuting the topics permutes the answer, real-valued and applied, bit for bit."""
@@ -221,7 +221,7 @@ def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, 
     assert replace(shuffled, topics=()) == replace(straight, topics=())
 
 
-@settings(deadline=None, max_examples=120)
+@settings(deadline=None, max_examples=60)
 @given(topics=demands(), capacity=capacities, memory=memories)
 def test_every_back_end_plans_the_same(topics, capacity, memory):
     """Which back end answers does not move a single bit of what is published."""

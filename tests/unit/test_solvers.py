@@ -104,7 +104,7 @@ class Liar:
         return self.outcome
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=80)
 @given(problem=share_problems(max_topics=40))
 def test_water_filling_is_its_definition(problem):
     """Variable fixing gives exactly e = clip(ν·w, lo, hi) with Σ e = min(B, Σ hi): the same rationals, no tolerance."""
@@ -113,7 +113,7 @@ def test_water_filling_is_its_definition(problem):
     assert sum(filled) == min(problem.budget, sum(problem.hi))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(problem=share_problems())
 def test_shares_say_where_they_stand(problem):
     """Every share is at its floor, at its ceiling, or at the one level, as its stand says."""
@@ -124,7 +124,7 @@ def test_shares_say_where_they_stand(problem):
         assert Fraction(*filling.ratios()[i]) == place
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(problem=share_problems(), seed=st.integers(0, 2**32))
 def test_exact_is_permutation_invariant(problem, seed):
     """Permuting the topics permutes the exact answer, bit for bit."""
@@ -134,7 +134,7 @@ def test_exact_is_permutation_invariant(problem, seed):
     assert answer(Backend.EXACT, permuted(problem, order)) == tuple(straight[i] for i in order)
 
 
-@settings(deadline=None, max_examples=250)
+@settings(deadline=None, max_examples=100)
 @given(problem=share_problems())
 def test_osqp_is_right_or_says_that_it_failed(problem):
     """Whatever OSQP calls solved is within 1e-6 of water-filling in every share; it never cries infeasible."""
@@ -248,7 +248,7 @@ def test_a_vector_that_is_not_feasible_and_optimal_is_a_failure(values, fault):
     assert fault in outcome.reason
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(problem=share_problems())
 def test_the_exact_answer_passes_the_check_of_the_others(problem):
     """An optimum stands at its own level, wherever its shares stand."""

@@ -130,4 +130,4 @@ class SwapMachine(RuleBasedStateMachine):
 
 
 TestSwapMachine = SwapMachine.TestCase
-TestSwapMachine.settings = settings(deadline=None, max_examples=200, stateful_step_count=40)
+TestSwapMachine.settings = settings(deadline=None, max_examples=80, stateful_step_count=40)

@@ -1,0 +1,20 @@
+"""How the control traffic's processes are told not to wait for the link."""
+
+import pytest
+
+from arpd.ros.transport import send_without_waiting
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "DEFAULT?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, "DEFAULT?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, "UDPv4?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA?max_msg_size=1MB"}, "LARGE_DATA?max_msg_size=1MB"),
+    ],
+)
+def test_the_transports_chosen_stay_and_only_an_option_is_added(before, after):
+    """Which transports are used is the user's matter, and so are options where there are any."""
+    send_without_waiting(before)
+    assert before == {"FASTDDS_BUILTIN_TRANSPORTS": after}
