@@ -6,12 +6,13 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.standing import StandingBacklog
+
 if TYPE_CHECKING:
     from arpd.interface import LinkCounters
     from arpd.model import Observation
 
 _BLOCKED_SHARE = 0.2  # of the time: that long publishers waited for room in the socket
-_STANDING_S = 0.08
 _SENT_WINDOW_S = 0.35
 
 
@@ -33,7 +34,7 @@ class LocalQueue:
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
-        self._looks: deque[tuple[float, float, float]] = deque()  # when s, backlog bytes, sent bytes
+        self._backlog = StandingBacklog()
         self._since: _Look | None = None
         self._sent: deque[tuple[float, int]] = deque()  # when s, sent bytes
         self.handed_bytes: float | None = None
@@ -60,25 +61,20 @@ class LocalQueue:
         """
         self.handed_bytes, self.backlog_s = None, 0.0
         if counters is None or not counters.is_up:
-            self._looks.clear()
+            self._backlog.clear()
             self._sent.clear()
             return
         if self._sent and counters.tx_bytes < self._sent[-1][1]:
-            self._looks.clear()  # made anew: it counts from zero
+            self._backlog.clear()  # made anew: it counts from zero
             self._sent.clear()
+        left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
         self._sent.append((now_s, counters.tx_bytes))
         while now_s - self._sent[0][0] > _SENT_WINDOW_S:
             self._sent.popleft()
         backlog = counters.backlog_bytes or 0
         self.handed_bytes = counters.tx_bytes + backlog
-        self._looks.append((now_s, backlog, counters.tx_bytes))
-        while len(self._looks) > 1 and now_s - self._looks[1][0] >= _STANDING_S:
-            self._looks.popleft()
-        span_s = now_s - self._looks[0][0]
-        # What stands is the least of what was seen lately: messages of many topics that meet come and go.
-        if span_s >= _STANDING_S and min(waiting for _, waiting, _ in self._looks) > burst_bytes:
-            rate = (counters.tx_bytes - self._looks[0][2]) / span_s
-            self.backlog_s = backlog / max(rate, 0.05 * capacity)
+        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
+        self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
 
     def pushes_back(self, observation: Observation) -> tuple[bool, float] | None:
         """Tell whether the interface could not keep up, and what it sent (bytes/s), once in a window; else None."""

@@ -9,13 +9,13 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from arpd.receiver import PROMPT_S
+from arpd.standing import StandingBacklog
 
 if TYPE_CHECKING:
     from arpd.estimator_tuning import EstimatorTuning
     from arpd.probing import PeerReport
 
 _BYTES_ARE_FRESH_S = 0.3
-_STANDING_S = 0.08
 _MISSING_PINGS = 5
 _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
 _LEAST_INTERVAL_S = 0.05  # a shorter one counts too few packets
@@ -67,7 +67,7 @@ class QueueGauge:
         self._good_s = -math.inf  # when the last ping came that waited for nothing
         self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # what was on the way when it did (bytes)
         self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # parts of what was handed over
-        self._backlogs: deque[tuple[float, float, float]] = deque()  # when s, bytes, received since before bytes
+        self._backlog = StandingBacklog(fresh_s=_BYTES_ARE_FRESH_S)
 
     def note_sent(self, probe: SentProbe) -> None:
         """Note a probe that leaves."""
@@ -83,7 +83,7 @@ class QueueGauge:
         self._since_ping = None
         self._missing.clear()
         self._in_flight.clear()
-        self._backlogs.clear()
+        self._backlog.clear()
 
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
         """Note what a report says.
@@ -119,17 +119,14 @@ class QueueGauge:
         if handed_bytes is None or self._since_ping is None:
             return
         if self._missing and median(self._missing) > _MOST_MISSING:
-            self._backlogs.clear()  # much of what this host sends goes elsewhere, or is lost: nobody knows what stands
+            self._backlog.clear()  # much of what this host sends goes elsewhere, or is lost: nobody knows what stands
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
         if is_good:
             self._in_flight.append(outstanding)
         # Without a queue, too, something is on the way, and what came since the ping did is not all counted yet.
         backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
-        self._backlogs.append((now_s, backlog, report.rx_bytes))
-        # As many looks as it takes to tell what stands from what passes.
-        while len(self._backlogs) > 1 and now_s - self._backlogs[1][0] >= _STANDING_S:
-            self._backlogs.popleft()
+        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes)
 
     def _arrived(self, last_probe: int, now_s: float) -> float:
         """Settle every probe up to a number, and return the last one's round trip (s)."""
@@ -174,15 +171,9 @@ class QueueGauge:
         burst_bytes : what may stand there without being a queue
         capacity_bytes_per_second : what is believed of the link
         """
-        if not self._backlogs or now_s - self._backlogs[-1][0] > _BYTES_ARE_FRESH_S:
-            return 0.0
-        looks = self._backlogs
-        span_s = looks[-1][0] - looks[0][0]
-        # What stands is the least of what was seen lately: messages of many topics that meet come and go.
-        if not _STANDING_S <= span_s <= _BYTES_ARE_FRESH_S or min(backlog for _, backlog, _ in looks) <= burst_bytes:
-            return 0.0
-        rate = sum(received for _, _, received in list(looks)[1:]) / span_s
-        return looks[-1][1] / max(rate, 0.05 * capacity_bytes_per_second)
+        return self._backlog.delay_s(
+            now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second
+        )
 
     def is_steady(self, since_s: float) -> bool:
         """Whether what arrived since then came at one rate: so serves a queue, and not an application or bad luck."""

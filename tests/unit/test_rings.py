@@ -43,6 +43,7 @@ DOMAIN = {
     "wire",
     "solvers",
     "source_rate",
+    "standing",
 }
 ENTRY_POINTS = {
     "cli",
