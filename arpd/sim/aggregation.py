@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.sim.bottleneck import MOST_UNCOUNTED
+from arpd.sim.bottleneck import MOST_UNCOUNTED, Bottleneck
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,20 +36,16 @@ class _Datagram:
     deliver: Callable[[], object]
 
 
-class AggregatingBottleneck:
-    """A bottleneck that sends in transmissions; see `arpd.sim.bottleneck.Bottleneck`.
+class AggregatingBottleneck(Bottleneck):
+    """A bottleneck that sends in transmissions.
 
     What a transmission carries is known when it starts: what stands in line then, up to ``aggregate_packets`` and to
-    what 802.11 lets one transmission last. All of
-    it arrives when it ends. A link that is idle does not wait for company. One event per transmission.
+    what 802.11 lets one transmission last. All of it arrives when it ends. A link that is idle does not wait for
+    company. One event per transmission.
 
     Parameters
     ----------
-    timeline : virtual time
-    service : the rate at which bytes are sent
-    losses : decides what arrives
-    delay_s : propagation (s)
-    room_bytes : what fits in, what is being sent included (bytes)
+    timeline, service, losses, delay_s, room_bytes : as of every `Bottleneck`
     overhead_s : time every transmission takes before its first byte, whatever the rate (s)
     aggregate_packets : most packets of one transmission
     """
@@ -65,11 +61,7 @@ class AggregatingBottleneck:
         overhead_s: float,
         aggregate_packets: int,
     ) -> None:
-        self._timeline = timeline
-        self._service = service
-        self._losses = losses
-        self._delay_s = delay_s
-        self._room_bytes = room_bytes
+        super().__init__(timeline, service, losses, delay_s=delay_s, room_bytes=room_bytes)
         self._overhead_s = overhead_s
         self._aggregate_packets = aggregate_packets
         self._line: deque[_Datagram] = deque()
@@ -80,23 +72,13 @@ class AggregatingBottleneck:
         self._air_served = 0.0  # what the service can have carried when this transmission ends
         self._air_until_s = -math.inf
         self._arriving: deque[tuple[float, float, int]] = deque()  # when, bytes, packets
-        self._received_bytes = 0.0
-        self._received_packets = 0
-        self.accepted_bytes = 0.0
-        self.accepted_packets = 0
-        self.dropped_packets = 0
-        self.lost_packets = 0
 
     def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
         """Queue a datagram; return when nothing of it is on the way any more, if nobody joins it in line (s)."""
-        packet_bytes = wire_bytes / packets
-        room = self._room_bytes - self.waiting_bytes()
-        accepted = packets if wire_bytes <= room else max(0, int(room // packet_bytes))
-        self.dropped_packets += packets - accepted
+        accepted = self._admit(wire_bytes, packets, self._room_bytes - self.waiting_bytes())
         if not accepted:
             return self._timeline.now_s
-        self.accepted_bytes += accepted * packet_bytes
-        self.accepted_packets += accepted
+        packet_bytes = wire_bytes / packets
         self._line.append(
             _Datagram(packet_bytes=packet_bytes, in_line=accepted, is_whole=accepted == packets, deliver=deliver)
         )
