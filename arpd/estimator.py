@@ -292,7 +292,7 @@ class Estimator:
         """Go at once to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
         t = self._tuning
         last = self._capacities(now_s - t.agree_window_s)[-2:]
-        if len(last) < 2 or t.caution * min(last) <= self._tuning.clearly_more * self._capacity:
+        if len(last) < 2 or t.caution * min(last) <= t.clearly_more * self._capacity:
             return False
         self._before_down = None
         self._change(t.caution * min(last), now_s, f"two trains see {min(last) * 8e-6:.1f} Mbit/s")
@@ -300,10 +300,11 @@ class Estimator:
 
     def _carried(self, now_s: float) -> bool:
         """Believe at least what was sent and arrived; what a peer receives from others is no evidence."""
-        rate = min(self._delivery()[0], self._local.sent_bytes_per_second)
-        if self._tuning.caution * rate <= self._tuning.clearly_more * self._capacity:
+        t = self._tuning
+        rate = t.caution * min(self._delivery()[0], self._local.sent_bytes_per_second)
+        if rate <= t.clearly_more * self._capacity:
             return False
-        self._change(self._tuning.caution * rate, now_s, "more than what was believed arrived")
+        self._change(rate, now_s, "more than what was believed arrived")
         return True
 
     def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
@@ -373,17 +374,15 @@ class Estimator:
 
     def _estimate(self, observation: Observation) -> LinkEstimate:
         assert self._started_at_s is not None
-        settings, now_s = self._settings, observation.now_s
+        now_s = observation.now_s
         capacity, kind, evidence = self._capacity, self._kind, self._evidence
         radio = observation.radio_bytes_per_second
         if radio is not None and kind is not CapacityKind.PEER and self._tuning.radio_share * radio < capacity:
             capacity, kind = self._tuning.radio_share * radio, CapacityKind.RADIO
             evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
-        if settings.capacity_bytes_per_second is not None:
-            capacity, kind = settings.capacity_bytes_per_second, CapacityKind.CONFIGURED
-            evidence = "pinned by the configuration"
-        is_pinned = settings.capacity_bytes_per_second is not None
-        newest = max(self._changed_at_s, self._trains.newest_s or -math.inf, self._started_at_s)
+        age_s = now_s - max(self._changed_at_s, self._trains.newest_s or -math.inf, self._started_at_s)
+        if (pinned := self._settings.capacity_bytes_per_second) is not None:
+            capacity, kind, evidence, age_s = pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
             kind=kind,
@@ -391,7 +390,7 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             delivery_rate_bytes_per_second=0.0 if self._state is LinkState.OUTAGE else self._delivery()[0],
-            age_s=0.0 if is_pinned else now_s - newest,
+            age_s=age_s,
             evidence=evidence,
             foreign_bytes_per_second=self._foreign_rate,
             packet_overhead_s=self._overhead_s,

@@ -83,13 +83,9 @@ class TrainLog:
     @property
     def packet_overhead_s(self) -> float:
         """t_ovh, 0 until it is known and while it is too little to tell from jitter (s)."""
-        if (last := self._last) is None:
+        if (last := self._last) is None or len(known := self._known(last)) < _LEAST_PAIRS:
             return 0.0
-        # On a slow link the jitter of a pair is as long as the overhead on a fast one.
-        known = sorted(each for each in self._overheads if each[2] <= _SLOWER * last.packet_s)
-        if len(known) < _LEAST_PAIRS:
-            return 0.0
-        overhead_s, is_bound, _ = known[1]
+        overhead_s, is_bound, _ = sorted(known)[1]
         if is_bound or overhead_s < max(_LEAST_OVERHEAD_S, _LEAST_OVERHEAD * last.packet_s):
             return 0.0
         return min(overhead_s, _MOST_OVERHEAD * last.packet_s)
@@ -97,9 +93,14 @@ class TrainLog:
     @property
     def needs_pairs(self) -> bool:
         """Whether too few pairs tell the overhead on a link of this speed."""
-        if not self._large:
-            return True
-        return sum(each[2] <= _SLOWER * self._large[-1].packet_s for each in self._overheads) < _LEAST_PAIRS
+        return not self._large or len(self._known(self._large[-1])) < _LEAST_PAIRS
+
+    def _known(self, last: _Reading) -> list[tuple[float, bool, float]]:
+        """Return the pairs that tell the overhead on a link as fast as the last reading.
+
+        On a slow link the jitter of a pair is as long as the overhead on a fast one.
+        """
+        return [each for each in self._overheads if each[2] <= _SLOWER * last.packet_s]
 
     @property
     def newest_s(self) -> float | None:
