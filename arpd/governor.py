@@ -167,9 +167,10 @@ class Governor:
         self, now_s: float, link: LinkEstimate, allocation: Allocation, topics: Sequence[Topic]
     ) -> tuple[str, str]:
         g = self._settings.governor
-        level = self._useful(topics, self._plan.level_bytes_per_second, self._planned_overhead_s)
+        packets_per_byte = self._packets_per_byte(topics)
+        level = self._useful(self._plan.level_bytes_per_second, self._planned_overhead_s, packets_per_byte)
         overhead_s = link.available_packet_overhead_s
-        capacity = self._useful(topics, allocation.capacity_bytes_per_second, overhead_s)
+        capacity = self._useful(allocation.capacity_bytes_per_second, overhead_s, packets_per_byte)
         below, above = capacity < g.down_ratio * level, capacity > g.up_ratio * level
         moved = not below and not above and self._demand_moved(_demand(topics, allocation))
         self._above_s = max(
@@ -188,17 +189,22 @@ class Governor:
             return ("demand", "") if since_change_s >= g.dwell_s else ("", "dwell")
         return "", ""
 
-    def _useful(self, topics: Sequence[Topic], level: float, overhead_s: float) -> float:
+    def _planned(self, topics: Sequence[Topic]) -> list[tuple[Topic, TopicPlan]]:
+        """Pair the topics the plan in force has a row for with that row."""
+        return [(topic, row) for topic in topics if (row := self._plan.topics.get(topic.name)) is not None]
+
+    def _packets_per_byte(self, topics: Sequence[Topic]) -> float:
+        """Packets for each byte of what the plan sends; 0 when it sends nothing."""
+        rates = [(topic, min(row.rate_hz, topic.desired_rate_hz)) for topic, row in self._planned(topics)]
+        size = sum(topic.wire_bytes * rate_hz for topic, rate_hz in rates)
+        return sum(topic.packets * rate_hz for topic, rate_hz in rates) / size if size > 0 else 0.0
+
+    def _useful(self, level: float, overhead_s: float, packets_per_byte: float) -> float:
         """Return what a level is worth to the topics of the plan when their packets cost ``overhead_s`` each (bytes/s).
 
         A byte of many small messages takes longer than one of a few large ones: R/(1 + t·C·Σk/Σs) for every byte.
         """
-        rates = [(topic, row.rate_hz) for topic in topics if (row := self._plan.topics.get(topic.name)) is not None]
-        size = sum(topic.wire_bytes * min(rate_hz, topic.desired_rate_hz) for topic, rate_hz in rates)
-        packets = sum(topic.packets * min(rate_hz, topic.desired_rate_hz) for topic, rate_hz in rates)
-        if size <= 0:
-            return level
-        return level / (1.0 + overhead_s * level / self._settings.link.headroom * packets / size)
+        return level / (1.0 + overhead_s * level / self._settings.link.headroom * packets_per_byte)
 
     def _down_hold_s(self, now_s: float, link: LinkEstimate, topics: Sequence[Topic], ratio: float) -> float:
         """How long a fall must last before it is worth swaps: most of them pass, and the gate carries the link so long.
@@ -208,11 +214,7 @@ class Governor:
         the plan alone are more than the link carries, it is short.
         """
         g = self._settings.governor
-        floors = sum(
-            _link_bytes(topic, link) * row.min_rate_hz
-            for topic in topics
-            if (row := self._plan.topics.get(topic.name)) is not None
-        )
+        floors = sum(_link_bytes(topic, link) * row.min_rate_hz for topic, row in self._planned(topics))
         if floors > self._settings.link.headroom * link.available_bytes_per_second:
             return g.hold_s * max(_LEAST_HOLD, ratio)
         hold_s = g.hold_s * (_DEEP + (_SHALLOW - _DEEP) * (ratio / g.down_ratio) ** 3)
@@ -287,8 +289,7 @@ class Governor:
             return _GATE_CLOSED
         planned = sum(
             _link_bytes(topic, link) * min(row.rate_hz, max(topic.desired_rate_hz, topic.min_rate_hz))
-            for topic in topics
-            if (row := self._plan.topics.get(topic.name)) is not None
+            for topic, row in self._planned(topics)
         )
         if planned <= 0:
             return 1.0
