@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.estimator_tuning import EstimatorTuning
 from arpd.model import CapacityKind, LinkEstimate, LinkState
 from arpd.wire import wire_size
 
@@ -17,11 +18,8 @@ if TYPE_CHECKING:
     from arpd.probing import PeerReport, ProbeRequest
     from arpd.settings import LinkSettings
 
-_WINDOW_S = 0.3  # a delivery rate is one over that long: g of DESIGN §5
-_SILENCE_S = 0.4  # without a report: an outage, as for arpd
 _FIRST_S = 1.0  # of reports, before the first plan is made
-# As in arpd.estimator, so that the governor treats the oracle's queue and arpd's alike.
-_QUEUE_LOW_S, _BURST_CAP_S = 0.05, 0.2
+_ARPD = EstimatorTuning()  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,13 +65,13 @@ class Oracle:
         truth = self._truth()
         capacity = max(1.0, truth.capacity_bytes_per_second)
         largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
-        burst_s = min(_BURST_CAP_S, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
+        burst_s = min(_ARPD.burst_cap_s, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
             kind=CapacityKind.CONFIGURED,
             state=LinkState.OUTAGE if truth.is_out else LinkState.STEADY,
             queue_delay_s=truth.queue_delay_s,
-            queue_allowance_s=_QUEUE_LOW_S + burst_s,
+            queue_allowance_s=_ARPD.queue_low_s + burst_s,
             delivery_rate_bytes_per_second=0.0,
             age_s=0.0,
             evidence="the truth",
@@ -114,7 +112,7 @@ class _FromThroughput:
         return LinkEstimate(
             capacity_bytes_per_second=max(1.0, self._capacity),
             kind=CapacityKind.PEER,
-            state=LinkState.OUTAGE if _SILENCE_S < silent_s < math.inf else LinkState.STEADY,
+            state=LinkState.OUTAGE if _ARPD.outage_s < silent_s < math.inf else LinkState.STEADY,
             queue_delay_s=0.0,
             delivery_rate_bytes_per_second=self._delivery_rate,
             age_s=silent_s,
@@ -134,12 +132,14 @@ class _FromThroughput:
         return sum(report.rx_bytes for report in self._reports) / covered_s if covered_s > 0 else 0.0
 
     def _note(self, report: PeerReport) -> None:
-        if report.received_at_s - self._last_at_s > _SILENCE_S:
+        if report.received_at_s - self._last_at_s > _ARPD.outage_s:
             self._reports.clear()  # what was lost with them leaves a gap
         self._first_at_s = min(self._first_at_s, report.received_at_s)
         self._last_at_s = report.received_at_s
         self._reports.append(report)
-        while sum(report.interval_s for report in self._reports) - self._reports[0].interval_s >= _WINDOW_S:
+        while (
+            sum(report.interval_s for report in self._reports) - self._reports[0].interval_s >= _ARPD.delivery_window_s
+        ):
             self._reports.popleft()
         self._learn(report)
 
