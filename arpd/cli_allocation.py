@@ -7,6 +7,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from arpd.cli_plot import drawing, refuse_all_but_png, writing
 from arpd.config import load_settings
 from arpd.config_source import Fault, Place, config_error, printable
 from arpd.errors import ArpdError, UsageError
@@ -18,7 +19,7 @@ from arpd.topics import assumed_traffic, measured_traffic
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from arpd.model import PublisherState
@@ -52,7 +53,7 @@ class _Demand:
 def solve_allocation(options: argparse.Namespace) -> int:
     """Run ``arpd solve --config`` with exactly one of ``--capacity`` and ``--sweep``."""
     capacities = _capacities(options)
-    draw = _drawing() if options.plot else None  # before any work, so that a missing library costs none
+    draw = drawing("arpd.sweep_plot", "draw_sweep") if options.plot else None
     settings = load_settings(options.config, interfaces=None)  # it may be another computer's
     demand = _demand(settings, options)
     backend = Backend(options.backend) if options.backend else settings.program.backend
@@ -70,10 +71,8 @@ def solve_allocation(options: argparse.Namespace) -> int:
         print(_note(demand.left_out, options), file=sys.stderr)
     if draw:
         dense = [planner.plan(capacity) for capacity in spread(capacities[0], capacities[-1], _PLOT_POINTS)]
-        try:
+        with writing(options.plot):
             draw(dense, headroom=settings.link.headroom, path=options.plot)
-        except OSError as error:
-            raise ArpdError(f"--plot {options.plot} cannot be written ({error.strerror}); name another file") from None
     return 0
 
 
@@ -89,8 +88,8 @@ def _capacities(options: argparse.Namespace) -> tuple[float, ...]:
     points = DEFAULT_POINTS if options.points is None else options.points
     if not 2 <= points <= _MOST_POINTS:
         raise UsageError(f"--points {points} is not 2..{_MOST_POINTS}; both ends of the sweep are among them")
-    if options.plot is not None and options.plot.suffix.lower() != ".png":
-        raise UsageError(f"--plot {printable(str(options.plot))} is not a PNG; write a name that ends in .png")
+    if options.plot is not None:
+        refuse_all_but_png(options.plot)
     return spread(*_ends(options.sweep), points)
 
 
@@ -151,14 +150,6 @@ def _print_table(plans: Sequence[OfflinePlan], settings: Settings, *, is_sweep: 
     from arpd.cli_tables import sweep_table, topic_table
 
     print(sweep_table(plans, settings) if is_sweep else topic_table(plans[0], settings))
-
-
-def _drawing() -> Callable[..., None]:
-    try:
-        from arpd.sweep_plot import draw_sweep
-    except ImportError as error:
-        raise ArpdError(f"--plot needs matplotlib ({error}); install it with pip install 'arpd[plot]'") from error
-    return draw_sweep
 
 
 def _document(plan: OfflinePlan, settings: Settings, left_out: Sequence[str]) -> dict[str, Any]:

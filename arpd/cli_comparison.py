@@ -6,9 +6,7 @@ import math
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli_tables import _aligned as aligned
-from arpd.cli_tables import _figures as figures
-from arpd.cli_tables import _name as short_name
+from arpd.cli_columns import aligned, figures, short_name
 from arpd.config_source import printable
 from arpd.model import Direction
 from arpd.quantities import format_duration, format_rate, format_size
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
     from arpd.sim.scenario import ScenarioResult
 
 _MBIT = 1e6 / 8  # bytes
-_TITLES = {"arpd": "arpd", "without": "without", "oracle": "oracle"}
+_WAYS = ("arpd", "without", "oracle")
 _MOST_EVENTS = 25
 
 
@@ -165,7 +163,7 @@ def _overall(summaries: dict[str, Summary]) -> list[str]:
 
     return aligned(
         [
-            (f"from {WARM_UP_S:g} s on", *_TITLES.values()),
+            (f"from {WARM_UP_S:g} s on", *_WAYS),
             row("payload delivered, Mbit/s", lambda s: f"{s.goodput_bytes_per_second / _MBIT:.2f}"),
             row("of the oracle's, %", lambda s: f"{100 * s.goodput_bytes_per_second / best:.1f}" if best else "-"),
             row("longest queue, ms", lambda s: _milliseconds(s.queue_peak_s)),
@@ -193,7 +191,7 @@ def _topics(
     first = () if before is None else (before[0],)
     rows: list[tuple[str, ...]] = [
         ("", *("" for _ in first), *(cell for title in blocks for cell in (*gap, "", "", ""))),
-        ("topic, whole run", *first, *(cell for _ in blocks for cell in (*gap, *_TITLES.values()))),
+        ("topic, whole run", *first, *(cell for _ in blocks for cell in (*gap, *_WAYS))),
     ]
     for topic, *same in zip(asked.robot, *(way.topics for way in ways), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""

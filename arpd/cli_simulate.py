@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.errors import ArpdError, UsageError
+from arpd.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,7 +102,11 @@ def _add_link(group: argparse._ArgumentGroup) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    draw = _drawing(options.plot) if options.plot is not None else None  # before any work
+    from arpd.cli_plot import drawing, refuse_all_but_png, writing
+
+    if options.plot is not None:
+        refuse_all_but_png(options.plot)
+    draw = None if options.plot is None else drawing("arpd.sim.chart", "draw_comparison")
     asked = _understand(options)
 
     from arpd.cli_comparison import comparison_document, comparison_tables
@@ -122,10 +126,8 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         print(comparison_tables(asked, comparison))
     if draw:
-        try:
+        with writing(options.plot):
             draw(comparison, title=asked.trace.name, path=options.plot)
-        except OSError as error:
-            raise ArpdError(f"--plot {options.plot} cannot be written ({error.strerror}); name another file") from None
     return 0
 
 
@@ -230,15 +232,3 @@ def _progress(duration_s: float) -> Callable[[str], None]:
         print(f"simulating {format_duration(duration_s)}: {way} ...", file=sys.stderr)
 
     return say if sys.stderr.isatty() else lambda _: None
-
-
-def _drawing(path: Path) -> Callable[..., None]:
-    from arpd.config_source import printable
-
-    if path.suffix.lower() != ".png":
-        raise UsageError(f"--plot {printable(str(path))} is not a PNG; write a name that ends in .png")
-    try:
-        from arpd.sim.chart import draw_comparison
-    except ImportError as error:
-        raise ArpdError(f"--plot needs matplotlib ({error}); install it with pip install 'arpd[plot]'") from error
-    return draw_comparison

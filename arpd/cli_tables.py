@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.config_source import printable
+from arpd.cli_columns import aligned, figures, short_name
 from arpd.model import AllocationStatus, Binding
 from arpd.quantities import format_rate, format_size
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from arpd.offline import OfflinePlan, PlannedTopic
     from arpd.settings import Settings
 
-_LONGEST_NAME = 32  # what a line of 120 columns leaves for it
 _COLUMNS = 8  # capacities side by side in as wide a line
 _COLUMN = " " * 7  # as wide as the words in it
 _WORDS = {
@@ -44,12 +43,12 @@ def topic_table(plan: OfflinePlan, settings: Settings) -> str:
     )
     total = (
         *(f"total of {len(rows)}", "", "", "", ""),
-        _figures(sum(row.topic.desired_rate_hz for row in rows)),
-        _figures(sum(row.rate_hz for row in rows)),
+        figures(sum(row.topic.desired_rate_hz for row in rows)),
+        figures(sum(row.rate_hz for row in rows)),
         *("", f"{plan.link_share:.1%}".rstrip("%"), ""),
         *(str(sum(row.qos.depth for row in rows)), "", ""),
     )
-    return "\n".join([*head, "", *_aligned([*titles, *map(_topic_cells, rows), total], words=2)])
+    return "\n".join([*head, "", *aligned([*titles, *map(_topic_cells, rows), total], words=2)])
 
 
 def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
@@ -61,7 +60,7 @@ def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
     lines += ["", _LEGEND]
     degraded = [plan for plan in plans if plan.allocation.degradation]
     if degraded:
-        lines += ["", "what gave way", *_aligned([_degraded_cells(plan) for plan in degraded], words=1)]
+        lines += ["", "what gave way", *aligned([_degraded_cells(plan) for plan in degraded], words=1)]
     return "\n".join(lines)
 
 
@@ -73,16 +72,16 @@ def _link(capacity: str, settings: Settings, topics: int) -> str:
 def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:
     topic, allocation = row.topic, row.allocation
     return (
-        _name(topic.name),
+        short_name(topic.name),
         f"{topic.weight:g}",
-        _figures(row.traffic.payload_bytes),
-        _figures(allocation.max_rate_hz),
-        _figures(topic.min_rate_hz),
-        _figures(topic.desired_rate_hz),
-        _figures(row.rate_hz) if row.rate_hz else "paused",
+        figures(row.traffic.payload_bytes),
+        figures(allocation.max_rate_hz),
+        figures(topic.min_rate_hz),
+        figures(topic.desired_rate_hz),
+        figures(row.rate_hz) if row.rate_hz else "paused",
         f"{row.rate_hz / topic.desired_rate_hz:.0%}".rstrip("%") if topic.desired_rate_hz else "-",
         f"{allocation.share:.1%}".rstrip("%"),
-        _figures(row.qos.deadline_ns * 1e-6) if row.qos.deadline_ns else "none",
+        figures(row.qos.deadline_ns * 1e-6) if row.qos.deadline_ns else "none",
         str(row.qos.depth),
         _word(allocation.binding),
         _word(allocation.depth_binding),
@@ -99,14 +98,14 @@ def _sweep_block(plans: Sequence[OfflinePlan]) -> list[str]:
     ]
     for same in zip(*(plan.topics for plan in plans), strict=True):
         topic = same[0].topic
-        wishes = (f"{topic.weight:g}", _figures(topic.min_rate_hz), _figures(topic.desired_rate_hz))
-        rows.append((_name(topic.name), *wishes, *map(_sweep_cell, same)))
+        wishes = (f"{topic.weight:g}", figures(topic.min_rate_hz), figures(topic.desired_rate_hz))
+        rows.append((short_name(topic.name), *wishes, *map(_sweep_cell, same)))
     rows += [
         foot("link used, %", lambda plan: f"{plan.link_share:.1%}".replace("%", " ")),
         foot("bound by", lambda plan: _word(plan.allocation.binding)),
         foot("degraded", lambda plan: "yes " if plan.allocation.status is AllocationStatus.DEGRADED else "- "),
     ]
-    title, *lines = _aligned(rows, words=0)
+    title, *lines = aligned(rows, words=0)
     return [f"{title}   rate (Hz) at a capacity (bit/s) of", *lines]
 
 
@@ -119,31 +118,11 @@ def _sweep_cell(row: PlannedTopic) -> str:
         mark = _BELOW_FLOOR
     else:
         mark = _AT_FLOOR if row.is_at_floor else " "
-    return f"{_figures(row.rate_hz, digits=3)}{mark}"
+    return f"{figures(row.rate_hz, digits=3)}{mark}"
 
 
 def _degraded_cells(plan: OfflinePlan) -> tuple[str, str]:
     return f"  {_short_rate(plan.capacity_bytes_per_second)}", plan.allocation.degradation
-
-
-def _aligned(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
-    """Put cells into columns: the first and the last ``words`` to the left, numbers to the right."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    numbers = len(widths) - words
-    lines = []
-    for row in rows:
-        cells = [
-            text.rjust(width) if 0 < column < numbers else text.ljust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join([" ".join(cells[:numbers]), *cells[numbers:]]).rstrip())
-    return lines
-
-
-def _name(name: str) -> str:
-    """Cut a long name short at its front; its end tells topics apart."""
-    shown = printable(name, longest=250)
-    return shown if len(shown) <= _LONGEST_NAME else f"…{shown[1 - _LONGEST_NAME :]}"
 
 
 def _word(binding: Binding) -> str:
@@ -155,10 +134,3 @@ def _short_rate(bytes_per_second: float) -> str:
     number, unit = format_rate(bytes_per_second).split()
     shown = number.rstrip("0").rstrip(".") if "." in number else number
     return shown + unit.removesuffix("bit/s")
-
-
-def _figures(value: float, *, digits: int = 4) -> str:
-    """Write a number with so many figures, and no exponent where people expect none."""
-    if 10.0 ** (digits - 1) <= value < 1e6:
-        return f"{value:.0f}"
-    return f"{value:.{digits}g}"

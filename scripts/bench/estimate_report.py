@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
+from arpd.cli_columns import aligned
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from scripts.bench.estimate_metrics import Metrics
 
 _BURSTS = ("bursts, all lost", "bursts, half lost")
+_DROP = ("fall 20 to 5", "fall 20 to 5, unseen")
+_DEEP_DROP = ("fall 5 to 1", "fall 5 to 1, unseen")
 _OUTAGES = ("outages, lost", "outages, stalled")
 _STEADY = ("steady 20", "steady 5")
 
@@ -98,27 +102,27 @@ class Target:
 TARGETS = (
     Target(
         title="reaction of the estimate to 20→5: <= 0.6 s median, never > 1.5 s",
-        scenarios=("fall 20 to 5", "fall 20 to 5, unseen"),
+        scenarios=_DROP,
         figure="reaction, estimate",
         limit=0.6,
         worst_limit=1.5,
     ),
     Target(
         title="reaction of the gate to 20→5: <= 0.6 s median, never > 1.5 s",
-        scenarios=("fall 20 to 5", "fall 20 to 5, unseen"),
+        scenarios=_DROP,
         figure="reaction, gate",
         limit=0.6,
         worst_limit=1.5,
     ),
     Target(
         title="queue peak, 20→5: <= 0.6 s",
-        scenarios=("fall 20 to 5", "fall 20 to 5, unseen"),
+        scenarios=_DROP,
         figure="queue peak",
         limit=0.6,
     ),
     Target(
         title="queue peak, 5→1: <= 1.0 s",
-        scenarios=("fall 5 to 1", "fall 5 to 1, unseen"),
+        scenarios=_DEEP_DROP,
         figure="queue peak",
         limit=1.0,
     ),
@@ -178,7 +182,7 @@ def scenario_table(found: Mapping[str, Mapping[str, list[Metrics]]], *, seeds: i
             [name if i == 0 else "", way, *(_cell(figure, every) for figure in COLUMNS)]
             for i, (way, every) in enumerate(ways.items())
         ]
-    lines = [f"median of {seeds} seeds (worst seed)", "", *_aligned(rows)]
+    lines = [f"median of {seeds} seeds (worst seed)", "", *_columns(rows)]
     events = [
         [name, way, *(_cell(figure, every) for figure in EVENTS)]
         for name, ways in found.items()
@@ -186,7 +190,7 @@ def scenario_table(found: Mapping[str, Mapping[str, list[Metrics]]], *, seeds: i
         if any(figure in every[0] for figure in EVENTS)
     ]
     if events:
-        lines += ["", *_aligned([["scenario", "way", *(f"{title} s" for title in EVENTS)], *events])]
+        lines += ["", *_columns([["scenario", "way", *(f"{title} s" for title in EVENTS)], *events])]
     return "\n".join(lines)
 
 
@@ -198,7 +202,7 @@ def target_table(found: Mapping[str, Mapping[str, list[Metrics]]], way: str) -> 
         if values:
             met = "yes" if target.is_met(values) else "NO"
             rows.append([target.title, target.shown(median(values)), target.shown(target.worst(values)), met])
-    return "\n".join(_aligned(rows))
+    return "\n".join(_columns(rows))
 
 
 def _cell(figure: str, every: Sequence[Metrics]) -> str:
@@ -214,6 +218,5 @@ def _cell(figure: str, every: Sequence[Metrics]) -> str:
     return middle if middle == worst else f"{middle} ({worst})"
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    return aligned(rows, words=len(rows[0]) - 1)

@@ -48,7 +48,9 @@ DOMAIN = {
 ENTRY_POINTS = {
     "cli",
     "cli_allocation",
+    "cli_columns",
     "cli_comparison",
+    "cli_plot",
     "cli_simulate",
     "cli_solve",
     "cli_status",
