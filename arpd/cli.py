@@ -170,7 +170,7 @@ def _add_log_level(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from arpd.daemon import run_daemon
+    from arpd.supervisor import run_daemon
 
     return run_daemon(config_path=options.config, log_level=options.log_level)
 

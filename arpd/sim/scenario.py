@@ -41,7 +41,7 @@ _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
 _ARPD_HEARTBEAT_S = 0.05  # arpd/ros/fastdds.xml
 _RELAY_HOP_S = 0.0005
 _ON_HOST_S = 0.001
-_LEAST_PAUSE_S = 0.02  # as in arpd.daemon
+_LEAST_PAUSE_S = 0.02  # as in arpd.supervisor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

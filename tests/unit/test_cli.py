@@ -175,10 +175,10 @@ def entry_point(monkeypatch):
     [
         (
             ["run", "--config", "a.yaml", "--log-level", "debug"],
-            "arpd.daemon:run_daemon",
+            "arpd.supervisor:run_daemon",
             {"config_path": "a.yaml", "log_level": "debug"},
         ),
-        (["run"], "arpd.daemon:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
+        (["run"], "arpd.supervisor:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
         (
             ["relay", "--node-name", "r"],
             "arpd.ros.relay:run_relay",

@@ -56,6 +56,7 @@ ENTRY_POINTS = {
     "cli_status",
     "cli_tables",
     "daemon",
+    "supervisor",
     "__main__",
 }
 FORBIDDEN_IN_DOMAIN = {
