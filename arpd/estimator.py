@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from arpd.estimator_tuning import EstimatorTuning
 from arpd.foreign import ForeignTraffic
+from arpd.hearing import Hearing
 from arpd.local_queue import LocalQueue
 from arpd.model import CapacityKind, LinkEstimate, LinkState
 from arpd.probe_schedule import ProbeSchedule
@@ -66,6 +67,7 @@ class Estimator:
         self._trains = TrainLog(self._tuning.train_memory_s)
         self._local = LocalQueue(self._tuning.local_window_s)
         self._foreign = ForeignTraffic()
+        self._hearing = Hearing()
         self._foreign_rate = 0.0
         self._burst_s = 0.0  # link time of the largest message, which is no queue
         self._burst_bytes = 0.0
@@ -109,9 +111,10 @@ class Estimator:
             self._digest(report)
         self._measure_queue(now_s)
         silence_s = now_s - self._reported_s
+        self._hearing.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
         if silence_s <= self._outage_s:
             self._state = self._judge(now_s, elapsed_s)
-        elif silence_s <= self._tuning.peer_lost_s and observation.peers != 0:
+        elif silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered:
             self._state = LinkState.OUTAGE
         else:
             self._forget_queue()

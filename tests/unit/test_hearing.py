@@ -1,0 +1,69 @@
+"""What tells a dead peer from a dead link."""
+
+import pytest
+
+from arpd.hearing import Hearing
+from arpd.interface import InterfaceState, LinkCounters
+
+TICK_S = 0.1
+
+
+class Interface:
+    """An interface that receives at a given rate, and a clock."""
+
+    def __init__(self):
+        self.now_s = 50.0
+        self.packets = 1000.0
+        self.hearing = Hearing()
+
+    def receive(self, rate_hz, duration_s, *, is_usual=True, state=InterfaceState.UP):
+        for _ in range(round(duration_s / TICK_S)):
+            self.now_s += TICK_S
+            self.packets += rate_hz * TICK_S
+            counters = LinkCounters(
+                interface="w",
+                rx_bytes=0,
+                tx_bytes=0,
+                rx_packets=int(self.packets),
+                tx_packets=0,
+                tx_dropped=0,
+                state=state,
+            )
+            self.hearing.note(self.now_s, counters, is_usual=is_usual)
+        return self.hearing.is_answered
+
+
+@pytest.mark.parametrize(
+    ("usual_hz", "lately_hz", "is_answered"), [(200, 190, True), (200, 120, True), (200, 40, False)]
+)
+def test_a_link_is_answered_where_about_as_much_arrives_as_usual(usual_hz, lately_hz, is_answered):
+    """Acknowledgements go on when a peer dies, and stop when the link does."""
+    interface = Interface()
+    interface.receive(usual_hz, 20.0)
+    assert interface.receive(lately_hz, 5.0, is_usual=False) is is_answered
+
+
+def test_a_silent_link_shows_within_a_few_ticks():
+    """What arrived before it fell silent does not count for longer than that."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    assert interface.receive(0, 0.1, is_usual=False)
+    assert not interface.receive(0, 0.2, is_usual=False)
+
+
+def test_few_packets_tell_nothing():
+    """Ten a second may all have been the peer's own reports."""
+    interface = Interface()
+    interface.receive(10, 20.0)
+    assert not interface.receive(10, 5.0, is_usual=False)
+
+
+def test_an_interface_that_is_down_or_gone_answers_nothing():
+    """Nor does what it counted before count when it is back."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    interface.hearing.note(interface.now_s + 0.1, None, is_usual=False)
+    assert not interface.hearing.is_answered
+    assert not interface.receive(200, 0.1, is_usual=False)
+    assert interface.receive(200, 1.0, is_usual=False)
+    assert not interface.receive(200, 0.1, is_usual=False, state=InterfaceState.DOWN)
