@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model import AllocationStatus, Decision, LinkState, QosPlan
+from arpd.memory import MemoryWatch
+from arpd.model import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
 from arpd.planner import keeps_its_readers, make_plan, tightest_requests
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
-    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic, TopicPlan
+    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic
     from arpd.settings import Settings
 
 _GATE_CLOSED = 0.01  # floors are all that flows
@@ -24,6 +26,9 @@ _LEAST_HOLD = 0.25  # times the hold, however urgent
 _LEAK = 0.25  # of the time below, off the time above
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25
+# Whatever number an endpoint claims to have, no plan gets a greater one than this, which every parameter, announcement
+# and metric can hold; there they no longer tell plans apart, and all else goes on.
+MOST_GENERATION = 2**53
 _NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
 
 
@@ -51,8 +56,10 @@ class Governor:
         self._changed_at_s = -math.inf
         self._calmed_at_s = -math.inf
         self._up_at_s = -math.inf
+        self._took_over_s = -math.inf
         self._dwell_s = settings.governor.dwell_s
         self._reload_pending = False
+        self._memory = MemoryWatch()
         self._swapped: deque[tuple[float, int]] = deque()
         self._levels: Counter[str] = Counter()
         self._refusals: Counter[str] = Counter()
@@ -90,11 +97,19 @@ class Governor:
         newest: int = 0,
     ) -> Decision:
         """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
-        newest = max([newest, *(publisher.generation for publisher in publishers)])
+        newest = min(MOST_GENERATION, max([newest, *(publisher.generation for publisher in publishers)]))
         self._elapsed_s, self._looked_at_s = max(0.0, min(1.0, now_s - self._looked_at_s)), now_s
+        silent = {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
+        if self._memory.calls_for_depths(now_s, allocation, self._planned(topics), besides=silent):
+            return self._follow_memory(now_s, link, allocation, topics, newest, besides=silent)
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
         if not cause and 0 < self._plan.generation < newest and allocation.topics and link.state != LinkState.OUTAGE:
-            cause = "takeover"  # of a daemon that has left or stepped back: what is older than its plan is refused
+            # Of a daemon that has left or stepped back: what is older than its plan is refused. Whoever invents such
+            # plans one after the other must not make us follow as often.
+            if now_s - self._took_over_s >= self._settings.governor.dwell_s:
+                cause, self._took_over_s = "takeover", now_s
+            else:
+                refusal = "dwell"
         refusals = [refusal] if refusal else []
         if cause:
             plan = self._next_plan(allocation, topics, publishers, newest)
@@ -104,6 +119,7 @@ class Governor:
                 cause = ""
             else:
                 self._adopt(plan, cause, swaps, now_s)
+                self._memory.note_plan(allocation)
                 self._planned_for = _demand(topics, allocation)
                 self._planned_overhead_s = link.available_packet_overhead_s
         self._refusals.update(reason for reason in refusals if reason not in self._refused)
@@ -122,6 +138,33 @@ class Governor:
         self._plan = _NO_PLAN
         self._topics = self._seen = frozenset()
         return Decision(gate=1.0, plan=self._plan, level_changed=False, reason="", refusals=())
+
+    # -- memory
+
+    def _follow_memory(
+        self,
+        now_s: float,
+        link: LinkEstimate,
+        allocation: Allocation,
+        topics: Sequence[Topic],
+        newest: int,
+        *,
+        besides: Collection[str],
+    ) -> Decision:
+        """Give the plan in force the depths that memory allows, and leave its rates alone: the link has not changed.
+
+        No swap budget stands against it, nor an outage, in which histories fill.
+        """
+        given = {row.name: row.depth_applied for row in allocation.topics if row.name not in besides}
+        rows = {name: replace(row, depth=given.get(name, row.depth)) for name, row in self._plan.topics.items()}
+        swaps = sum(_changes_qos(self._plan.topics[name], row) for name, row in rows.items())
+        self._plan = replace(self._plan, generation=self._next_generation(newest), topics=rows)
+        self._swapped.append((now_s, swaps))
+        self._levels["memory"] += 1
+        self._memory.note_depths(now_s, allocation)
+        return Decision(
+            gate=self._gate(link, topics), plan=self._plan, level_changed=True, reason="memory", refusals=()
+        )
 
     # -- the level
 
@@ -250,10 +293,13 @@ class Governor:
             allocation,
             topics,
             publishers,
-            previous=self._plan,
-            generation=max(newest, self._plan.generation) + 1,
+            previous=replace(self._plan, topics={**_inherited(publishers), **self._plan.topics}),
+            generation=self._next_generation(newest),
             settings=self._settings,
         )
+
+    def _next_generation(self, newest: int) -> int:
+        return min(MOST_GENERATION, max(newest, self._plan.generation) + 1)
 
     def _is_over_budget(self, now_s: float, swaps: int) -> bool:
         while self._swapped and now_s - self._swapped[0][0] > 60.0:
@@ -298,6 +344,17 @@ class Governor:
         # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
         excess_s = link.queue_delay_s - link.queue_allowance_s
         return max(_GATE_CLOSED, gate * min(1.0, 1.0 - excess_s / _DRAIN_S))
+
+
+def _inherited(publishers: Sequence[PublisherState]) -> dict[str, TopicPlan]:
+    """Return what a predecessor left in force, so that a restarted daemon swaps nothing that is near enough."""
+    return {
+        publisher.topic: TopicPlan(
+            rate_hz=publisher.rate_hz, min_rate_hz=0.0, deadline_ns=publisher.deadline_ns, depth=publisher.depth
+        )
+        for publisher in publishers
+        if publisher.generation > 0 and math.isfinite(publisher.rate_hz)
+    }
 
 
 def _link_bytes(topic: Topic, link: LinkEstimate) -> float:

@@ -151,16 +151,23 @@ def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
 
 def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
     """Return every publisher to the QoS its application asked for, unpaced."""
-    rows = {
-        publisher.topic: TopicPlan(
-            rate_hz=math.inf,
-            min_rate_hz=0.0,
-            deadline_ns=publisher.baseline_deadline_ns,
-            depth=publisher.baseline_depth,
-        )
-        for publisher in publishers
-    }
+    rows = {publisher.topic: _own_qos(publisher, rate_hz=math.inf) for publisher in publishers}
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
+
+
+def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
+    """Return every publisher to the QoS its application asked for, at the rate it has."""
+    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.rate_hz) for publisher in publishers}
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
+
+
+def _own_qos(publisher: PublisherState, *, rate_hz: float) -> TopicPlan:
+    return TopicPlan(
+        rate_hz=rate_hz,
+        min_rate_hz=0.0,
+        deadline_ns=publisher.baseline_deadline_ns,
+        depth=publisher.baseline_depth,
+    )
 
 
 def tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:

@@ -389,6 +389,37 @@ def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
     assert run.governor.levels_by_cause == {"start": 1}
 
 
+def test_a_restarted_daemon_keeps_what_its_predecessor_left():
+    """What is announced of an older plan stays where it is near enough: the first plan swaps nothing."""
+    left = Run().planned().governor.plan
+    run = Run()
+    estimate = replace(LINK, capacity_bytes_per_second=1.03e6)
+    announced = [
+        publisher(
+            "/n",
+            topic,
+            source_rate_hz=400.0,
+            rate_hz=row.rate_hz,
+            depth=row.depth,
+            deadline_ns=row.deadline_ns,
+            generation=left.generation,
+        )
+        for topic, row in left.topics.items()
+    ]
+    decisions = [
+        run.governor.decide(
+            run.now_s + after_s,
+            link=estimate,
+            allocation=run.program.solve(estimate.available_bytes_per_second, TOPICS, MEMORY),
+            topics=TOPICS,
+            publishers=announced,
+        )
+        for after_s in (0.0, 1.1)
+    ]
+    assert (decisions[-1].reason, decisions[-1].plan.generation) == ("start", left.generation + 1)
+    assert decisions[-1].plan.topics == left.topics
+
+
 @pytest.mark.parametrize("where", ["publishers", "readers"])
 def test_a_newer_plan_of_another_daemon_is_superseded(where):
     """A plan that is older than what a publisher or reader has would be refused, so a newer one is made, once."""

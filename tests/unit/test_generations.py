@@ -1,0 +1,72 @@
+"""Numbers of plans that somebody invents: none stops the planning, and none keeps it busy."""
+
+import pytest
+
+from arpd.governor import MOST_GENERATION, Governor
+from arpd.model import CapacityKind, LinkEstimate, LinkState
+from arpd.program import Program
+from arpd.settings import Settings
+from arpd.topics import topics_to_plan
+from tests.sample_publishers import publisher
+
+LINK = LinkEstimate(
+    capacity_bytes_per_second=1e6,
+    kind=CapacityKind.PEER,
+    state=LinkState.STEADY,
+    queue_delay_s=0.0,
+    delivery_rate_bytes_per_second=5e5,
+    age_s=0.0,
+    evidence="",
+)
+
+
+class Run:
+    """A governor over two publishers, of which one may announce any generation."""
+
+    def __init__(self):
+        self.settings = Settings()
+        self.governor = Governor(self.settings)
+        self.program = Program.of(self.settings)
+        self.now_s = 100.0
+
+    def tick(self, claimed):
+        self.now_s += 0.1
+        publishers = [publisher("/honest", "/a"), publisher("/liar", "/b", generation=claimed)]
+        topics = topics_to_plan(publishers, self.settings)
+        return self.governor.decide(
+            self.now_s,
+            link=LINK,
+            allocation=self.program.solve(LINK.available_bytes_per_second, topics, 2.0**26),
+            topics=topics,
+            publishers=publishers,
+        )
+
+    def start(self):
+        while self.governor.plan.generation == 0:
+            self.tick(0)
+
+
+@pytest.fixture
+def run():
+    run = Run()
+    run.start()
+    return run
+
+
+@pytest.mark.parametrize("claimed", [MOST_GENERATION - 1, MOST_GENERATION, 2**63 - 1, 2**80])
+def test_planning_goes_on_at_the_end_of_all_numbers(run, claimed):
+    """Whatever an endpoint claims, plans are numbered by what parameters and metrics can hold, and still made."""
+    assert run.tick(claimed).reason == "takeover"
+    assert run.governor.plan.generation == MOST_GENERATION
+    run.governor.reconfigure(run.settings)
+    decision = run.tick(claimed)
+    assert (decision.reason, decision.plan.generation) == ("reload", MOST_GENERATION)
+
+
+def test_who_invents_a_newer_plan_each_time_is_not_followed_each_time(run):
+    """A takeover is made at once, the next one only after the dwell, and what is held back is told."""
+    decisions = [run.tick(10 * (k + 1)) for k in range(200)]
+    takeovers = sum(decision.reason == "takeover" for decision in decisions)
+    assert decisions[0].reason == "takeover"
+    assert takeovers <= 1 + 20.0 / run.settings.governor.dwell_s
+    assert any("dwell" in decision.refusals for decision in decisions)
