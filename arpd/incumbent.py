@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+LEAST_STARTED_NS = 1_577_836_800 * 10**9  # 2020: no clock that systemd has set reads less
+
 _SILENT_S = 2.0  # four claims missed: that daemon is gone
+_LASTING_S = 0.4  # a second claim, half a second after the first: whoever invents names does not come back to them
 _MOST = 32  # daemons remembered, so that a liar on the network cannot take our memory
 
 
@@ -35,18 +38,35 @@ class Incumbency:
 
     def __init__(self, own: Claim) -> None:
         self._own = own
-        self._heard_s: dict[Claim, float] = {}
+        self._heard_s: dict[Claim, tuple[float, float]] = {}  # first and last
 
-    def note(self, claim: Claim, now_s: float) -> None:
-        """Note that another daemon, or this one itself, was heard."""
-        if claim.token != self._own.token and (claim in self._heard_s or len(self._heard_s) < _MOST):
-            self._heard_s[claim] = now_s
+    def note(self, claim: Claim, now_s: float) -> bool:
+        """Note that another daemon, or this one itself, was heard; return False where there are too many."""
+        if claim.token == self._own.token:
+            return True
+        if claim not in self._heard_s and len(self._heard_s) >= _MOST:
+            self._forget(now_s)
+            if len(self._heard_s) >= _MOST:
+                return False
+        first_s, _ = self._heard_s.get(claim, (now_s, now_s))
+        self._heard_s[claim] = first_s, now_s
+        return True
 
-    def others(self, now_s: float) -> tuple[Claim, ...]:
-        """Return the other daemons that are there, the one that started first at the front."""
-        self._heard_s = {claim: at_s for claim, at_s in self._heard_s.items() if now_s - at_s <= _SILENT_S}
-        return tuple(sorted(self._heard_s))
+    def others(self, now_s: float, *, most: int = _MOST) -> tuple[Claim, ...]:
+        """Return the other daemons that are there, the one that started first at the front.
 
-    def superior(self, now_s: float) -> Claim | None:
+        Parameters
+        ----------
+        most : daemons there can be; those that have been heard for longest are believed
+        """
+        self._forget(now_s)
+        lasting = [claim for claim, (first_s, last_s) in self._heard_s.items() if last_s - first_s >= _LASTING_S]
+        lasting.sort(key=lambda claim: (self._heard_s[claim][0], claim))
+        return tuple(sorted(lasting[: max(0, most)]))
+
+    def superior(self, now_s: float, *, most: int = _MOST) -> Claim | None:
         """Return who is in charge, None when this daemon is."""
-        return next((claim for claim in self.others(now_s) if claim < self._own), None)
+        return next((claim for claim in self.others(now_s, most=most) if claim < self._own), None)
+
+    def _forget(self, now_s: float) -> None:
+        self._heard_s = {claim: at_s for claim, at_s in self._heard_s.items() if now_s - at_s[1] <= _SILENT_S}

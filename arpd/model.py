@@ -8,6 +8,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.admission import Taken
 from arpd.refusal import RefusalReason
 
 if TYPE_CHECKING:
@@ -159,6 +160,7 @@ class Observation:
     superior : host of the one that drives the robot in this one's place, empty when this one does
     radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
     peer_ages_s : peers heard in the last minute, with the time since the last report of each (s)
+    taken : what became of what arrived from the network
     """
 
     now_s: float
@@ -176,6 +178,7 @@ class Observation:
     superior: str = ""
     radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    taken: Taken = field(default_factory=Taken)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

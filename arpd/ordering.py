@@ -133,6 +133,8 @@ class Ordering:
         """
         self._writers.hear(publishers)
         self._readers.hear(readers)
+        here = {(publisher.node, publisher.topic) for publisher in publishers}
+        self._floors = {identity: floor for identity, floor in self._floors.items() if identity in here}
         driven = [reader for reader in readers if (reader.node, reader.topic) in reader_plans]
         readers_of, writers_of = _by_topic(driven), _by_topic(publishers)
         rows = {

@@ -15,6 +15,7 @@ WORTH_BYTES = 10_000  # received since the last report are worth one; more where
 QUIET_S = 0.25  # between reports while no probe arrives: silence for longer means an outage (`arpd.estimator`)
 LONGEST_QUIET_S = 2.0  # whatever a ping asks for
 
+_MOST_KEPT = 32  # delays and trains until the next report, which holds no more
 _MOST_LOST = 0.1  # of a train's packets
 _LEAST_EDGE = 4  # packets, or half of a short train; a shorter edge is jitter
 _SENT_AS_SLOWLY = 0.7  # of the time it took to arrive
@@ -177,6 +178,7 @@ class Receiver:
     ) -> None:
         """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
         if index == 0:
+            del self.delays_s[:-_MOST_KEPT]
             self.delays_s.append((received_ns - sent_ns) / 1e9)
             self.last_probe = train
         if packets == 1:
@@ -202,5 +204,6 @@ class Receiver:
 
     def _close(self) -> None:
         if self._arrivals and (measured := measure_train(self._arrivals, packets=self._packets)) is not None:
+            del self.trains[:-_MOST_KEPT]
             self.trains.append(measured)
         self._arrivals, self._packets = [], 0

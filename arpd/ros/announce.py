@@ -6,15 +6,17 @@ Keys that a daemon does not know it passes over, and what was added since the fi
 from __future__ import annotations
 
 import math
-import re
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from arpd.governor import MOST_GENERATION
 from arpd.model import Direction, PublisherState
 from arpd.readers import ReaderState
 from arpd.refusal import RefusalReason
+from arpd.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
+from arpd.ros.names import is_full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -34,12 +36,20 @@ _INTEGERS = (
     "baseline_deadline_ns",
     "generation",
 )
+_MOST_FLOATS = {
+    "payload_bytes": float(2**30),  # no link that needs arpd carries such a message
+    "source_rate_hz": 1e5,
+    "blocked_s": 1e9,  # 30 years
+    "rate_hz": math.inf,
+    "lease_s": MOST_LEASE_S,
+}
 _READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
 _MAX_INTEGER = 2**63 - 1
+_MOST_DEPTH = 100_000
 _MOST_RESULTS = 32  # of swaps or handovers; each becomes a label of a metric
 _MAX_RESULT = 40
 _MAX_NAME = 256
-_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+MOST_VALUES = 128  # pairs in one status
 
 
 def to_status(state: PublisherState) -> Any:
@@ -73,7 +83,7 @@ def from_status(status: Any) -> PublisherState:
     """
     values, fields = _fields(status, texts=("node", "topic", "type"), floats=_FLOATS, integers=_INTEGERS)
     return PublisherState(
-        type_name=fields.pop("type")[:_MAX_NAME],
+        type_name=_plain(fields.pop("type")),
         direction=Direction.LOCAL,
         swaps_by_result=_counts(values, _SWAP_PREFIX),
         **fields,
@@ -89,6 +99,9 @@ def reader_from_status(status: Any) -> ReaderState:
         If a field is missing, malformed or out of range; the message names it.
     """
     values, fields = _fields(status, texts=("node", "topic"), floats=("lease_s",), integers=_READER_INTEGERS)
+    # A writer offers what its readers request; of a liar it would be asked for a nanosecond.
+    if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
+        raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
     return ReaderState(handovers_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
 
 
@@ -106,6 +119,8 @@ def _fields(
     status: Any, *, texts: Iterable[str], floats: Iterable[str], integers: Iterable[str]
 ) -> tuple[Mapping[str, str], dict[str, Any]]:
     """Return all pairs as they came, and the checked fields that writers and readers announce alike."""
+    if len(status.values) > MOST_VALUES:
+        raise ValueError(f"announcement with {len(status.values)} values; at most {MOST_VALUES} are one")
     values = {pair.key: pair.value for pair in status.values}
     try:
         fields: dict[str, Any] = {key: values[key] for key in texts}
@@ -114,7 +129,7 @@ def _fields(
     except KeyError as missing:
         raise ValueError(f"announcement without {missing}") from missing
     _check(fields)
-    refusal = values.get("refusal", "")[:_MAX_NAME]
+    refusal = _plain(values.get("refusal", ""))
     reason = RefusalReason.told(values.get("refusal_reason"), words=refusal)
     return values, {
         **fields,
@@ -132,27 +147,38 @@ def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
 
 def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
     found = ((key, value) for key, value in values.items() if key.startswith(prefix))
-    return {key.removeprefix(prefix)[:_MAX_RESULT]: _bounded(key, value) for key, value in islice(found, _MOST_RESULTS)}
+    return {
+        _plain(key.removeprefix(prefix))[:_MAX_RESULT]: _bounded(key, value)
+        for key, value in islice(found, _MOST_RESULTS)
+    }
+
+
+def _plain(text: str) -> str:
+    """Cut a text short, and take out what would do something to a terminal or a log."""
+    return "".join(character if character.isprintable() else "?" for character in text[:_MAX_NAME])
 
 
 def _check(fields: Mapping[str, Any]) -> None:
     node, topic = fields["node"], fields["topic"]
     for name in (node, topic):
-        if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
+        if not is_full_name(name):
             raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
-    if not 1 <= fields["depth"] <= 100_000 or not 1 <= fields["baseline_depth"] <= 100_000:
-        raise ValueError(f"announcement of {topic} with a depth outside 1..100000")
+    if not 1 <= fields["depth"] <= _MOST_DEPTH or not 1 <= fields["baseline_depth"] <= _MOST_DEPTH:
+        raise ValueError(f"announcement of {topic} with a depth outside 1..{_MOST_DEPTH}")
+    if fields["generation"] > MOST_GENERATION:
+        raise ValueError(f"announcement of {topic} with generation {fields['generation']}; no daemon comes that far")
 
 
 def _finite_or_inf(key: str, text: str) -> float:
     value = float(text)
-    if math.isnan(value) or value < 0 or (math.isinf(value) and key != "rate_hz"):
-        raise ValueError(f"announcement with {key} = {text[:40]!r}; a number ≥ 0 is needed")
+    most = _MOST_FLOATS[key]
+    if not 0 <= value <= most:
+        raise ValueError(f"announcement with {key} = {text[:40]!r}; a number from 0 to {most:g} is needed")
     return value
 
 
 def _bounded(key: str, text: str) -> int:
-    value = int(text)
+    value = int(text[:40])  # longer ones are none, and take long
     if not 0 <= value <= _MAX_INTEGER:
         raise ValueError(f"announcement with {key} = {text[:40]!r}; an integer from 0 to 2^63-1 is needed")
     return value

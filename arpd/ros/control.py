@@ -3,51 +3,58 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
 import time
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, UInt8MultiArray
 
-from arpd.host.counters import InterfaceReader, read_memory
+from arpd.admission import Kind, Reason, Taken
+from arpd.host.counters import InterfaceReader, MemoryReader
 from arpd.host.radio import Radio
-from arpd.model import Direction, Observation, PublisherState
-from arpd.readers import ReaderState
-from arpd.ros import report as wire_format
+from arpd.host.speed import read_speed
+from arpd.model import Direction, Observation
+from arpd.peers import Ceiling, PeerAdmission
+from arpd.probing import PeerReport
 from arpd.ros.announce import from_status, reader_from_status
+from arpd.ros.announcements import Announcements
 from arpd.ros.daemons import Daemons
-from arpd.ros.graph import Crossing, read_crossings
+from arpd.ros.graph import read_graph
+from arpd.ros.intake import Intake, Pause, octets
 from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.ros.parameters import ParameterApplier
+from arpd.ros.refused import Refused
+from arpd.ros.report import MOST_REPORT_BYTES, ProbeHeader, encode_probe, read_report
 from arpd.ros.rmw import current_rmw
+from arpd.ros.rounds import Rounds
 from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from arpd.model import Transition
-    from arpd.probing import PeerReport, ProbeRequest
+    from arpd.model import PublisherState, Transition
+    from arpd.probing import ProbeRequest
+    from arpd.readers import ReaderState
+    from arpd.ros.graph import Crossing
     from arpd.ros.rmw import Rmw
     from arpd.settings import GraphSettings
 
 log = logging.getLogger(__name__)
 
-_GRAPH_S = 1.0
-_RADIO_S = 1.0
+_LOOK_AROUND_S = 1.0
 _STALE_S = 3.5  # three announcements missed: the publisher is gone
 _READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three seconds
 _PEER_FORGOTTEN_S = 60.0  # long enough for a scrape or two to see its age grow
-_MOST_PEERS = 100
-_MOST_ENDPOINTS = 2000  # more than any robot has; a liar on the network cannot take our memory
-
-S = TypeVar("S", PublisherState, ReaderState)
+_MOST_REPORTS = 200  # that wait for a tick
+_WHY = {
+    Reason.UNANSWERED: "they answer no probe of this daemon",
+    Reason.RATE: "there are more of them than any peer sends",
+    Reason.QUOTA: "the graph shows fewer peers than there are names",
+}
 
 
 class RosControl:
@@ -60,6 +67,7 @@ class RosControl:
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     rmw : the middleware; this process's own when None
+    randomness : where the numbers of probes begin
     """
 
     def __init__(
@@ -71,6 +79,7 @@ class RosControl:
         on_report: Callable[[], None],
         clock: Callable[[], float] = time.monotonic,
         rmw: Rmw | None = None,
+        randomness: Callable[[int], int] = secrets.randbelow,
     ) -> None:
         self._node = node
         self._rmw = rmw or current_rmw()
@@ -78,15 +87,17 @@ class RosControl:
             log.warning("%s", self._rmw.refusal)
         self._reader = InterfaceReader(interface)
         self._radio = Radio()
+        self._memory = MemoryReader()
         self._radio_rate: float | None = None
         self._graph_settings = graph
         self._on_report_arrived = on_report
         self._clock = clock
         self._lock = threading.Lock()
+        self._refused = Refused(clock=clock)
+        self._peer_admission = PeerAdmission(randomness(2**32))
+        self._ceiling = Ceiling()
         self._reports: list[PeerReport] = []
         self._peers_heard: dict[str, float] = {}  # when each reported last (s)
-        self._announced: _Announced[PublisherState] = _Announced(_STALE_S)
-        self._readers: _Announced[ReaderState] = _Announced(_READER_STALE_S)
         self._crossings: Mapping[str, Crossing] = {}
         self._peers: int | None = None
         self._probes = 0
@@ -95,15 +106,41 @@ class RosControl:
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest)
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
-        node.create_subscription(UInt8MultiArray, REPORT_TOPIC, self._on_report, best_effort)
-        node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_publishers, best_effort)
-        node.create_subscription(DiagnosticArray, READERS_TOPIC, self._on_readers, best_effort)
-        # Steady time: when this host's clock is set back, both go on. Neither is done in the tick, which is short.
-        steady, group = Clock(clock_type=ClockType.STEADY_TIME), ReentrantCallbackGroup()
-        node.create_timer(_GRAPH_S, self._read_graph, callback_group=group, clock=steady)
-        node.create_timer(_RADIO_S, self._read_radio, callback_group=group, clock=steady)
+        pause = Pause()
+        self._announced = Announcements(
+            node,
+            PUBLISHERS_TOPIC,
+            Kind.PUBLISHERS,
+            from_status,
+            stale_s=_STALE_S,
+            refused=self._refused,
+            pause=pause,
+            clock=clock,
+        )
+        self._readers = Announcements(
+            node,
+            READERS_TOPIC,
+            Kind.READERS,
+            reader_from_status,
+            stale_s=_READER_STALE_S,
+            refused=self._refused,
+            pause=pause,
+            clock=clock,
+        )
+        self._report_intake = Intake(
+            node,
+            UInt8MultiArray,
+            REPORT_TOPIC,
+            best_effort,
+            most_bytes=MOST_REPORT_BYTES,
+            take=self._on_report,
+            refuse=lambda: self._refuse_report(Reason.SIZE, "", "a message is longer than any report"),
+            pause=pause,
+        )
         self._applier = ParameterApplier(node)
-        self._daemons = Daemons(node, clock=clock)
+        self._daemons = Daemons(node, refused=self._refused, pause=pause, clock=clock)
+        # Neither is done in the tick, which is short, nor in the executor, where reports wait.
+        Rounds(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
     def reconfigure(self, graph: GraphSettings) -> None:
         """Take new pinned topic counts."""
@@ -119,7 +156,7 @@ class RosControl:
                 peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
-            publishers, readers = self._announced.live(now_s), self._readers.live(now_s)
+        publishers, readers = self._announced.live(now_s), self._readers.live(now_s)
         crossings = self._crossings
         pinned = self._graph_settings
         directions = [crossing.direction for crossing in crossings.values()]
@@ -130,7 +167,7 @@ class RosControl:
             reports=reports,
             publishers=_join_publishers(publishers, readers, crossings),
             readers=_join_readers(readers, crossings),
-            memory=read_memory(),
+            memory=self._memory.read(),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
             peers=self._peers,
@@ -140,6 +177,7 @@ class RosControl:
             superior=self._daemons.superior(),
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
+            taken=Taken(refused=self._refused.counts, pending=self._announced.pending + self._readers.pending),
         )
 
     # -- act
@@ -154,11 +192,11 @@ class RosControl:
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one train (or ping) on the link, back to back."""
+        with self._lock:
+            number = self._peer_admission.number(request.number)
         packets = [
-            wire_format.encode_probe(
-                wire_format.ProbeHeader(
-                    train=request.number, index=index, packets=request.packets, quiet_s=request.quiet_s
-                ),
+            encode_probe(
+                ProbeHeader(train=number, index=index, packets=request.packets, quiet_s=request.quiet_s),
                 payload_bytes=request.packet_bytes,
             )
             for index in range(request.packets)
@@ -178,60 +216,39 @@ class RosControl:
 
     # -- what arrives
 
-    def _on_report(self, message: Any) -> None:
+    def _on_report(self, data: bytes, _info: Any) -> None:
+        now_s = self._clock()
         try:
-            report = wire_format.decode_report(message, received_at_s=self._clock())
+            report = read_report(octets(data), received_at_s=now_s)
         except ValueError as fault:
-            log.debug("ignored a peer report: %s", fault)
+            self._refuse_report(Reason.MALFORMED, "", str(fault))
             return
         with self._lock:
-            self._reports.append(report)
-            del self._reports[:-100]
-            if report.peer in self._peers_heard or len(self._peers_heard) < _MOST_PEERS:
-                self._peers_heard[report.peer] = report.received_at_s
-        self._on_report_arrived()
+            believed = self._peer_admission.check(report, now_s, ceiling=self._ceiling.bytes_per_second)
+            if isinstance(believed, PeerReport):
+                self._reports.append(believed)
+                del self._reports[:-_MOST_REPORTS]
+                self._peers_heard[report.peer] = now_s
+        if isinstance(believed, Reason):
+            self._refuse_report(believed, report.peer, f"reports of {report.peer!r}: {_WHY[believed]}")
+        else:
+            self._on_report_arrived()
 
-    def _on_publishers(self, message: Any) -> None:
-        self._hear(message, from_status, self._announced)
-
-    def _on_readers(self, message: Any) -> None:
-        self._hear(message, reader_from_status, self._readers)
-
-    def _hear(self, message: Any, decode: Callable[[Any], S], heard: _Announced[S]) -> None:
-        now_s = self._clock()
-        for status in message.status:
-            try:
-                state = decode(status)
-            except ValueError as fault:
-                log.debug("ignored an announcement: %s", fault)
-                continue
-            with self._lock:
-                heard.note(state, now_s)
+    def _refuse_report(self, reason: Reason, peer: str, words: str) -> None:
+        self._refused.note(Kind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
-        self._crossings = read_crossings(self._node, self._rmw)
-        self._peers = self._node.count_publishers(REPORT_TOPIC)
+        graph = read_graph(self._node, self._rmw, first=self._announced.topics | self._readers.topics)
+        self._crossings, self._peers = graph.crossings, graph.peers
+        with self._lock:
+            self._peer_admission.see(graph.peers)
+        self._announced.see(graph.announcers, graph.shows_writer)
+        self._readers.see(graph.reader_announcers, graph.shows_reader)
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
-
-
-class _Announced(Generic[S]):
-    """The last announcement of every live endpoint."""
-
-    def __init__(self, stale_s: float) -> None:
-        self._stale_s = stale_s
-        self._states: dict[tuple[str, str], tuple[float, S]] = {}
-
-    def note(self, state: S, now_s: float) -> None:
-        key = state.node, state.topic
-        if key in self._states or len(self._states) < _MOST_ENDPOINTS:
-            self._states[key] = now_s, state
-
-    def live(self, now_s: float) -> list[S]:
-        """Return who announced itself lately, with the age of that (s), sorted by node and topic."""
-        self._states = {key: (at_s, s) for key, (at_s, s) in self._states.items() if now_s - at_s <= self._stale_s}
-        return [replace(state, age_s=now_s - at_s) for _, (at_s, state) in sorted(self._states.items())]
+        with self._lock:
+            self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
 
 
 def _join_publishers(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
+from arpd.governor import MOST_GENERATION
 from arpd.lease import Lease
 from arpd.ros.bounds import checked_lease_s
 
@@ -39,7 +40,7 @@ class Grant:
         node.declare_parameter(lease_name, 0.0, ParameterDescriptor(description=description))
 
     def check(self, parameters: Sequence[Any]) -> None:
-        """Refuse a plan that is older than the one in force, and a lease that is no time.
+        """Refuse a plan that is older than the one in force, a number beyond all plans, and a lease that is no time.
 
         Raises
         ------
@@ -51,6 +52,8 @@ class Grant:
                 raise ValueError(
                     f"{parameter.name} {parameter.value} is older than {self.generation}, the plan in force"
                 )
+            if parameter.name == self._generation_name and parameter.value > MOST_GENERATION:
+                raise ValueError(f"{parameter.name} {parameter.value} is more than {MOST_GENERATION}")
             if parameter.name == self._lease_name:
                 checked_lease_s(parameter)
 

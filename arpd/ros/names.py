@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 PUBLISHERS_TOPIC = "/arpd/publishers"
 READERS_TOPIC = "/arpd/subscriptions"
 DAEMONS_TOPIC = "/arpd/daemons"
@@ -19,6 +21,9 @@ DEPTH = "depth"
 DEADLINE = "deadline"
 RATE = "rate"
 MIN_RATE = "min_rate"
+
+_FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_MOST_NAME = 256  # characters; ROS itself ends at 255
 
 
 def parameter_name(topic: str, setting: str) -> str:
@@ -40,3 +45,8 @@ def reader_parameter_name(topic: str, setting: str) -> str:
 def is_internal(topic: str) -> bool:
     """Whether a topic belongs to ROS or arpd itself and is no robot traffic."""
     return topic in {"/rosout", "/parameter_events"} or topic.startswith("/arpd/")
+
+
+def is_full_name(name: str) -> bool:
+    """Whether this is a fully qualified name of a node or a topic, as ROS allows it."""
+    return len(name) <= _MOST_NAME and _FULL_NAME.fullmatch(name) is not None

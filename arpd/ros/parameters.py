@@ -34,6 +34,8 @@ log = logging.getLogger(__name__)
 _TIMEOUT_S = 2.0
 _FIRST_BACKOFF_S = 1.5  # one announcement must have had the time to confirm
 _MAX_BACKOFF_S = 12.0
+_MOST_NODES = 500  # clients kept; the one that was asked least lately goes
+_MOST_REASON = 300  # characters of what a node says
 _ACCEPTED_S = 6.0  # what was accepted needs a swap of three to four seconds, and then an announcement
 
 
@@ -74,7 +76,8 @@ class ParameterApplier:
         """Send what is new or due again; returns at once."""
         for transition in transitions:
             key = transition.node, bool(transition.readers)
-            node = self._nodes.get(key) or self._add(*key)
+            node = self._nodes.pop(key, None) or self._new(transition.node)
+            self._nodes[key] = node  # the one asked last at the end
             rows: dict[str, TopicPlan | ReaderPlan] = {**transition.topics, **transition.readers}
             is_newer = transition.generation > node.generation
             if is_newer or any(node.told.get(topic) != row for topic, row in rows.items()):
@@ -89,10 +92,12 @@ class ParameterApplier:
                 node.backoff_s = min(2 * node.backoff_s, _MAX_BACKOFF_S)
                 self._send(transition, node)
 
-    def _add(self, name: str, is_about_readers: bool) -> _Node:  # noqa: FBT001 - a part of the key
-        client = self._ros.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
-        self._nodes[name, is_about_readers] = node = _Node(client=client)
-        return node
+    def _new(self, name: str) -> _Node:
+        while len(self._nodes) >= _MOST_NODES:
+            forgotten = self._nodes.pop(next(iter(self._nodes)))
+            self._forget(forgotten)
+            self._ros.destroy_client(forgotten.client)
+        return _Node(client=self._ros.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically"))
 
     def _send(self, transition: Transition, node: _Node) -> None:
         if not node.client.service_is_ready():
@@ -117,7 +122,8 @@ class ParameterApplier:
         if result.successful and node.generation == transition.generation:
             node.next_at_s = max(node.next_at_s, node.sent_at_s + _ACCEPTED_S)
         if not result.successful:
-            log.warning("%s refused plan %d: %s", transition.node, transition.generation, result.reason)
+            reason = result.reason[:_MOST_REASON]
+            log.warning("%s refused plan %d: %r", transition.node, transition.generation, reason)
 
     @staticmethod
     def _forget(node: _Node) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from array import array
 from dataclasses import dataclass
@@ -22,6 +21,11 @@ _REPORT_VERSION = 2
 _MOST = 32  # delays or trains in one report
 _MOST_NAME = 64  # bytes
 _MOST_INTERVAL_S = 60.0  # longer is no interval that one report covers
+_MOST_DELAY_S = 1e10  # two clocks are no further apart, be one of them at the beginning of time
+_MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.probe_schedule`), its benchmark a hundred
+_MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
+MOST_REPORT_BYTES = 1024  # of a serialized report
+MOST_PROBE_BYTES = _MOST_PACKET_BYTES  # of a serialized probe
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,12 +53,16 @@ def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
 
 def decode_probe(message: Any) -> ProbeHeader:
     """Read a probe packet; raises ValueError if it is none of ours."""
-    data = bytes(message.data[: _PROBE.size])
+    return read_probe(bytes(message.data[: _PROBE.size]))
+
+
+def read_probe(data: bytes) -> ProbeHeader:
+    """Read a probe packet from the bytes of its message, as `decode_probe` does."""
     if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
         raise ValueError("not a probe of this version")
-    _, quiet, index, packets, train = _PROBE.unpack(data)
-    if not index < packets:
-        raise ValueError(f"probe {index} of a train of {packets}")
+    _, quiet, index, packets, train = _PROBE.unpack_from(data)
+    if not index < packets <= _MOST_PACKETS:
+        raise ValueError(f"probe {index} of a train of {packets}; at most {_MOST_PACKETS} are one")
     return ProbeHeader(train=train, index=index, packets=packets, quiet_s=quiet / 100)
 
 
@@ -89,7 +97,11 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
     ValueError
         If it is malformed or says something impossible.
     """
-    data = bytes(message.data)
+    return read_report(bytes(message.data), received_at_s=received_at_s)
+
+
+def read_report(data: bytes, *, received_at_s: float) -> PeerReport:
+    """Read a receiver report from the bytes of its message, as `decode_report` does."""
     if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
         raise ValueError("not a peer report of this version")
     _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)
@@ -102,12 +114,17 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
         Train(payload_bytes=size, duration_s=duration_s, sent_s=sent_s, packets=packets)
         for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
     )
-    spans = [span for train in trains for span in (train.duration_s, train.sent_s)]
-    is_possible = all(math.isfinite(number) for number in (*delays, *spans)) and min(spans, default=0.0) >= 0
-    if not is_possible or not 0 < interval_s < _MOST_INTERVAL_S or not name_size:
-        raise ValueError("peer report with impossible numbers")
+    peer = data[_REPORT.size : delays_at].decode(errors="replace")
+    # Written so that what is no number fails, too.
+    is_possible = (
+        0 < interval_s < _MOST_INTERVAL_S
+        and all(abs(delay) < _MOST_DELAY_S for delay in delays)
+        and all(_is_possible(train) for train in trains)
+    )
+    if not is_possible or not 0 < name_size <= _MOST_NAME or not peer.isprintable():
+        raise ValueError("peer report with an impossible name or impossible numbers")
     return PeerReport(
-        peer=data[_REPORT.size : delays_at].decode(errors="replace"),
+        peer=peer,
         received_at_s=received_at_s,
         interval_s=interval_s,
         rx_bytes=rx_bytes,
@@ -115,4 +132,13 @@ def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
         last_probe=last_probe,
         delays_s=delays,
         trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
+    )
+
+
+def _is_possible(train: Train) -> bool:
+    return (
+        0 <= train.duration_s < _MOST_INTERVAL_S
+        and 0 <= train.sent_s < _MOST_INTERVAL_S
+        and train.packets <= _MOST_PACKETS
+        and train.payload_bytes <= _MOST_PACKETS * _MOST_PACKET_BYTES
     )

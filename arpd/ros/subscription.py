@@ -333,9 +333,11 @@ class AdaptiveSubscription:
         changes: dict[str, int] = {}
         for parameter in parameters:
             if (field := self._parameters.get(parameter.name)) is not None:
-                most_depth = max(MOST_DEPTH, self._baseline.depth)
-                is_depth = field == "depth"
-                changes[field] = checked_depth(parameter, most_depth) if is_depth else checked_deadline_ns(parameter)
+                changes[field] = (
+                    checked_depth(parameter, max(MOST_DEPTH, self._baseline.depth))
+                    if field == "depth"
+                    else checked_deadline_ns(parameter, own_ns=self._baseline.deadline_ns)
+                )
         return replace(qos, **changes)
 
     @property

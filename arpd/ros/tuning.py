@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 
 from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
-from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_floor_hz, checked_rate_hz
 from arpd.ros.grant import Grant
 from arpd.ros.names import (
     DEADLINE,
@@ -76,6 +76,7 @@ class NodeTuning:
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._visits: Visits[AdaptivePublisher] = Visits()
         self._suspect_until_s = -math.inf
+        self.finished_s = clock()  # when the pacing thread last finished a round
         self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
         self._stopping = False
         self._grant = Grant(
@@ -159,7 +160,7 @@ class NodeTuning:
         while not self._stopping and self._node.context.ok():
             try:
                 self._service(self._clock())
-                now_s = self._clock()
+                now_s = self.finished_s = self._clock()
                 if now_s >= announce_s:
                     announce_s = now_s + _ANNOUNCE_S
                     self._expire_gate(now_s)
@@ -251,20 +252,19 @@ class NodeTuning:
             if parameter.name in self._parameters:
                 topic, field = self._parameters[parameter.name]
                 if (publisher := self._publishers.get(topic)) is not None:
-                    most = max(MOST_DEPTH, publisher.baseline.depth)
-                    changes.setdefault(topic, {})[field] = _checked(parameter, field, most_depth=most)
+                    changes.setdefault(topic, {})[field] = _checked(
+                        parameter,
+                        field,
+                        most_depth=max(MOST_DEPTH, publisher.baseline.depth),
+                        own_deadline_ns=publisher.baseline.deadline_ns,
+                    )
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
 
 
-def _checked(parameter: Any, field: str, *, most_depth: int) -> int | float:
-    value = parameter.value  # of the declared type: rclpy refuses any other before it asks
+def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: int = 0) -> int | float:
+    """Return a setting that may be; of the declared type, for rclpy refuses any other before it asks."""
     if field == "depth":
         return checked_depth(parameter, most_depth)
     if field == "deadline_ns":
-        return checked_deadline_ns(parameter)
-    if field == "rate_hz" and (math.isnan(value) or value < 0):
-        raise ValueError(f"{parameter.name} = {value} is not a rate; use Hz ≥ 0, 0 = paused, .inf = unpaced")
-    if field == "min_rate_hz" and not 0 <= value < math.inf:
-        raise ValueError(f"{parameter.name} = {value} is not a floor; use a finite number of Hz ≥ 0")
-    assert isinstance(value, int | float)
-    return value
+        return checked_deadline_ns(parameter, own_ns=own_deadline_ns)
+    return checked_rate_hz(parameter) if field == "rate_hz" else checked_floor_hz(parameter)

@@ -55,7 +55,7 @@ class Cell:
 
 def probe() -> None:
     """Send trains as told, through the daemon's own adapter, and say what the peer reported."""
-    from rclpy.executors import MultiThreadedExecutor
+    from rclpy.executors import SingleThreadedExecutor
 
     from arpd.ros.control import RosControl
     from arpd.ros.runtime import ros_node, spinning
@@ -64,7 +64,7 @@ def probe() -> None:
     told = commands()
     with ros_node("link_trains") as node:
         world = RosControl(node, interface="link0", graph=GraphSettings(), on_report=lambda: None)
-        executor = MultiThreadedExecutor(num_threads=2)
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         with spinning(executor):
             number = 0

@@ -27,7 +27,13 @@ LATCHED = publisher(
 
 
 DRIVEN = reader(
-    "/n", "/t", deadline_ns=5, baseline_deadline_ns=7, generation=3, lease_s=30.0, handovers_by_result={"ok": 2}
+    "/n",
+    "/t",
+    deadline_ns=50_000,
+    baseline_deadline_ns=70_000,
+    generation=3,
+    lease_s=30.0,
+    handovers_by_result={"ok": 2},
 )
 REFUSING = replace(
     DRIVEN, refusal="not in time", refusal_reason=RefusalReason.UNMATCHED, keeps_all=True, handovers_by_result={}
@@ -80,7 +86,7 @@ def test_nonsense_about_a_reader_is_refused(key, value):
 def test_an_announcer_cannot_make_labels_without_end():
     """Of invented results of swaps only so many, and only so long ones, are kept."""
     status = to_status(PLAIN)
-    status.values += [KeyValue(key=f"swaps_{i}{'x' * 100}", value="1") for i in range(1000)]
+    status.values += [KeyValue(key=f"swaps_{i}{'x' * 100}", value="1") for i in range(60)]
     swaps = from_status(status).swaps_by_result
     assert len(swaps) <= 32
     assert max(map(len, swaps)) <= 40
@@ -93,3 +99,39 @@ def test_an_older_announcer_is_understood():
     state = from_status(status)
     assert (state.refusal, state.refusal_reason) == ("it is TRANSIENT_LOCAL", RefusalReason.OTHER)
     assert not state.keeps_all
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("payload_bytes", "1e12"),
+        ("source_rate_hz", "1e9"),
+        ("source_rate_hz", "nan"),
+        ("blocked_s", "1e300"),
+        ("lease_s", "1e10"),
+        ("rate_hz", "-1"),
+        ("depth", "1000000"),
+        ("generation", str(2**63 - 1)),
+        ("queued", "9" * 5000),
+        ("node", "/n/" + "é"),
+    ],
+)
+def test_what_no_publisher_is_like_is_refused(key, value):
+    """Values that are numbers but absurd make an announcement that nobody believes."""
+    status = to_status(PLAIN)
+    status.values = [pair for pair in status.values if pair.key != key] + [KeyValue(key=key, value=value)]
+    with pytest.raises(ValueError, match="announcement"):
+        from_status(status)
+
+
+def test_a_reader_cannot_ask_a_writer_for_a_nanosecond():
+    """What a reader says it requests is what its writer would be asked to keep."""
+    with pytest.raises(ValueError, match="shorter than 10000 ns"):
+        reader_from_status(reader_to_status(replace(DRIVEN, deadline_ns=1)))
+
+
+def test_words_of_others_do_nothing_to_a_terminal():
+    """Whatever is shown of an announcement as text is printable."""
+    status = to_status(replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07", swaps_by_result={"\x1b": 1}))
+    state = from_status(status)
+    assert (state.refusal, state.type_name, dict(state.swaps_by_result)) == ("?[2J?no", "a?", {"?": 1})

@@ -4,25 +4,51 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Float64
 
-from arpd.incumbent import Claim
+from arpd.incumbent import LEAST_STARTED_NS, Claim
 from arpd.ros.daemons import Daemons, from_status, to_status
+from arpd.ros.names import DAEMONS_TOPIC, GATE_TOPIC
 
 pytestmark = pytest.mark.ros
-OWN = Claim(started_ns=5, token="0" * 32, host="robot")
+OWN = Claim(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")
 
 
 def test_the_elder_drives_and_is_succeeded(ros, eventually):
     """Two daemons hear of each other; when the elder is gone, the younger one drives."""
-    first = ros.node("first")
-    elder = Daemons(first, wall_clock_ns=lambda: 1)
-    younger = Daemons(ros.node("second"), wall_clock_ns=lambda: 2)
+    first, second = ros.node("first"), ros.node("second")
+    for node in (first, second):
+        node.create_publisher(Float64, GATE_TOPIC, 1)
+    elder = Daemons(first, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
+    younger = Daemons(second, wall_clock_ns=lambda: LEAST_STARTED_NS + 2)
     eventually(lambda: elder.others() and younger.superior())
     assert elder.superior() == ""
     first.destroy_node()
     eventually(lambda: not younger.others())
     assert younger.superior() == ""
+
+
+def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
+    """Claims of a node that could not drive the robot take nothing from the one that does, whenever it began."""
+    driver = ros.node("driver")
+    driver.create_publisher(Float64, GATE_TOPIC, 1)
+    heard = []
+    daemons = Daemons(driver, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
+    note = daemons._incumbency.note
+    daemons._incumbency.note = lambda claim, now_s: heard.append(claim) or note(claim, now_s)
+    liar = ros.node("liar")
+    claims = liar.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
+
+    def claim(stopping):
+        while not stopping.wait(0.2):
+            claims.publish(DiagnosticArray(status=[to_status(OWN)]))
+
+    background(claim)
+    eventually(lambda: heard.count(OWN) > 5)
+    assert (daemons.superior(), daemons.others()) == ("", ())
+    liar.create_publisher(Float64, GATE_TOPIC, 1)
+    eventually(lambda: daemons.superior() == "robot")
 
 
 def test_a_claim_survives_the_wire():
@@ -39,7 +65,8 @@ def test_a_claim_survives_the_wire():
         lambda status: setattr(status, "name", "arpd on \x1b[2J"),
         lambda status: setattr(status, "name", "h" * 10_000),
         lambda status: setattr(status, "values", []),
-        lambda status: setattr(status.values[0], "value", "-1"),
+        lambda status: setattr(status.values[0], "value", "0"),
+        lambda status: setattr(status.values[0], "value", str(LEAST_STARTED_NS - 1)),
         lambda status: setattr(status.values[0], "value", "9" * 30),
     ],
 )

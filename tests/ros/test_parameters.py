@@ -1,17 +1,33 @@
-"""When parameter calls are made, over a node that only notes them."""
+"""When parameter calls are made, over a node that only notes them; and what may be set by such a call."""
 
+import logging
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.task import Future
 
+from arpd.governor import MOST_GENERATION
 from arpd.model import TopicPlan, Transition
 from arpd.readers import ReaderPlan
+from arpd.ros.bounds import (
+    LEAST_DEADLINE_NS,
+    MOST_RATE_HZ,
+    checked_deadline_ns,
+    checked_depth,
+    checked_floor_hz,
+    checked_lease_s,
+    checked_rate_hz,
+)
+from arpd.ros.grant import Grant
 from arpd.ros.parameters import ParameterApplier
 
 pytestmark = pytest.mark.ros
@@ -26,7 +42,7 @@ class Node:
     """Makes clients whose calls are answered when the test says so."""
 
     def __init__(self):
-        self.calls, self.futures = [], []
+        self.calls, self.futures, self.destroyed = [], [], 0
 
     def create_client(self, _kind, _name):
         return self
@@ -41,6 +57,9 @@ class Node:
 
     def remove_pending_request(self, future):
         pass
+
+    def destroy_client(self, client):
+        self.destroyed += 1
 
 
 @pytest.fixture
@@ -105,3 +124,69 @@ def test_readers_are_told_apart_from_publishers(node, applier):
         "arpd.readers.generation": 3,
         "arpd.readers.lease": 4.0,
     }
+
+
+def test_nodes_without_end_take_no_memory_without_end(node, applier):
+    """Of more nodes than any robot has, those asked least lately are forgotten."""
+    for k in range(600):
+        applier.apply([replace(STEP, node=f"/n{k}")], now_s=0.0)
+    assert node.destroyed == 100
+    applier.apply([replace(STEP, node="/n599")], now_s=0.1)
+    assert len(node.calls) == 600
+
+
+def test_what_a_node_says_is_cut_short_and_harmless(node, applier, caplog):
+    """A refusal of a megabyte that would clear the terminal is one short line."""
+    applier.apply([STEP], now_s=0.0)
+    answer = SetParametersResult(successful=False, reason="\x1b[2J\n" * 10**5)
+    with caplog.at_level(logging.WARNING):
+        node.futures[0].set_result(SetParametersAtomically.Response(result=answer))
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert len(said) < 2000
+    assert said.isprintable()
+
+
+BOUNDS = {
+    checked_rate_hz: lambda value: 0 <= value <= MOST_RATE_HZ or value == math.inf,
+    checked_floor_hz: lambda value: 0 <= value <= MOST_RATE_HZ,
+    checked_lease_s: lambda value: value == 0 or 1 <= value <= 1e9,
+}
+
+
+@pytest.mark.parametrize("check", BOUNDS, ids=lambda check: check.__name__)
+@settings(max_examples=60)
+@given(value=st.floats())
+def test_a_number_that_is_set_is_within_bounds_or_refused_by_name(check, value):
+    """Whatever float somebody sets, NaN and denormals included, it is taken as it is or refused with a reason."""
+    parameter = SimpleNamespace(name="arpd./t.publisher.x", value=value)
+    if BOUNDS[check](value):
+        assert check(parameter) == value
+    else:
+        with pytest.raises(ValueError, match=r"arpd\./t\.publisher\.x = .+ is"):
+            check(parameter)
+
+
+@settings(max_examples=60)
+@given(st.integers(-(2**63), 2**63 - 1))
+def test_a_depth_or_a_deadline_that_is_set_is_one_that_a_writer_can_have(value):
+    """Depths from 1 to 5000, deadlines none or from 10 us on; the application's own is always good."""
+    parameter = SimpleNamespace(name="p", value=value)
+    for check, is_good in (
+        (lambda: checked_depth(parameter, 5000), 1 <= value <= 5000),
+        (lambda: checked_deadline_ns(parameter), value == 0 or value >= LEAST_DEADLINE_NS),
+        (lambda: checked_deadline_ns(parameter, own_ns=value), value >= 0),
+    ):
+        if is_good:
+            assert check() in (value, 0)
+        else:
+            with pytest.raises(ValueError, match="p = "):
+                check()
+
+
+def test_no_plan_is_numbered_beyond_all_others():
+    """A generation that no daemon reaches would shut every later plan out."""
+    declared = SimpleNamespace(declare_parameter=lambda *_: None)
+    grant = Grant(declared, generation_name="g", lease_name="l", plan="", whose="", clock=lambda: 0.0)
+    grant.check([SimpleNamespace(name="g", value=MOST_GENERATION)])
+    with pytest.raises(ValueError, match="g 9223372036854775807 is more than"):
+        grant.check([SimpleNamespace(name="g", value=2**63 - 1)])

@@ -250,10 +250,10 @@ def test_best_effort_readers_are_handed_over_too(ros, hear, background, eventual
 
 def test_overrides_given_at_the_start_are_in_force(ros):
     """Depth and deadline from --ros-args overrides are what the subscription runs with, and bad ones are refused."""
-    overrides = [Parameter(DEPTH, value=77), Parameter(DEADLINE, value=5)]
+    overrides = [Parameter(DEPTH, value=77), Parameter(DEADLINE, value=50_000_000)]
     node = ros.node("overridden", parameter_overrides=overrides)
     state = AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10).state()
-    assert (state.depth, state.deadline_ns) == (77, 5)
+    assert (state.depth, state.deadline_ns) == (77, 50_000_000)
     node = ros.node("wrong", parameter_overrides=[Parameter(DEPTH, value=0)])
     with pytest.raises(ValueError, match=r"outside 1\.\.5000"):
         AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)

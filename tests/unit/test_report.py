@@ -80,6 +80,12 @@ def test_a_report_of_another_version_is_refused():
         {"interval_s": 0.0},
         {"interval_s": 60.0},
         {"delays_s": (math.nan,)},
+        {"delays_s": (1e300,)},
+        {"delays_s": (-1e11,)},
+        {"trains": (replace(REPORT.trains[0], packets=5000),)},
+        {"trains": (replace(REPORT.trains[0], payload_bytes=10**9),)},
+        {"trains": (replace(REPORT.trains[0], duration_s=1e30),)},
+        {"peer": "ceddp\x1b[2J"},
         {"trains": (replace(REPORT.trains[0], duration_s=math.inf),)},
         {"trains": (replace(REPORT.trains[0], sent_s=-1.0),)},
         {"peer": ""},
@@ -118,7 +124,16 @@ def test_a_probe_says_its_place():
     assert decode_probe(message) == replace(header, train=7)
 
 
-@pytest.mark.parametrize("data", [b"", b"\x01", struct.pack("<BxHHI", 2, 0, 1, 1), struct.pack("<BxHHI", 1, 5, 5, 1)])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x01",
+        struct.pack("<BxHHI", 2, 0, 1, 1),
+        struct.pack("<BxHHI", 1, 5, 5, 1),
+        struct.pack("<BxHHI", 1, 5, 60000, 1),
+    ],
+)
 def test_what_is_no_probe_is_refused(data):
     """Too short, of another version, or outside of its own train."""
     message = encode_probe(ProbeHeader(train=1, index=0, packets=1), payload_bytes=16)

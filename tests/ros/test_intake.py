@@ -1,0 +1,236 @@
+"""How messages come in: read without decoding, refused without harm."""
+
+from contextlib import suppress
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64, UInt8MultiArray
+
+from arpd.admission import Kind, Reason
+from arpd.endpoints import MOST_OF_NODE
+from arpd.ros.announce import from_status, to_status
+from arpd.ros.announcements import Announcements
+from arpd.ros.bounds import LEAST_DEADLINE_NS
+from arpd.ros.graph import Crossing, Graph, read_crossings
+from arpd.ros.intake import Intake, Pause, octets, peek
+from arpd.ros.refused import Refused
+from arpd.ros.rmw import rmw_of
+from tests.sample_publishers import publisher
+
+pytestmark = pytest.mark.ros
+
+
+def serialized(*statuses, frame=""):
+    message = DiagnosticArray(status=list(statuses))
+    message.header.frame_id = frame
+    return serialize_message(message)
+
+
+ANNOUNCEMENT = serialized(*(to_status(publisher("/n", topic)) for topic in ("/a", "/b")))
+
+
+class Node:
+    """Keeps the callback of a subscription, and hands over what waits for it."""
+
+    def __init__(self):
+        self.waiting = []
+        self.handle = self
+
+    def create_subscription(self, _kind, _topic, callback, _qos, **_options):
+        self.callback = lambda data: callback(data, {})
+        return self
+
+    def take_message(self, _kind, _raw):
+        return (self.waiting.pop(0), None) if self.waiting else None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+class World:
+    """Announcements of publishers without a network, and a clock that stands."""
+
+    def __init__(self):
+        self.node, self.now_s = Node(), 0.0
+        self.refused = Refused(clock=lambda: self.now_s)
+        self.heard = Announcements(
+            self.node,
+            "/t",
+            Kind.PUBLISHERS,
+            from_status,
+            stale_s=3.5,
+            refused=self.refused,
+            clock=lambda: self.now_s,
+            pause=Pause(),
+        )
+
+    def see(self, *nodes):
+        self.heard.see(frozenset(nodes), lambda _node, _topic: True)
+
+    def topics(self):
+        return [state.topic for state in self.heard.live(self.now_s)]
+
+
+TEXTS = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=9)  # C's strings end at a zero
+
+
+@given(st.lists(TEXTS, min_size=1, max_size=4), TEXTS)
+@settings(max_examples=30, deadline=None)
+def test_the_first_name_is_read_without_decoding(names, frame):
+    """Whatever stands before it, the name of the first status and the number of all are read from the bytes."""
+    statuses = [DiagnosticStatus(name=name, level=b"\2", values=[KeyValue(key="k", value="v")]) for name in names]
+    assert peek(serialized(*statuses, frame=frame)) == (names[0], len(names))
+
+
+@given(st.binary(max_size=100))
+def test_the_bytes_of_an_array_are_read_without_decoding(data):
+    """What arpd's reports hold is taken from their bytes."""
+    assert octets(serialize_message(UInt8MultiArray(data=data))) == data
+
+
+@given(st.binary(max_size=60), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255)), max_size=6), st.data())
+@settings(max_examples=50, deadline=None)
+def test_any_bytes_are_refused_or_read(noise, spoils, data):
+    """Whatever arrives, nothing is raised, and what is believed was said as it is."""
+    spoilt = bytearray(ANNOUNCEMENT[: data.draw(st.integers(0, len(ANNOUNCEMENT)))])
+    for place, value in spoils:
+        if spoilt:
+            spoilt[place % len(spoilt)] = value
+    for read in (peek, octets):
+        for each in (noise, bytes(spoilt)):
+            with suppress(ValueError):
+                read(each)
+    world = World()
+    world.see("/n", "")
+    world.node.callback(bytes(spoilt))
+    world.node.callback(noise)
+    assert all(state.node and state.topic for state in world.heard.live(0.0))
+
+
+def test_a_node_waits_for_the_graph_and_is_heard_then():
+    """What a node says before the graph shows it is not lost, and an invented one is refused."""
+    world = World()
+    world.see()
+    world.node.callback(ANNOUNCEMENT)
+    world.node.callback(serialized(to_status(publisher("/invented", "/a"))))
+    assert (world.topics(), world.heard.pending) == ([], 2)
+    world.see("/n")
+    assert world.topics() == ["/a", "/b"]
+    assert world.refused.counts == {(Kind.PUBLISHERS, Reason.SOURCE): 1}
+
+
+def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
+    """While a participant's nodes are unknown, what could be theirs is believed, at one rate for all."""
+    world = World()
+    world.see("")
+    for k in range(100):
+        world.node.callback(serialized(to_status(publisher(f"/n{k}", "/a"))))
+    assert 1 <= len(world.topics()) < 20
+    assert world.refused.counts[Kind.PUBLISHERS, Reason.RATE] > 80
+
+
+def test_a_node_speaks_for_itself_at_its_own_rate():
+    """Nobody announces another's publishers, more of them than anybody has, or a thousand times a second."""
+    world = World()
+    world.see("/n", "/m")
+    world.node.callback(serialized(to_status(publisher("/n", "/a")), to_status(publisher("/m", "/b"))))
+    assert world.topics() == ["/a"]
+    world.node.callback(serialized(*[to_status(publisher("/n", "/c"))] * (MOST_OF_NODE + 1)))
+    for _ in range(1000):
+        world.node.callback(ANNOUNCEMENT)
+    world.node.callback(serialized(to_status(publisher("/m", "/b"))))
+    assert "/b" in world.topics()
+    counts = world.refused.counts
+    assert counts[Kind.PUBLISHERS, Reason.MALFORMED] == counts[Kind.PUBLISHERS, Reason.QUOTA] == 1
+    assert counts[Kind.PUBLISHERS, Reason.RATE] > 980
+
+
+def test_what_waits_is_taken_together_and_a_flood_slows_the_asking():
+    """Nothing that waits is passed over, what is too long goes no further, and 500 at once are a flood."""
+    node, taken, long = Node(), [], []
+    intake = Intake(
+        node,
+        Float64,
+        "/t",
+        None,
+        most_bytes=8,
+        take=lambda data, _info: taken.append(data),
+        refuse=lambda: long.append(1),
+        clock=lambda: 0.0,
+    )
+    node.waiting = [b"1", b"2" * 9, b"3"]
+    node.callback(b"0")
+    assert (taken, long, intake.is_flooded) == ([b"0", b"1", b"3"], [1], False)
+    node.waiting = [b"x"] * 500
+    node.callback(b"x")
+    assert intake.is_flooded
+    assert (len(taken), node.waiting) == (504, [])
+
+
+def test_one_impossible_topic_hides_no_other():
+    """A name or a QoS that ROS cannot express, as another DDS may bring it, leaves the rest of the graph readable."""
+
+    def info(topic):
+        if topic == "/odd":
+            raise InvalidTopicNameException(topic, "unexpected", 0)
+        if topic == "/worse":
+            raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "of a node")
+        return []
+
+    names = ["/good", "/odd", "/worse", "/no name", "/" + "x" * 300]
+    node = SimpleNamespace(
+        get_name=lambda: "arpd",
+        get_topic_names_and_types=lambda: [(name, []) for name in names],
+        get_publishers_info_by_topic=info,
+        get_subscriptions_info_by_topic=info,
+    )
+    assert set(read_crossings(node, rmw_of("rmw_fastrtps_cpp"))) == {"/good"}
+
+
+def test_the_graph_bears_out_who_is_in_it():
+    """A node counts for a topic it writes or reads, if it can announce at all; a nanosecond binds no writer."""
+    crossing = Crossing(
+        direction="sensing",
+        remote_readers=1,
+        requests=(("/reader", 1), ("/slow", 5 * LEAST_DEADLINE_NS)),
+        writers=frozenset({"/writer"}),
+    )
+    graph = Graph(
+        crossings={"/t": crossing},
+        announcers=frozenset({"/writer", "/other"}),
+        reader_announcers=frozenset({"/reader", ""}),
+        peers=0,
+    )
+    assert graph.shows_writer("/writer", "/t")
+    assert not graph.shows_writer("/other", "/t")
+    assert not graph.shows_writer("/writer", "/u")
+    assert graph.shows_reader("/slow", "/t")
+    assert not graph.shows_reader("/writer", "/t")
+    assert crossing.tightest_request_ns() == 5 * LEAST_DEADLINE_NS
+    assert crossing.requests_of("/reader") == ()
+
+
+def test_in_a_flood_intakes_rest_by_turns():
+    """One of them waits for all; what they do in between takes a part of the time, however many they are."""
+    now_s, slept = [0.0], []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        now_s[0] += seconds
+
+    pause = Pause(lambda: now_s[0], sleep=sleep)
+    for _ in range(1000):
+        now_s[0] += 0.001
+        pause.take()
+    assert 0.7 < sum(slept) / now_s[0] < 0.9

@@ -1,0 +1,48 @@
+"""Slow work beside the executor."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.ros.rounds import InvalidHandle, Rounds
+
+pytestmark = pytest.mark.ros
+
+
+class Node:
+    """A node whose context can end."""
+
+    def __init__(self):
+        self.is_ok = True
+        self.context = SimpleNamespace(ok=lambda: self.is_ok)
+
+
+def threads():
+    return [thread for thread in threading.enumerate() if thread.name == "arpd-rounds"]
+
+
+def test_a_part_that_fails_does_not_stop_the_others(eventually, caplog):
+    """It is logged, and all of them are done again and again until the context ends."""
+    node, done = Node(), []
+
+    def fail():
+        raise ValueError("a bug")
+
+    Rounds(node, fail, lambda: done.append(1), every_s=0.01)
+    eventually(lambda: len(done) >= 3)
+    assert "a part of a round failed" in caplog.text
+    node.is_ok = False
+    eventually(lambda: not threads())
+
+
+def test_a_destroyed_node_ends_the_rounds(eventually):
+    """Nobody is left to ask."""
+
+    def ask():
+        raise InvalidHandle("gone")
+
+    Rounds(Node(), ask, every_s=0.01)
+    eventually(lambda: not threads())
