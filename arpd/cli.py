@@ -191,9 +191,11 @@ def _check(options: argparse.Namespace) -> int:
     from arpd.config import load_settings
     from arpd.config_schema import flatten
     from arpd.host.counters import list_interfaces
+    from arpd.web.web_config import check_web_config
 
     try:
         settings = load_settings(options.file, interfaces=None if options.no_interfaces else list_interfaces)
+        check_web_config(settings.http, directory=options.file.parent)
     except ConfigError as error:
         if not options.json:
             raise

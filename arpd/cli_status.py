@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import json
+import os
+import ssl
 import sys
 import urllib.error
 import urllib.request
+from dataclasses import dataclass, field
+from http import HTTPStatus
 from http.client import HTTPException
+from pathlib import Path
 from typing import Any
 
 from arpd.config_source import printable
@@ -20,6 +26,43 @@ _TIMEOUT_S = 3.0
 _MAX_BYTES = 16 * 2**20
 _LONGEST_LINE = 400
 _DEFAULT = HttpSettings()
+_PASSWORD = "ARPD_PASSWORD"  # noqa: S105 - the variable's name
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Login:
+    """What a protected daemon asks for.
+
+    Parameters
+    ----------
+    cacert : CA the daemon's certificate is verified with, None = the system's
+    user, password : basic authentication, no user = none
+    """
+
+    cacert: Path | None = None
+    user: str = ""
+    password: str = field(default="", repr=False)
+
+    def authorization(self) -> str:
+        """Return the Authorization header, empty without a user."""
+        return f"Basic {base64.b64encode(f'{self.user}:{self.password}'.encode()).decode()}" if self.user else ""
+
+    def context(self) -> ssl.SSLContext:
+        """Return how to verify the daemon.
+
+        Raises
+        ------
+        UsageError
+            If the CA cannot be used.
+        """
+        try:
+            return ssl.create_default_context(cafile=self.cacert)
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise UsageError(f"--cacert {str(self.cacert)!r} cannot be used ({why}); name a PEM file") from None
+
+
+_ANONYMOUS = Login()
 
 
 def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,6 +78,7 @@ Exits 69 when no daemon answers, 1 when it answers but is not ready.""",
 examples:
   arpd status
   arpd status --url http://robot.local:9464
+  ARPD_PASSWORD=… arpd status --url https://robot.local:9464 --cacert ca.crt --user robot
   arpd status --json | jq '.topics[] | {topic, planned, confirmed}'
   watch -n 1 arpd status""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -42,12 +86,16 @@ examples:
     parser.add_argument(
         "--url", default=f"http://{_DEFAULT.host}:{_DEFAULT.port}", help="base URL of the daemon (default %(default)s)"
     )
+    parser.add_argument(
+        "--cacert", type=Path, metavar="FILE", help="CA of the daemon's certificate (default: the system's)"
+    )
+    parser.add_argument("--user", metavar="NAME", default="", help=f"log in; the password is taken from ${_PASSWORD}")
     parser.add_argument("--json", action="store_true", help="print the daemon's JSON")
     parser.set_defaults(handler=_status)
 
 
 def _status(options: argparse.Namespace) -> int:
-    status = fetch_status(options.url)
+    status = fetch_status(options.url, login=_login(options))
     if options.json:
         print(json.dumps(status, indent=2))
     elif "link" in status:
@@ -61,28 +109,41 @@ def _status(options: argparse.Namespace) -> int:
     return 0
 
 
-def fetch_status(url: str) -> dict[str, Any]:
+def _login(options: argparse.Namespace) -> Login:
+    if options.user and _PASSWORD not in os.environ:
+        raise UsageError(f"--user needs the password in ${_PASSWORD}; it is no option, because ps shows those")
+    return Login(cacert=options.cacert, user=options.user, password=os.environ.get(_PASSWORD, ""))
+
+
+def fetch_status(url: str, *, login: Login = _ANONYMOUS) -> dict[str, Any]:
     """Ask the daemon at a base URL for its status document (`arpd.web.status`).
+
+    Parameters
+    ----------
+    login : what to trust and who to be
 
     Raises
     ------
     UsageError
-        If the URL is none.
+        If the URL is none, or the CA cannot be used.
     DaemonUnreachableError
-        If nothing answers there, or something that is not arpd.
+        If nothing answers there, or something that is not arpd, or arpd refuses.
     """
     if not url.startswith(("http://", "https://")):
         raise UsageError(f"--url {url!r} is not an HTTP address; write it like http://127.0.0.1:9464")
-    address = f"{url.rstrip('/')}/api/v1/status"
     try:
-        body = _get(address)
+        code, body = _get(f"{url.rstrip('/')}/api/v1/status", login)
     except (OSError, HTTPException) as error:
-        reason = getattr(error, "reason", None) or error
-        raise DaemonUnreachableError(
-            f"no daemon answers at {url} ({reason}); is it running (systemctl status arpd), and is http.port the same?"
-        ) from None
+        raise DaemonUnreachableError(_no_answer(url, getattr(error, "reason", None) or error)) from None
     except ValueError as error:
         raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
+    if code == HTTPStatus.UNAUTHORIZED:
+        wrong = f"refuses the password of {login.user}" if login.user else "asks for a user; give --user NAME"
+        raise DaemonUnreachableError(f"the daemon at {url} {wrong}; the password is taken from ${_PASSWORD}")
+    if code == HTTPStatus.TOO_MANY_REQUESTS:
+        raise DaemonUnreachableError(f"the daemon at {url} had too many wrong passwords from here; wait a few seconds")
+    if code == HTTPStatus.BAD_REQUEST and b"HTTPS" in body[:100]:
+        raise DaemonUnreachableError(f"the daemon at {url} speaks HTTPS; write https:// in --url")
     try:
         status = json.loads(body)
     except (ValueError, RecursionError):
@@ -92,16 +153,28 @@ def fetch_status(url: str) -> dict[str, Any]:
     return status
 
 
-def _get(address: str) -> bytes:
+def _no_answer(url: str, reason: object) -> str:
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        return f"the certificate of {url} is not trusted ({reason.verify_message}); name its CA with --cacert"
+    if isinstance(reason, ssl.SSLError):
+        return f"{url} cannot be reached by TLS ({reason.reason or 'the handshake failed'}); does it speak https?"
+    return f"no daemon answers at {url} ({reason}); is it running (systemctl status arpd), and is http.port the same?"
+
+
+def _get(address: str, login: Login) -> tuple[int, bytes]:
     # The daemon is a neighbour: a proxy from the environment would only be in the way.
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({})]
+    if address.startswith("https:"):
+        handlers.append(urllib.request.HTTPSHandler(context=login.context()))
+    request = urllib.request.Request(address)  # noqa: S310 - the caller admits http and https only
+    if header := login.authorization():
+        request.add_unredirected_header("Authorization", header)
     try:
-        with opener.open(address, timeout=_TIMEOUT_S) as response:
-            body: bytes = response.read(_MAX_BYTES)
+        with urllib.request.build_opener(*handlers).open(request, timeout=_TIMEOUT_S) as response:
+            return response.status, response.read(_MAX_BYTES)
     except urllib.error.HTTPError as error:
         # A daemon that is not ready says so in the body of its 503.
-        body = error.read(_MAX_BYTES)
-    return body
+        return error.code, error.read(_MAX_BYTES)
 
 
 def screen(status: dict[str, Any]) -> str:

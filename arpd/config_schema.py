@@ -57,7 +57,7 @@ class Link(Section):
     """``link``."""
 
     interface: Annotated[
-        str, Text(pattern=r"[^\s/:]{1,15}", what="an interface name", range="auto or an interface of this host")
+        str, Text(pattern=r"[!-.0-9;-~]{1,15}", what="an interface name", range="auto or an interface of this host")
     ] = _DEFAULT.link.interface
     capacity: Annotated[float | None, Quantity(unit=RATE, low="8kbit", high="100gbit", word="auto")] = (
         _DEFAULT.link.capacity_bytes_per_second
@@ -104,6 +104,9 @@ class Http(Section):
         str, Text(pattern=r"[A-Za-z0-9.:_-]{1,253}", what="an address", range="an IP address or a host name")
     ] = _DEFAULT.http.host
     port: Annotated[int, Count(low=0, high=65535)] = _DEFAULT.http.port
+    web_config: Annotated[str, Text(pattern=r"[^\0\r\n]{1,4096}", what="a path", range="a path or none")] = (
+        _DEFAULT.http.web_config
+    )
 
 
 class Graph(Section):

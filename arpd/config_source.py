@@ -17,6 +17,8 @@ Location: TypeAlias = tuple[str | int, ...]  # ("topics", 2, "min_rate_hz")
 
 MAX_BYTES = 2**20
 MAX_DEPTH = 20
+MAX_NODES = 20_000  # keys and values; a thousand topics with every key have 18,000
+MAX_FAULTS = 100
 MINIMAL_FILE = "a minimal one is `link: {interface: auto}`"
 _LONGEST = 60
 
@@ -61,9 +63,21 @@ class Source:
     values: dict[Location, Place] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
 
+    def place(self, location: Location) -> Place:
+        """Return where a value stands, or the nearest thing around it."""
+        while location:
+            if location in self.values:
+                return self.values[location]
+            location = location[:-1]
+        return Place()
 
-def read_source(path: Path) -> Source:
+
+def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> Source:
     """Read a file.
+
+    Parameters
+    ----------
+    minimal : what to suggest where the file says nothing
 
     Raises
     ------
@@ -71,15 +85,21 @@ def read_source(path: Path) -> Source:
         If it cannot be read, is not one YAML mapping, or uses what arpd refuses: anchors, aliases, tags, deep nesting.
     """
     try:
-        return _compose(_text(path))
+        return _compose(_text(path), minimal)
     except _RefusedError as error:
         raise config_error(path, [error.fault]) from None
 
 
 def config_error(path: Path, faults: list[Fault]) -> ConfigError:
-    """Turn faults into the error that reports them: one line each, in the order of the file."""
+    """Turn faults into the error that reports them: one line each, in the order of the file, the first hundred."""
     file = printable(str(path), longest=4096)
-    return ConfigError([f"{file}:{f.place.line}:{f.place.column}: {f.key}: {f.text}" for f in sorted(faults)])
+    faults = sorted(faults)
+    if omitted := faults[MAX_FAULTS:]:
+        more = Fault(
+            place=omitted[0].place, key="file", text=f"has {len(omitted)} more faults; correct those above first"
+        )
+        faults = [*faults[:MAX_FAULTS], more]
+    return ConfigError([f"{file}:{f.place.line}:{f.place.column}: {f.key}: {f.text}" for f in faults])
 
 
 def printable(text: str, *, longest: int = _LONGEST) -> str:
@@ -130,13 +150,14 @@ def _text(path: Path) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes; refuses what could expand (aliases), run (tags) or overflow the stack (nesting)."""
+    """Composes nodes; refuses what could expand (aliases), run (tags), overflow the stack (nesting) or take minutes."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own way
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._depth = 0
+        self._nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
@@ -150,7 +171,11 @@ class _Loader(yaml.SafeLoader):
             raise _RefusedError("yaml", f"tag {printable(event.tag)} is not allowed; remove it", place)
         if self._depth >= MAX_DEPTH:
             raise _RefusedError("yaml", f"is nested more than {MAX_DEPTH} deep; no key of arpd is", place)
+        if self._nodes >= MAX_NODES:
+            text = f"holds more than {MAX_NODES:,} keys and values; no configuration needs that many"
+            raise _RefusedError("yaml", text, place)
         self._depth += 1
+        self._nodes += 1
         try:
             return super().compose_node(parent, index)
         finally:
@@ -171,13 +196,13 @@ for _tag, _pattern, _first in (
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), _first)
 
 
-def _compose(text: str) -> Source:
+def _compose(text: str, minimal: str) -> Source:
     root = _root(text)
     if root is None or (isinstance(root, yaml.ScalarNode) and not root.value):
-        raise _RefusedError("file", f"is empty; {MINIMAL_FILE}")
+        raise _RefusedError("file", f"is empty; {minimal}")
     if not isinstance(root, yaml.MappingNode):
         place = _place(root.start_mark)
-        raise _RefusedError("file", f"is {_kind(root)}, not a mapping of keys; {MINIMAL_FILE}", place)
+        raise _RefusedError("file", f"is {_kind(root)}, not a mapping of keys; {minimal}", place)
     source = Source(data={})
     source.data.update(_plain_mapping(root, (), source))
     return source

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+AUTO = "auto"  # of link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
 
 
@@ -50,7 +51,7 @@ class LinkSettings:
     packet_overhead_s : pin t_ovh, the link time per packet beyond its bytes; None = estimate (s)
     """
 
-    interface: str = "auto"
+    interface: str = AUTO
     capacity_bytes_per_second: float | None = None
     initial_capacity_bytes_per_second: float = 2.5e6
     headroom: float = 0.85
@@ -126,10 +127,17 @@ class GovernorSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HttpSettings:
-    """Where metrics, health and status are served."""
+    """Where metrics, health and status are served.
+
+    Parameters
+    ----------
+    host, port : where to listen
+    web_config : file with TLS and users as Prometheus exporters have it, or ``none``
+    """
 
     host: str = "127.0.0.1"
     port: int = 9464
+    web_config: str = "none"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -5,20 +5,47 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from arpd.web.http_metrics import HttpCounts
 from arpd.web.metrics import make_registry
 from arpd.web.server import HttpServer
+from arpd.web.web_config import web_config_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from arpd.settings import HttpSettings
     from arpd.snapshot import Snapshot
 
 
 @contextmanager
-def serving(settings: HttpSettings, snapshot: Callable[[], Snapshot | None]) -> Iterator[str]:
-    """Serve metrics, health and status for as long as the block lasts; yields the server's URL."""
-    server = HttpServer(settings.host, settings.port, snapshot=snapshot, registry=make_registry(snapshot))
+def serving(settings: HttpSettings, snapshot: Callable[[], Snapshot | None], *, directory: Path) -> Iterator[str]:
+    """Serve metrics, health and status for as long as the block lasts; yields the server's URL.
+
+    Parameters
+    ----------
+    settings : where, and under which protection
+    snapshot : returns the last snapshot, None before the first
+    directory : the configuration file's, which a relative ``http.web_config`` starts from
+
+    Raises
+    ------
+    ConfigError
+        If the web-config cannot be used.
+    HttpAddressError
+        If the address cannot be used.
+    """
+    counts = HttpCounts()
+    registry = make_registry(snapshot)
+    registry.register(counts)
+    server = HttpServer(
+        settings.host,
+        settings.port,
+        snapshot=snapshot,
+        registry=registry,
+        web_config=web_config_path(settings, directory=directory),
+        counts=counts,
+    )
     server.start()
     try:
         yield server.url

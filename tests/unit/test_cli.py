@@ -587,6 +587,22 @@ def test_status_refuses_what_is_no_http_address(run, url):
     assert err.count("\n") == 1
 
 
+def test_check_reads_the_web_config_too(run, tmp_path):
+    """A web-config beside the configuration is found, and its faults are one line each as the file's own."""
+    path = tmp_path / "arpd.yaml"
+    path.write_text("http: {web_config: web.yaml}")
+    for text, wrong in (
+        ("basic_auth_users: {a: x}", "1:23: basic_auth_users.a: is not"),
+        ("#", "1:1: file: is empty; a"),
+    ):
+        (tmp_path / "web.yaml").write_text(text)
+        code, out, err = run("check", "--no-interfaces", path)
+        assert (code, out) == (78, "")
+        assert err.startswith(f"{tmp_path}/web.yaml:{wrong}")
+    (tmp_path / "web.yaml").write_text("http_server_config: {}")
+    assert run("check", "--no-interfaces", path)[0] == 0
+
+
 def test_commands_in_the_help_are_those_there_are():
     """The list in this test is complete."""
     actions = [a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction)]

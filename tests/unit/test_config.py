@@ -215,16 +215,19 @@ ONE_FAULT = {
         "topics: [{name: /a, source_rate_hz: 0}]",
         "1:37: topics[0].source_rate_hz: 0 is below 0.001; write 0.001..100000 or measured",
     ),
-    "far key": ("http: {zzz: 1}", "1:8: http.zzz: is not a key arpd knows; known here: host, port"),
-    "key without a name": ("http: {'': 2}", "1:8: http.'': is not a key arpd knows; known here: host, port"),
+    "far key": ("http: {zzz: 1}", "1:8: http.zzz: is not a key arpd knows; known here: host, port, web_config"),
+    "key without a name": (
+        "http: {'': 2}",
+        "1:8: http.'': is not a key arpd knows; known here: host, port, web_config",
+    ),
     "number for a key": ("http: {1: 2}", "1:8: http: has a number for a key; write a name"),
     "empty section": (
         "http:\n",
-        "1:6: http: has no value; give it keys (host, port) or leave it out",
+        "1:6: http: has no value; give it keys (host, port, web_config) or leave it out",
     ),
     "list for a section": (
         "http: [1]",
-        "1:7: http: a list is not a mapping; give it keys (host, port) or leave it out",
+        "1:7: http: a list is not a mapping; give it keys (host, port, web_config) or leave it out",
     ),
     "mapping for a list": (
         "topics: {name: /a}",

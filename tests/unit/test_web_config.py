@@ -1,0 +1,320 @@
+"""The web-config file: what exporters have, one clear line for each fault, and changes while the daemon runs."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+import ssl
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from arpd.errors import ConfigError
+from arpd.settings import HttpSettings
+from arpd.web.access import Access, exposure
+from arpd.web.http_metrics import HttpCounts
+from arpd.web.tls import has_allowed_name
+from arpd.web.web_config import Protection, check_web_config, load_protection, web_config_path
+from arpd.web.web_config_schema import TlsServer, WebDocument
+from tests.unit.web_world import HASH, make_certificate
+
+FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")
+SECRET = "$2y$10$short-and-secret"
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certificates")
+    make_certificate(folder, "server")
+    make_certificate(folder, "other")
+    (folder / "junk.pem").write_text("-----BEGIN CERTIFICATE-----\nbm8=\n-----END CERTIFICATE-----\n")
+    (folder / "text.txt").write_text("nothing of the kind")
+    return folder
+
+
+@pytest.fixture
+def folder(certificates, tmp_path):
+    shutil.copytree(certificates, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.fixture
+def load(certificates):
+    def load(text):
+        path = certificates / "web.yaml"
+        path.write_text(text)
+        return load_protection(path)
+
+    return load
+
+
+TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
+
+
+def test_what_an_exporter_has_is_understood(load, certificates):
+    """Certificate, client certificates, users and headers of an exporter's file do here what they do there."""
+    protection = load(f"""
+tls_server_config:
+  cert_file: server.crt
+  key_file: server.key
+  client_auth_type: RequireAndVerifyClientCert
+  client_ca_file: other.crt
+  client_allowed_sans: [prometheus.example]
+  min_version: TLS12
+  max_version: TLS13
+  cipher_suites: [TLS_ECDHE_RSA_WITH_AES_128_GCM_SHA256, TLS_AES_128_GCM_SHA256]
+  prefer_server_cipher_suites: true
+http_server_config:
+  http2: true
+  headers:
+    Strict-Transport-Security: max-age=31536000
+    X-Frame-Options: deny
+    Content-Security-Policy: ""
+basic_auth_users:
+  alice: {HASH}
+""")
+    assert protection.tls is not None
+    assert protection.tls.minimum_version is ssl.TLSVersion.TLSv1_2
+    ciphers = {cipher["name"] for cipher in protection.tls.get_ciphers() if cipher["protocol"] == "TLSv1.2"}
+    assert ciphers == {"ECDHE-RSA-AES128-GCM-SHA256"}
+    assert protection.requires_certificate
+    assert protection.allowed_sans == {"prometheus.example"}
+    assert dict(protection.users) == {b"alice": HASH.encode()}
+    assert dict(protection.headers) == {"Strict-Transport-Security": "max-age=31536000", "X-Frame-Options": "deny"}
+    assert [file.name for file in protection.files] == ["web.yaml", "server.crt", "server.key", "other.crt"]
+    assert HASH not in repr(protection)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (
+            "tls_servr_config: {}",
+            "1:1: tls_servr_config: is not a key of a web-config; did you mean tls_server_config?",
+        ),
+        (
+            f"{TLS}, key: x}}",
+            "1:66: tls_server_config.key: is a key of Prometheus exporters that arpd does not support; ",
+        ),
+        (f"{TLS}, curve_preferences: [X25519]}}", "remove it; OpenSSL chooses"),
+        (
+            "rate_limit: {interval: 1s}",
+            "1:1: rate_limit: is a key of Prometheus exporters that arpd does not support; ",
+        ),
+        ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file: is missing; "),
+        ("tls_server_config:", "1:19: tls_server_config: has no value; "),
+        ("basic_auth_users: [a]", "1:19: basic_auth_users: a list is not a mapping; "),
+        ("basic_auth_users:", "1:18: basic_auth_users: has no value; "),
+        (f"basic_auth_users: {{alice: {SECRET}}}", "1:27: basic_auth_users.alice: is not a bcrypt hash; "),
+        (f"basic_auth_users: {{a: '{HASH.replace('$04$', '$20$')}'}}", "has bcrypt cost 20, arpd takes 4..14; "),
+        (f"basic_auth_users: {{'a:b': {HASH}}}", "1:27: basic_auth_users.'a:b': cannot be a name (RFC 7617); "),
+        (f"{TLS}, min_version: TLS10}}", "'TLS10' is not one of the choices; write TLS12 or TLS13"),
+        (f"{TLS}, min_version: TLS13, max_version: TLS12}}", "min_version: is above max_version TLS12; "),
+        (f"{TLS}, client_auth_type: RequestClientCert}}", "'RequestClientCert' is not one of the choices; "),
+        (f"{TLS}, client_auth_type: RequireAndVerifyClientCert}}", "needs a CA to verify with; "),
+        (f"{TLS}, client_ca_file: other.crt}}", "does nothing while client_auth_type is NoClientCert; "),
+        (f"{TLS}, client_allowed_sans: [a]}}", "needs a certificate from every client; "),
+        (f"{TLS}, client_allowed_sans: a}}", "is not a list of names; "),
+        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "is not a list of ciphers arpd offers; "),
+        (f"{TLS}, prefer_server_cipher_suites: 1}}", "1 is neither true nor false; "),
+        (
+            "http_server_config: {headers: {X-Powered-By: x}}",
+            "1:32: http_server_config.headers.X-Powered-By: is not a key of a web-config; known here: Content-Security",
+        ),
+        ('http_server_config: {headers: {X-XSS-Protection: "a\\r\\nb"}}', "'a\\r\\nb' is not a header's value; "),
+        (
+            "http_server_config: {headers: {X-Frame-Options: x}}",
+            "'x' is not one of the choices; write deny or sameorigin",
+        ),
+        ("tls_server_config: {cert_file: no.crt, key_file: server.key}", "no.crt does not exist; "),
+        ("tls_server_config: {cert_file: text.txt, key_file: server.key}", "text.txt holds no CERTIFICATE in PEM; "),
+        (
+            "tls_server_config: {cert_file: server.key, key_file: server.key}",
+            "server.key holds no CERTIFICATE in PEM; ",
+        ),
+        (
+            "tls_server_config: {cert_file: server.crt, key_file: other.key}",
+            "1:54: tls_server_config.key_file: does not",
+        ),
+        ("tls_server_config: {cert_file: junk.pem, key_file: other.key}", "cannot be used with key_file ("),
+        ("tls_server_config: {cert_file: ., key_file: other.key}", "cannot be read (Is a directory); "),
+    ],
+)
+def test_faults_name_place_key_and_way_out(load, text, fault):
+    """Each wrong thing is one line as for arpd.yaml, and no line shows a hash."""
+    with pytest.raises(ConfigError) as refused:
+        load(text)
+    assert len(refused.value.faults) == 1
+    assert FAULT.fullmatch(refused.value.faults[0])
+    assert fault in refused.value.faults[0]
+    assert SECRET not in str(refused.value)
+    assert "$2b$" not in str(refused.value)
+
+
+KEYS = st.sampled_from(
+    [
+        *WebDocument.model_fields,
+        *TlsServer.model_fields,
+        "headers",
+        "X-Frame-Options",
+        "cert",
+        "curve_preferences",
+        "a:b",
+    ]
+)
+VALUES = st.none() | st.booleans() | st.integers(-9, 99) | st.floats() | st.text(max_size=9) | st.just("server.crt")
+DOCUMENTS = st.recursive(
+    VALUES, lambda v: st.lists(v, max_size=3) | st.dictionaries(KEYS, v, max_size=4), max_leaves=12
+)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.dictionaries(KEYS, DOCUMENTS, max_size=3).map(yaml.safe_dump) | st.text(max_size=60))
+def test_any_file_is_understood_or_refused_in_our_words(load, text):
+    """Whatever stands in it, faults have their form, and none is pydantic's own."""
+    try:
+        load(text.encode("utf-8", "replace").decode())
+    except ConfigError as error:
+        for fault in error.faults:
+            assert FAULT.fullmatch(fault), fault
+            assert "see the manual" not in fault
+
+
+def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked(load, certificates):
+    """A daemon has no terminal to ask on."""
+    encrypted = "openssl pkey -in server.key -aes128 -passout pass:secret -out encrypted.key"
+    assert os.system(f"cd {certificates} && {encrypted}") == 0
+    with pytest.raises(ConfigError, match="has a passphrase, which nobody can type; "):
+        load("tls_server_config: {cert_file: server.crt, key_file: encrypted.key}")
+
+
+def test_the_shipped_example_is_only_comments_and_right(certificates):
+    """Uncommented, the example needs nothing but files and a hash."""
+    text = (Path(__file__).parents[2] / "etc" / "arpd" / "web-config.yaml").read_text()
+    assert all(line.startswith("#") or not line for line in text.splitlines())
+    live = re.sub(r"^#(?=[a-z]|  )", "", text, flags=re.MULTILINE)
+    for name, here in (("robot", "server"), ("clients.crt", "other.crt"), ("$2y$10$...", HASH)):
+        live = live.replace(name, here)
+    (certificates / "example.yaml").write_text(live)
+    protection = load_protection(certificates / "example.yaml")
+    assert protection.tls
+    assert protection.users
+    assert protection.headers
+
+
+def test_the_path_starts_from_the_configuration_file(tmp_path):
+    """A relative path is relative to arpd.yaml; none is no file, and `arpd check` follows it."""
+    assert web_config_path(HttpSettings(), directory=tmp_path) is None
+    assert web_config_path(HttpSettings(web_config="a.yaml"), directory=tmp_path) == tmp_path / "a.yaml"
+    check_web_config(HttpSettings(), directory=tmp_path)
+    with pytest.raises(ConfigError, match=re.escape(f"{tmp_path}/a.yaml:1:1: file: does not exist; ")):
+        check_web_config(HttpSettings(web_config="a.yaml"), directory=tmp_path)
+
+
+# -- changes while the daemon runs
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def access(folder):
+    path = folder / "web.yaml"
+    path.write_text(f"{TLS}}}\nbasic_auth_users: {{alice: {HASH}}}")
+    clock, counts = Clock(), HttpCounts()
+    access = Access(path, counts=counts, clock=clock)
+    return SimpleNamespace(current=access.current, path=path, clock=clock, counts=counts)
+
+
+def reloads(access):
+    families = {family.name: family for family in access.counts.collect()}
+    return {sample.labels["result"]: sample.value for sample in families["arpd_http_config_reloads"].samples}
+
+
+def test_users_and_certificates_are_read_again_when_they_change(access, folder):
+    """A new user, and a renewed certificate, are in force with the next connection; nothing changed reads nothing."""
+    first = access.current()
+    assert access.current() is first
+    access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{bob: {HASH}}}")
+    second = access.current()
+    assert set(second.users) == {b"bob"}
+    for ending in ("crt", "key"):
+        (folder / f"other.{ending}").rename(folder / f"server.{ending}")
+    third = access.current()
+    assert third.tls is not second.tls
+    assert access.current() is third
+    assert reloads(access) == {"failed": 0, "ok": 2}
+
+
+def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
+    """It is logged and counted once however many connections come, and mended by the next good file."""
+    first = access.current()
+    access.path.write_text("basic_auth_users: {alice: x}")
+    assert [access.current() for _ in range(3)] == [first] * 3
+    access.clock.now_s = 100.0
+    assert access.current() is first
+    assert reloads(access) == {"failed": 1, "ok": 0}
+    assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
+    access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{carol: {HASH}}}")
+    assert set(access.current().users) == {b"carol"}
+    assert reloads(access) == {"failed": 1, "ok": 1}
+
+
+def test_a_file_that_a_broken_web_config_waits_for_is_found_when_it_comes(access, folder):
+    """While a file is refused it is tried again every ten seconds: what it names is not watched yet."""
+    first = access.current()
+    access.path.write_text(f"{TLS.replace('server.', 'late.')}}}\nbasic_auth_users: {{alice: {HASH}}}")
+    assert access.current() is first
+    for ending in ("crt", "key"):
+        (folder / f"other.{ending}").rename(folder / f"late.{ending}")
+    assert access.current() is first
+    access.clock.now_s = 11.0
+    assert access.current() is not first
+
+
+@pytest.mark.parametrize("text", ["http_server_config: {}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""])
+def test_no_change_of_the_file_opens_the_port(access, text):
+    """TLS and users stay until a restart: an editor that writes a file in two steps must not open the robot."""
+    first = access.current()
+    access.path.write_text(text)
+    assert access.current() is first
+    assert reloads(access)["failed"] == 1
+
+
+def test_what_is_open_to_the_network_is_said(access):
+    """Beyond loopback, TLS and one of users and certificates are needed for silence."""
+    both = access.current()
+    users = Protection(users=both.users)
+    assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
+    assert exposure("0.0.0.0", Protection()).startswith("anyone who reaches it can read it; ")
+    assert exposure("fe80::1%eth0", Protection(tls=both.tls)).startswith("anyone who reaches it can read it; ")
+    assert exposure("::", users).startswith("passwords cross the network in clear; ")
+    assert exposure("192.0.2.1", both) == ""
+    assert exposure("192.0.2.1", Protection(tls=both.tls, requires_certificate=True)) == ""
+
+
+@pytest.mark.parametrize(
+    ("allowed", "is_allowed"),
+    [
+        ({"a.example"}, True),
+        ({"2001:db8::1"}, True),
+        ({"x@y.z"}, True),
+        ({"b.example", "A.example"}, False),
+        ({""}, False),
+    ],
+)
+def test_alternative_names_are_matched_whole(allowed, is_allowed):
+    """DNS, IP in any spelling, e-mail and URI count; a part of a name does not, and no certificate has no name."""
+    names = (("DNS", "a.example"), ("IP Address", "2001:DB8:0:0:0:0:0:1"), ("email", "x@y.z"), ("DirName", "b.example"))
+    assert has_allowed_name({"subjectAltName": names}, allowed) is is_allowed
+    assert not has_allowed_name(None, allowed)

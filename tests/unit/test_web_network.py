@@ -1,0 +1,342 @@
+"""The HTTP server opened up: TLS, users, floods and noise, with real sockets on loopback."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import json
+import logging
+import random
+import socket
+import ssl
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
+
+import pytest
+
+from arpd.cli import main
+from arpd.web.metrics import SnapshotCollector
+from arpd.web.places import MAX_PLACES, MAX_THREADS
+from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
+
+TLS = "tls_server_config:\n  cert_file: server.crt\n  key_file: server.key\n"
+USERS = f"basic_auth_users:\n  alice: {HASH}\n"
+LOGIN = "Basic " + base64.b64encode(f"alice:{PASSWORD}".encode()).decode()
+WRONG = "Basic " + base64.b64encode(b"alice:guess").decode()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("network")
+    make_certificate(folder, "server")
+    make_certificate(folder, "renewed")
+    make_certificate(folder, "ca")
+    make_certificate(folder, "robot", issuer="ca", extensions=("subjectAltName=DNS:prometheus.example",))
+    make_certificate(folder, "guest", issuer="ca", extensions=("subjectAltName=DNS:guest.example",))
+    return folder
+
+
+# -- TLS and users
+
+
+def test_tls_is_spoken_and_nothing_else(folder):
+    """A client that trusts the certificate is served; one that speaks plain HTTP is told, one of TLS 1.1 is not."""
+    with running(folder, TLS) as world:
+        assert world.server.url.startswith("https://")
+        assert world.get(tls=trusting(folder)).text == "healthy\n"
+        with pytest.raises(ssl.SSLCertVerificationError):
+            world.get(tls=ssl.create_default_context())
+        plain = world.get()
+        assert (plain.status, plain.text) == (400, "400 Bad Request: this port speaks HTTPS\n")
+        old = trusting(folder)
+        old.set_ciphers("ALL:@SECLEVEL=0")
+        with pytest.warns(DeprecationWarning, match="TLSv1_1"):
+            old.minimum_version = old.maximum_version = ssl.TLSVersion.TLSv1_1
+        with pytest.raises(ssl.SSLError):
+            world.get(tls=old)
+        assert world.count("arpd_http_connections_refused_total", reason="tls") >= 1
+
+
+def test_a_renewed_certificate_is_served_without_a_restart(folder):
+    """The next handshake after the files change shows the new one."""
+    certificate = {}
+    with running(folder, TLS) as world:
+        for name in ("server", "renewed"):
+            for ending in ("crt", "key"):
+                (folder / f"live.{ending}").write_bytes((folder / f"{name}.{ending}").read_bytes())
+            (folder / "web.yaml").write_text(TLS.replace("server.", "live."))
+            certificate[name] = ssl.get_server_certificate(world.address, timeout=10.0)
+            assert certificate[name].split() == (folder / f"{name}.crt").read_text().split()
+
+
+def test_client_certificates_are_required_and_their_names_matched(folder):
+    """Only a certificate of the CA with an allowed name is served."""
+    text = f"""{TLS}
+  client_auth_type: RequireAndVerifyClientCert
+  client_ca_file: ca.crt
+  client_allowed_sans: [prometheus.example]
+"""
+    with running(folder, text) as world:
+        assert world.get(tls=trusting(folder, client="robot")).status == 200
+        for client in ("", "server", "guest"):
+            with pytest.raises((OSError, ssl.SSLError)):
+                world.get(tls=trusting(folder, client=client))
+
+
+def test_every_path_asks_for_the_password(folder):
+    """Metrics, health, the page and what does not exist: 401 without, and each its answer with the password."""
+    with running(folder, USERS) as world:
+        for path in ("/", "/metrics", "/-/healthy", "/nothing"):
+            answer = world.get(path)
+            assert (answer.status, answer.text) == (401, "401 Unauthorized\n")
+            assert answer.headers["WWW-Authenticate"].startswith('Basic realm="arpd"')
+        assert world.get("/nothing", Authorization=LOGIN).status == 404
+        assert world.get(Authorization=LOGIN).status == 200
+        assert world.get(Authorization=WRONG).status == 401
+        got = {
+            v: world.count("arpd_http_authentications_total", result=v) for v in ("missing", "ok", "cached", "wrong")
+        }
+        assert got == {"missing": 4, "ok": 1, "cached": 1, "wrong": 1}
+        assert world.count("arpd_http_requests_total", path="other", code="401") == 1
+        assert world.count("arpd_http_requests_total", path="/-/healthy", code="200") == 1
+        while (answer := world.get(Authorization=WRONG)).status == 401:
+            pass
+        assert (answer.status, answer.headers["Retry-After"]) == (429, "1")
+        assert world.get(Authorization=LOGIN).status == 200
+
+
+def test_an_operator_chooses_headers(folder):
+    """Headers of the web-config join arpd's own, or replace them."""
+    headers = "http_server_config: {headers: {X-Frame-Options: deny, Content-Security-Policy: default-src 'self'}}\n"
+    with running(folder, headers) as world:
+        got = world.get().headers
+        assert (got["X-Frame-Options"], got["Content-Security-Policy"]) == ("deny", "default-src 'self'")
+        assert got["X-Content-Type-Options"] == "nosniff"
+
+
+def test_the_daemon_says_when_it_is_open_to_all(folder, caplog):
+    """Beyond loopback without TLS or users there is a warning at the start; on loopback there is none."""
+    from prometheus_client import CollectorRegistry
+
+    from arpd.web.server import HttpServer
+
+    for host, warnings in (("0.0.0.0", 1), ("127.0.0.1", 0)):
+        caplog.clear()
+        server = HttpServer(host, 0, snapshot=lambda: None, registry=CollectorRegistry())
+        server.start()
+        server.stop()
+        found = [r for r in caplog.records if r.levelno == logging.WARNING]
+        assert len(found) == warnings, host
+
+
+# -- arpd status
+
+
+@pytest.fixture
+def status(capsys, monkeypatch):
+    def status(world, *options, password=PASSWORD):
+        monkeypatch.setenv("ARPD_PASSWORD", password)
+        code = main(["status", "--url", world.server.url.replace("127.0.0.1", "localhost"), "--json", *options])
+        return code, *capsys.readouterr()
+
+    return status
+
+
+def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkeypatch):
+    """CA and name by option, the password from the environment only."""
+    with running(folder, TLS + USERS, snapshot=lambda: sample_snapshot) as world:
+        right = ("--cacert", str(folder / "server.crt"), "--user", "alice")
+        code, out, err = status(world, *right)
+        assert (code, err, json.loads(out)["api_version"]) == (0, "", "v1")
+        for options, password, wrong in (
+            (right, "guess", "refuses the password of alice; "),
+            (right[:2], "", "asks for a user; give --user NAME; "),
+            (("--user", "alice"), PASSWORD, "is not trusted ("),
+            (("--cacert", str(folder / "renewed.crt")), "", "is not trusted ("),
+        ):
+            code, out, err = status(world, *options, password=password)
+            assert (code, out) == (69, "")
+            assert wrong in err
+        monkeypatch.delenv("ARPD_PASSWORD")
+        assert main(["status", "--user", "alice"]) == 2
+        assert status(world, "--cacert", str(folder / "no.crt"))[0] == 2
+        plain = main(["status", "--url", world.server.url.replace("https", "http")])
+        assert plain == 69
+
+
+def test_status_gives_its_password_to_nobody_else(folder, status):
+    """Where the daemon's address redirects elsewhere, the login does not follow."""
+    seen = []
+
+    class Elsewhere(BaseHTTPRequestHandler):
+        def do_GET(self):
+            seen.append(self.headers["Authorization"])
+            self.send_response(302 if self.path == "/api/v1/status" else 404)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_arguments):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        world = SimpleNamespace(server=SimpleNamespace(url=f"http://127.0.0.1:{server.server_port}"))
+        assert status(world, "--user", "alice")[0] == 69
+        server.shutdown()
+    assert seen == [LOGIN, None]
+
+
+# -- floods and noise
+
+
+def test_who_sends_a_body_still_reads_the_refusal(folder):
+    """The answer is not lost with bytes that were on their way."""
+    with running(folder) as world:
+        for _ in range(20):
+            answer = world.send(b"GET / HTTP/1.0\r\nContent-Length: 50000\r\n\r\n" + b"x" * 50_000, end=False)
+            assert answer.startswith(b"HTTP/1.1 413 ")
+
+
+def eventually(condition):
+    until_s = time.monotonic() + 20.0
+    while not condition() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    assert condition()
+
+
+@pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])
+def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, part):
+    """Connections that say nothing, or a part of a request, evict each other; threads stay bounded, and end."""
+    before = threading.active_count()
+    with running(folder, text) as world:
+        tls = trusting(folder) if text else None
+        flood = []
+        try:
+            for number in range(120):
+                raw = socket.create_connection(world.address, timeout=10.0)
+                raw.sendall(b"" if number % 2 else part)
+                flood.append(raw)
+                assert threading.active_count() <= before + 1 + MAX_THREADS
+                if number % 40 == 39:
+                    assert world.get(tls=tls).status == 200
+        finally:
+            for raw in flood:
+                raw.close()
+        eventually(lambda: threading.active_count() <= before + 1)
+        refused = {r: world.count("arpd_http_connections_refused_total", reason=r) for r in ("evicted", "gone", "tls")}
+        assert refused["evicted"] >= 120 - MAX_PLACES
+        assert refused["gone"] + refused["tls"] <= MAX_PLACES
+
+
+def test_a_client_that_does_not_read_holds_no_answer(folder, sample_snapshot):
+    """Answers nobody takes give way, too."""
+    with running(
+        folder, snapshot=lambda: sample_snapshot, collector=SnapshotCollector(lambda: sample_snapshot)
+    ) as world:
+        lazy = []
+        try:
+            for _ in range(40):
+                raw = socket.socket()
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+                raw.connect(world.address)
+                raw.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+                lazy.append(raw)
+            assert world.get("/metrics").status == 200
+        finally:
+            for raw in lazy:
+                raw.close()
+
+
+PIECES = (
+    b"GET",
+    b"HEAD",
+    b"POST",
+    b" ",
+    b"/",
+    b"/metrics",
+    b"/../../etc/passwd",
+    b"HTTP/1.1",
+    b"HTTP/1.0",
+    b"HTTP/9.9",
+    b"\r\n",
+    b"\n",
+    b"Host: x\r\n",
+    b"Authorization: Basic ",
+    WRONG.encode(),
+    LOGIN.encode()[:-3],
+    b"Content-Length: 99999999999\r\n",
+    b"Transfer-Encoding: chunked\r\n",
+    b"Expect: 100-continue\r\n",
+    b":" * 50,
+    b"A" * 5000,
+    b"A: b\r\n" * 80,
+    b"%00%2e%2e",
+    b"\0",
+    b"\xff\xfe",
+)
+NOISE = 1000
+TRUNCATED = 200
+
+
+def noise(rng):
+    """Make something between a request and nothing at all."""
+    good = b"GET /metrics HTTP/1.1\r\nHost: x\r\nAuthorization: " + WRONG.encode() + b"\r\n\r\n"
+    kind = rng.randrange(4)
+    if kind == 0:
+        return rng.randbytes(rng.randrange(400))
+    if kind == 1:
+        return b"".join(rng.choices(PIECES, k=rng.randrange(12)))
+    if kind == 2:
+        return good[: rng.randrange(len(good))]
+    spoilt = bytearray(good)
+    for _ in range(rng.randrange(1, 6)):
+        spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
+    return bytes(spoilt)
+
+
+def test_noise_breaks_nothing_and_learns_nothing(folder, caplog, capfd):
+    """After any bytes the next good request is served; no answer holds a path, a traceback, a hash or a password."""
+    rng = random.Random(6)
+    secrets = (str(folder).encode(), b"Traceback", b"site-packages", HASH.encode(), WRONG[6:].encode(), b"etc/passwd")
+    before = threading.active_count()
+    with running(folder, USERS) as world:
+        assert world.get(Authorization=LOGIN).status == 200
+        for number in range(NOISE):
+            answer = world.send(noise(rng))
+            assert not answer or answer.startswith(b"HTTP/1.1 ")
+            assert answer.split(b" ", 2)[1:2] != [b"500"]
+            assert not [secret for secret in secrets if secret in answer]
+            if number % 100 == 0:
+                assert world.get(Authorization=LOGIN).status == 200
+        assert world.get(Authorization=LOGIN).status == 200
+        eventually(lambda: threading.active_count() <= before + 1)
+    assert "Traceback" not in caplog.text + "".join(capfd.readouterr())
+
+
+def test_truncated_and_spoilt_tls_breaks_nothing(folder, caplog, capfd):
+    """A handshake that ends anywhere, or is not one, costs its connection only, and leaves no memory behind."""
+    rng = random.Random(6)
+    hello = client_hello(folder)
+    with running(folder, TLS) as world:
+        trusted = trusting(folder)
+        for number in range(TRUNCATED):
+            spoilt = bytearray(hello)
+            if number % 2:
+                spoilt[rng.randrange(len(spoilt))] ^= 1 << rng.randrange(8)
+            world.send(bytes(spoilt[: rng.randrange(len(spoilt) + 1)]))
+            if number % 50 == 0:
+                assert world.get(tls=trusted).status == 200
+        assert world.get(tls=trusted).status == 200
+        gc.collect()
+        assert sum(isinstance(o, ssl.SSLSocket) for o in gc.get_objects()) <= MAX_PLACES
+    assert "Traceback" not in caplog.text + "".join(capfd.readouterr())
+
+
+def client_hello(folder):
+    sent = ssl.MemoryBIO()
+    client = trusting(folder).wrap_bio(ssl.MemoryBIO(), sent, server_hostname="localhost")
+    with pytest.raises(ssl.SSLWantReadError):
+        client.do_handshake()
+    return sent.read()
