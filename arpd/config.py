@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
 from arpd.config_rules import broken_rules
 from arpd.config_schema import SECTIONS, Document, Section, flatten
-from arpd.config_source import Fault, Place, config_error, dotted, printable, read_source
+from arpd.config_source import Fault, config_error, dotted, printable, read_source
 from arpd.config_values import shown
 
 if TYPE_CHECKING:
@@ -57,6 +58,11 @@ def describe_change(old: Settings, new: Settings) -> list[str]:
     return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
 
 
+def in_force(old: Settings, new: Settings) -> Settings:
+    """Return what a reload brings into force of ``new``: what is read at start only stays as it was."""
+    return replace(new, http=old.http, relay=old.relay, link=replace(new.link, interface=old.link.interface))
+
+
 def restart_only_changes(old: Settings, new: Settings) -> list[str]:
     """Return the keys that differ and are read at start only; a reload cannot apply them."""
     return [key for key in _changed(old, new) if needs_restart(key)]
@@ -79,7 +85,7 @@ def _reworded(details: ErrorDetails, source: Source) -> Fault:
         case "extra_forbidden":
             place, text = source.keys[location], f"is not a key arpd knows; {_nearest(location)}"
         case "missing":
-            place, text = _place(source, location), "is missing; every item needs one"
+            place, text = source.place(location), "is missing; every item needs one"
         case "model_type":
             place, text = source.values[location], f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
         case "tuple_type":
@@ -88,17 +94,8 @@ def _reworded(details: ErrorDetails, source: Source) -> Fault:
         case "value_error":
             place, text = source.values[location], str(details["ctx"]["error"])
         case _:  # none is known to reach this; a fault in odd words is better than a traceback
-            place, text = _place(source, location), f"{printable(details['msg'])}; see the manual"
+            place, text = source.place(location), f"{printable(details['msg'])}; see the manual"
     return Fault(place=place, key=dotted(location), text=text)
-
-
-def _place(source: Source, location: Location) -> Place:
-    """Return where the value stands, or the nearest thing around it."""
-    while location:
-        if location in source.values:
-            return source.values[location]
-        location = location[:-1]
-    return Place()
 
 
 def _section(location: Location) -> type[Section]:

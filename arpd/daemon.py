@@ -5,19 +5,21 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections import Counter
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.config import describe_change, restart_only_changes
+from arpd.config import describe_change, in_force, restart_only_changes
 from arpd.errors import ConfigError
 from arpd.estimator import Estimator
 from arpd.governor import Governor
 from arpd.interface import state_of
 from arpd.ordering import Ordering
-from arpd.planner import restore_plan
+from arpd.planner import paced_restore_plan, restore_plan
 from arpd.program import Program
 from arpd.readers import plan_readers, restore_readers
+from arpd.settings import AUTO, Backend
 from arpd.snapshot import Snapshot, Totals
 from arpd.topics import memory_budget_bytes, topics_to_plan
 from arpd.version import VERSION
@@ -34,6 +36,9 @@ log = logging.getLogger(__name__)
 TICK_S = 0.1
 _RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
 _RESTORE_READERS_S = 4.0  # what readers that go first may take beyond that
+_UNPACE_S = 3.0  # what the rates, which need no swap, may take after that
+_MOST_FAULTS = 20  # in the log; `arpd check` names all
+_HEAR_S = 2.5  # until everybody who carries a plan, and another daemon, has been heard
 
 
 class Daemon:
@@ -43,7 +48,7 @@ class Daemon:
     ----------
     world : what is observed and acted on
     settings : the configuration in force
-    interface : name of the link interface, for the snapshot
+    interface : the link interface as configured; the snapshot has the name it is found under
     config_path : the file the settings came from, for the snapshot
     clock, wall_clock : monotonic and Unix time (s)
     estimator : what tells the capacity; `arpd.estimator.Estimator` by default, another to compare it with
@@ -63,16 +68,23 @@ class Daemon:
         self._world = world
         self._settings = settings
         self._interface = interface
+        self._has_interface = False  # whether it was ever there
         self._config_path = config_path
         self._config_error = ""
+        self._config_loaded_at_s = wall_clock()
+        self._awaiting_restart: tuple[str, ...] = ()
+        self._began_s: float | None = None  # when the world was first observed
         self._clock = clock
         self._wall_clock = wall_clock
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._governor = Governor(settings)
-        self._program = Program.of(settings, clock=clock)
+        self._program = self._program_of(settings)
+        self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
+        self._disagreements = 0
         self._ordering = Ordering()
         self._totals = Totals()
-        self._reloads: dict[str, int] = {}
+        self._reloads: Counter[str] = Counter()
+        self._changed_keys: Counter[str] = Counter()
         self._others: tuple[tuple[str, ...], str] = ((), "")  # daemons heard last, and which of them was in charge
         self.snapshot: Snapshot | None = None
 
@@ -81,9 +93,14 @@ class Daemon:
         """Configuration in force."""
         return self._settings
 
+    @property
+    def interface(self) -> str:
+        """The link interface by the name it has now, or had last; as configured before it was found."""
+        return self._interface
+
     def tick(self, now_s: float) -> Decision:
         """Observe → estimate → solve → govern → apply, once."""
-        observation = self._world.observe(now_s)
+        observation = self._observe(now_s)
         link = self._estimator.update(observation)
         topics = topics_to_plan(observation.publishers, self._settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self._settings.program)
@@ -138,8 +155,18 @@ class Daemon:
             reader_plans=MappingProxyType(reader_plans),
             readers_confirmed=steps.readers_confirmed,
             lease_s=self._settings.lease_s,
+            config_loaded_at_s=self._config_loaded_at_s,
+            keys_awaiting_restart=self._awaiting_restart,
         )
         return decision
+
+    def _observe(self, now_s: float) -> Observation:
+        observation = self._world.observe(now_s)
+        if self._began_s is None:
+            self._began_s = now_s
+        if observation.counters is not None:
+            self._interface, self._has_interface = observation.counters.interface, True
+        return observation
 
     def _note_others(self, observation: Observation) -> None:
         """Say it when another daemon comes, goes, or takes the lead: two of them are rarely meant."""
@@ -161,8 +188,15 @@ class Daemon:
         """Count a tick that started more than half a period late."""
         self._totals = replace(self._totals, ticks_late=self._totals.ticks_late + 1)
 
+    def note_failed_reload(self, why: str) -> None:
+        """Count a reload that was refused; ``why`` shows in the status until one succeeds."""
+        self._config_error = why
+        self._reloads["failed"] += 1
+
     def reload(self, load: Callable[[], Settings]) -> bool:
         """Take a new configuration whole, or keep the old one whole.
+
+        What is read at start only stays in force as it was, and is named as waiting for a restart.
 
         Parameters
         ----------
@@ -173,29 +207,58 @@ class Daemon:
         Whether the new configuration is in force.
         """
         try:
-            fresh = load()
-            program = Program.of(fresh, clock=self._clock)
+            wanted = load()
         except ConfigError as error:
-            for fault in error.faults:
+            for fault in error.faults[:_MOST_FAULTS]:
                 log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
-            log.error("reload refused; the configuration in force stays")  # noqa: TRY400 - the same
-            self._config_error = error.faults[0]
-            self._reloads["failed"] = self._reloads.get("failed", 0) + 1
+            log.error("reload refused, faults: %d; the configuration in force stays", len(error.faults))  # noqa: TRY400
+            self.note_failed_reload(error.faults[0])
             return False
-        for key in restart_only_changes(self._settings, fresh):
-            log.warning("%s changed, and takes effect after a restart", key)
-        for change in describe_change(self._settings, fresh):
+        before, fresh = self._settings, in_force(self._settings, wanted)
+        if fresh != before:
+            self._take(fresh)
+        changes, awaiting = describe_change(before, fresh), restart_only_changes(before, wanted)
+        for change in changes:
             log.info("reloaded: %s", change)
-        self._settings, self._program = fresh, program
-        self._estimator.reconfigure(fresh.link)
-        self._governor.reconfigure(fresh)
-        self._world.reconfigure(fresh.graph)
+        for change in describe_change(fresh, wanted):
+            log.warning("%s; takes effect after a restart", change)
+        if not changes and not awaiting:
+            log.info("reloaded: nothing changed")
+        self._changed_keys.update(in_force=len(changes), awaiting_restart=len({*awaiting} - {*self._awaiting_restart}))
+        self._awaiting_restart = tuple(awaiting)
         self._config_error = ""
-        self._reloads["ok"] = self._reloads.get("ok", 0) + 1
+        self._config_loaded_at_s = self._wall_clock()
+        self._reloads["ok"] += 1
         return True
+
+    def _take(self, fresh: Settings) -> None:
+        """Bring settings into force everywhere, or nowhere."""
+        program = self._program_of(fresh)  # what can fail comes first
+        try:
+            self._reconfigure(fresh)
+        except BaseException:
+            self._reconfigure(self._settings)
+            raise
+        self._solves.update(self._program.outcomes)
+        self._disagreements += self._program.disagreements
+        self._settings, self._program = fresh, program
+
+    def _reconfigure(self, settings: Settings) -> None:
+        self._world.reconfigure(settings.graph)
+        self._estimator.reconfigure(settings.link)
+        self._governor.reconfigure(settings)
+
+    def _program_of(self, settings: Settings) -> Program:
+        try:
+            return Program.of(settings, clock=self._clock)
+        except ImportError as error:
+            log.error("program.backend: %s cannot be used (%s); exact takes over", settings.program.backend, error)  # noqa: TRY400 - nothing of ours to trace
+            return Program.of(settings, backend=Backend.EXACT, clock=self._clock)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
         """Give every managed publisher and reader its application's QoS back, and wait for the announcements.
+
+        The rates go last: on a link that cannot carry what the applications publish, no new writer would prove itself.
 
         Parameters
         ----------
@@ -205,12 +268,17 @@ class Daemon:
         -------
         Number of publishers and readers that did not confirm in time.
         """
-        begun_s = self._clock()
         ordering = Ordering(patience_s=_RESTORE_READERS_S)
         generation = self._governor.plan.generation + 1
+        observation = self._observe(self._clock())
+        while (begun_s := self._clock()) - (self._began_s or 0.0) < _HEAR_S:
+            # A predecessor's plan may be in force, or another daemon in charge: nobody was heard yet.
+            wait(TICK_S)
+            observation = self._observe(self._clock())
+        plan_of = paced_restore_plan
         while True:
             now_s = self._clock()
-            observation = self._world.observe(now_s)
+            observation = self._observe(now_s)
             if observation.superior:
                 return 0  # what is in force is another daemon's
             # Whatever carries a plan, be it a predecessor's, or of a topic whose far reader has left.
@@ -222,13 +290,17 @@ class Daemon:
                 now_s,
                 publishers=publishers,
                 readers=observation.readers,
-                plan=restore_plan(publishers, generation=generation),
+                plan=plan_of(publishers, generation=generation),
                 reader_plans=reader_plans,
                 reason="stop",
             )
             missing = len(publishers) - steps.confirmed + len(reader_plans) - steps.readers_confirmed
             patience_s = _RESTORE_S + (_RESTORE_READERS_S if reader_plans else 0.0)
-            if not (missing or steps.transitions) or now_s - begun_s > patience_s:
+            is_done, spent_s = not (missing or steps.transitions), now_s - begun_s
+            if plan_of is paced_restore_plan and (is_done or spent_s > patience_s):
+                plan_of = restore_plan
+                continue
+            if is_done or spent_s > patience_s + _UNPACE_S:
                 return missing
             self._world.set_gate(1.0)
             self._world.apply(steps.transitions, now_s=now_s)
@@ -247,9 +319,21 @@ class Daemon:
             f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
             f"{self.snapshot.confirmed} of {self._managed()} publishers confirmed"
         )
-        fault = state_of(self.snapshot.observation.counters).fault
         refused = f"reload refused: {self._config_error}" if self._config_error else ""
-        return "; ".join(said for said in (fault and f"{self._interface} {fault}", line, refused) if said)
+        waiting = f"restart needed for {', '.join(self._awaiting_restart[:3])}" if self._awaiting_restart else ""
+        if (more := len(self._awaiting_restart) - 3) > 0:
+            waiting += f" and {more} more"
+        return "; ".join(said for said in (self._interface_fault(), line, refused, waiting) if said)
+
+    def _interface_fault(self) -> str:
+        """Say why the link interface carries nothing, empty when it does."""
+        assert self.snapshot is not None
+        fault = state_of(self.snapshot.observation.counters).fault
+        if not fault:
+            return ""
+        if self._has_interface:
+            return f"{self._interface} {fault}"
+        return "no link interface is there yet" if self._interface == AUTO else f"{self._interface} is not there yet"
 
     def _managed(self) -> int:
         assert self.snapshot is not None
@@ -261,8 +345,8 @@ class Daemon:
         return replace(
             self._totals,
             ticks=self._totals.ticks + 1,
-            solves_by_outcome=MappingProxyType(dict(self._program.outcomes)),
-            cross_check_disagreements=self._program.disagreements,
+            solves_by_outcome=MappingProxyType(dict(self._solves + Counter(self._program.outcomes))),
+            cross_check_disagreements=self._disagreements + self._program.disagreements,
             levels_by_cause=MappingProxyType(dict(self._governor.levels_by_cause)),
             refusals_by_reason=MappingProxyType(dict(self._governor.refusals_by_reason)),
             applies_by_result=MappingProxyType(dict(self._world.results())),
@@ -270,6 +354,7 @@ class Daemon:
             probe_bytes=probe_bytes,
             reports=self._totals.reports + len(observation.reports),
             reloads_by_result=MappingProxyType(dict(self._reloads)),
+            changed_keys_by_effect=MappingProxyType(dict(self._changed_keys)),
         )
 
 

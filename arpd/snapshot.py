@@ -22,12 +22,13 @@ class Totals:
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
     solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
     cross_check_disagreements : answers of the back end that ``exact`` contradicted
-    levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``topics``, ``readers``, ``reload``)
+    levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``hold``, ``deadband``, ``budget`` …)
     applies_by_result : parameter calls by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
     reports : peer reports received
     reloads_by_result : configuration reloads (``ok``, ``failed``)
+    changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
     """
 
     ticks: int = 0
@@ -42,6 +43,7 @@ class Totals:
     probe_bytes: int = 0
     reports: int = 0
     reloads_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    changed_keys_by_effect: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,6 +61,8 @@ class Snapshot:
     totals : counts since start
     config_path : file in force
     config_error : first line of why the last reload was refused, empty when it was not
+    config_loaded_at_s : wall clock when the configuration in force was read (s)
+    keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan
     reader_plans : what the plan wants of the readers of its topics, by node and topic
     readers_confirmed : number of those whose announcement matches it
@@ -77,6 +81,8 @@ class Snapshot:
     totals: Totals
     config_path: str = ""
     config_error: str = ""
+    config_loaded_at_s: float = 0.0
+    keys_awaiting_restart: tuple[str, ...] = ()
     confirmed: int = 0
     reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
     readers_confirmed: int = 0

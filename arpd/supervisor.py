@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.daemon import TICK_S, Daemon
-from arpd.host.counters import choose_interface, list_interfaces
+from arpd.host.locators import Locators
 from arpd.logs import configure_logging
 from arpd.settings import OnStop
-from arpd.systemd import Notifier
+from arpd.systemd import Heartbeat, Notifier
 from arpd.version import VERSION
 
 if TYPE_CHECKING:
@@ -30,10 +30,20 @@ _LEAST_PAUSE_S = 0.02  # however many reports arrive
 
 @dataclass(slots=True)
 class Signals:
-    """Signals only set flags; the loop reads them."""
+    """Signals only set flags; the loop reads them.
+
+    However often the same one comes, it is one flag: ten SIGHUPs are one reload of the last file, and a second SIGTERM
+    does not cut a restore short, which ends by itself. Before there is a loop nothing has been changed yet, and
+    importing ROS takes a Raspberry Pi longer than systemd waits: a stop then ends the process at once.
+
+    Parameters
+    ----------
+    is_looping : whether somebody reads the flags
+    """
 
     stop: bool = False
     reload: bool = False
+    is_looping: bool = False
     wakeup: threading.Event = field(default_factory=threading.Event)
 
     def install(self) -> None:
@@ -43,46 +53,135 @@ class Signals:
         signal.signal(signal.SIGHUP, self._on_reload)
 
     def _on_stop(self, _signum: int, _frame: Any) -> None:
-        self.stop = True  # and nothing else: Event.set() here could meet the lock that wait() holds
+        self.stop = True  # no Event.set() here: it could meet the lock that wait() holds
+        if not self.is_looping:
+            raise SystemExit(0)
 
     def _on_reload(self, _signum: int, _frame: Any) -> None:
         self.reload = True
 
 
-def supervise(daemon: Daemon, signals: Signals, notifier: Notifier, *, load: Callable[[], Settings]) -> None:
-    """Tick until told to stop, when a report wakes the loop or a period has passed, whichever comes first.
+class _Reading:
+    """A configuration file that is being read: a wrong one of a megabyte takes longer than ticks may wait."""
 
-    A tick that raises is logged, counted and not repeated in haste.
-    """
-    next_s = time.monotonic()
-    status = ""
-    is_ready = False
-    while not signals.stop:
-        if signals.reload:
-            signals.reload = False
-            notifier.reloading()
-            daemon.reload(load)
-            notifier.ready()
-        now_s = time.monotonic()
-        if now_s - next_s > TICK_S / 2:
-            daemon.note_late_tick()
+    def __init__(self, load: Callable[[], Settings]) -> None:
+        self._load = load
+        self._settings: Settings | None = None
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="arpd-config", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_done(self) -> bool:
+        """Whether `result` returns, or raises, at once."""
+        return not self._thread.is_alive()
+
+    def result(self) -> Settings:
+        """Return the settings, or raise what kept them from being read."""
+        if self._error is not None:
+            raise self._error
+        assert self._settings is not None
+        return self._settings
+
+    def _run(self) -> None:
         try:
-            daemon.tick(now_s)
-        except Exception:
-            log.exception("a tick failed; the publishers keep the plan they have")
-            daemon.note_failed_tick()
-        else:
-            if not is_ready:
-                is_ready = True
-                notifier.ready()  # only now: whoever waited for the start finds a daemon that has seen its world
-            notifier.watchdog()
-            if (line := daemon.status_line()) != status:
-                status = line
-                notifier.status(line)
-        next_s = now_s + TICK_S
-        time.sleep(_LEAST_PAUSE_S)
-        signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
-        signals.wakeup.clear()
+            self._settings = self._load()
+        except Exception as error:  # noqa: BLE001 - raised by `result`
+            self._error = error
+
+
+class Supervisor:
+    """Ticks a daemon until told to stop, reloads it when asked to, and tells systemd how it is.
+
+    Only a finished tick feeds the watchdog. One that raises leaves the plan in force; when all of them raise, whatever
+    the reason, publishers open their gate after five seconds, and systemd starts the daemon anew after ten.
+
+    Parameters
+    ----------
+    load : reads and checks the configuration
+    fault : says what is wrong around the daemon, empty when nothing is
+    is_cut_off : whether a new process would reach somebody whom this one does not
+    """
+
+    def __init__(
+        self,
+        daemon: Daemon,
+        signals: Signals,
+        notifier: Notifier,
+        *,
+        load: Callable[[], Settings],
+        fault: Callable[[], str] = lambda: "",
+        is_cut_off: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._daemon = daemon
+        self._signals = signals
+        self._notifier = notifier
+        self._load = load
+        self._fault = fault
+        self._is_cut_off = is_cut_off
+        self._heartbeat = Heartbeat(notifier)
+        self._reading: _Reading | None = None
+        self._is_ready = False
+        self._status = ""
+        self._failure = ""
+
+    def run(self) -> None:
+        """Tick when a report wakes the loop or a period has passed, whichever comes first."""
+        next_s = time.monotonic()
+        while not self._signals.stop and not self._is_cut_off():
+            self._follow_reloads()
+            now_s = time.monotonic()
+            if now_s - next_s > TICK_S / 2:
+                self._daemon.note_late_tick()
+            try:
+                self._daemon.tick(now_s)
+            except Exception as error:  # noqa: BLE001 - logged there, though not ten times a second
+                self._note_failure(error)
+            else:
+                self._note_success()
+            next_s = now_s + TICK_S
+            time.sleep(_LEAST_PAUSE_S)
+            self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
+            self._signals.wakeup.clear()
+
+    def _follow_reloads(self) -> None:
+        """Begin or finish a reload; one that is asked for while a file is read follows, so that the last file wins."""
+        if self._reading is not None and self._reading.is_done:
+            try:
+                self._daemon.reload(self._reading.result)
+            except Exception as error:
+                log.exception("reload failed; the configuration in force stays")
+                self._daemon.note_failed_reload(f"{type(error).__name__}: {error}")
+            self._reading = None
+            if self._is_ready:  # else READY=1 would end the start before a tick has finished
+                self._notifier.ready()
+        if self._signals.reload and self._reading is None:
+            self._signals.reload = False
+            if self._is_ready:
+                self._notifier.reloading()
+            self._reading = _Reading(self._load)
+
+    def _note_failure(self, error: Exception) -> None:
+        self._daemon.note_failed_tick()
+        if (failure := type(error).__name__) != self._failure:
+            self._failure = failure
+            log.error("a tick failed; the publishers keep the plan they have", exc_info=error)
+            self._say(f"ticks fail ({failure}: {error}); the publishers keep the plan they have")
+
+    def _note_success(self) -> None:
+        if self._failure:
+            log.info("ticks finish again")
+            self._failure = ""
+        if not self._is_ready:
+            self._is_ready = True
+            self._notifier.ready()  # only now: whoever waited for the start finds a daemon that has seen its world
+        self._heartbeat.beat()
+        self._say("; ".join(said for said in (self._daemon.status_line(), self._fault()) if said))
+
+    def _say(self, status: str) -> None:
+        if status != self._status:
+            self._status = status
+            self._notifier.status(status)
 
 
 def run_daemon(*, config_path: Path, log_level: str) -> int:
@@ -96,43 +195,57 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
     Raises
     ------
     ArpdError
-        If the configuration, the interface, the HTTP address or ROS cannot be used.
+        If the configuration or ROS cannot be used, or a new process would reach more: the publishers keep their plan.
     """
-    configure_logging(log_level)
-
-    def load() -> Settings:
-        return load_settings(config_path, interfaces=list_interfaces)
-
-    settings = load()
-    interface = choose_interface(settings.link.interface)
     signals = Signals()
     signals.install()
+    configure_logging(log_level)
     notifier = Notifier()
+
+    def load() -> Settings:
+        return load_settings(config_path, interfaces=None)  # one that is not there yet may come
+
+    settings = load()
     from arpd.ros.runtime import control_node, spinning  # noqa: PLC0415 - the config is checked before ROS is needed
 
+    locators = Locators(lambda: daemon.interface)
     with control_node("arpd") as node:
-        from rclpy.executors import MultiThreadedExecutor  # noqa: PLC0415
+        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 
         from arpd.ros.control import RosControl  # noqa: PLC0415
+        from arpd.web.patient import PatientServer  # noqa: PLC0415
         from arpd.web.service import serving  # noqa: PLC0415
 
-        world = RosControl(node, interface=interface, graph=settings.graph, on_report=signals.wakeup.set)
-        daemon = Daemon(world, settings, interface=interface, config_path=str(config_path))
-        executor = MultiThreadedExecutor(num_threads=2)
+        link = settings.link.interface
+        world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
+        daemon = Daemon(world, settings, interface=link, config_path=str(config_path))
+        signals.is_looping = True
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
-        with serving(settings.http, lambda: daemon.snapshot) as url, spinning(executor):
-            log.info("arpd %s on %s, metrics at %s/metrics", VERSION, interface, url)
-            supervise(daemon, signals, notifier, load=load)
+        web = PatientServer(lambda: serving(settings.http, lambda: daemon.snapshot, directory=config_path.parent))
+        supervisor = Supervisor(
+            daemon, signals, notifier, load=load, fault=lambda: web.fault, is_cut_off=locators.are_outdated
+        )
+        with web.up(), spinning(executor):
+            log.info("arpd %s, link.interface %s", VERSION, link)
+            supervisor.run()
+            if not signals.stop:
+                raise locators.error()
             notifier.stopping()
-            _stop(daemon)
+            stop(daemon)
     return 0
 
 
-def _stop(daemon: Daemon) -> None:
+def stop(daemon: Daemon) -> None:
+    """Leave the publishers as the configuration says; whatever fails, the process ends cleanly."""
     if daemon.settings.on_stop is not OnStop.RESTORE:
         log.info("stopping; the publishers keep their plan (on_stop: keep)")
         return
-    missing = daemon.restore(wait=time.sleep)
+    try:
+        missing = daemon.restore(wait=time.sleep)
+    except Exception:
+        log.exception("stopping; restoring failed, and publishers may keep their plan")
+        return
     if missing:
         log.warning("stopping; %d publishers or readers did not confirm their original QoS in time", missing)
     else:

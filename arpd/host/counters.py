@@ -14,6 +14,7 @@ from arpd.errors import LinkError
 from arpd.host.backlog import read_backlog
 from arpd.interface import InterfaceState, LinkCounters, continue_counters, state_of
 from arpd.model import MemoryState
+from arpd.settings import AUTO
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -44,7 +45,7 @@ def choose_interface(
     stats = names() if names else psutil.net_if_stats()
     existing = sorted(stats)
     others = [name for name in existing if name != "lo"]
-    if wanted != "auto":
+    if wanted != AUTO:
         if wanted not in existing:
             raise LinkError(f"link.interface {wanted!r} does not exist; this host has {', '.join(existing) or 'none'}")
         return wanted
@@ -70,7 +71,7 @@ def read_counters(name: str) -> LinkCounters | None:
     try:
         counters = psutil.net_io_counters(pernic=True, nowrap=False).get(name)
         stats = psutil.net_if_stats().get(name)
-    except OSError:  # it vanished between two of psutil's questions
+    except OSError:  # it vanished between two of psutil's questions, or nothing can be opened any more
         return None
     if counters is None or stats is None:
         return None
@@ -98,6 +99,27 @@ def hardware_address(name: str) -> str:
     return digits if digits.strip("0") else ""
 
 
+def ipv4_addresses() -> dict[str, frozenset[str]]:
+    """Return the IPv4 addresses of every interface that has any; none when the kernel does not tell."""
+    try:
+        every = psutil.net_if_addrs()
+    except OSError:
+        return {}
+    found = {
+        name: frozenset(address.address for address in addresses if address.family == socket.AF_INET)
+        for name, addresses in every.items()
+    }
+    return {name: addresses for name, addresses in found.items() if addresses}
+
+
+def likeliest_interface() -> str | None:
+    """Return the interface that ``auto`` takes now, None when it finds none."""
+    try:
+        return choose_interface(AUTO)
+    except (LinkError, OSError):
+        return None
+
+
 def index_of(name: str) -> int | None:
     """Return the kernel's number of an interface, None when there is none of that name."""
     try:
@@ -118,12 +140,14 @@ class InterfaceReader:
     """Reads one interface again and again; what happens to it is a state, said once in the log.
 
     The kernel's number tells an interface from its name: one that is renamed is followed, and one that comes back
-    under its first or its last name is taken on, with totals that go on where they stood.
+    under its first or its last name is taken on, with totals that go on where they stood. It may come late, too: what
+    ``auto`` stands for is chosen anew until the interface chosen has been up once.
 
     Parameters
     ----------
     name : the interface, as configured
     read, index_of, name_of : the kernel's answers, for tests to give others
+    choose : what ``auto`` stands for now, None = nothing yet
     """
 
     def __init__(
@@ -133,19 +157,22 @@ class InterfaceReader:
         read: Callable[[str], LinkCounters | None] = read_counters,
         index_of: Callable[[str], int | None] = index_of,
         name_of: Callable[[int], str | None] = name_of,
+        choose: Callable[[], str | None] = likeliest_interface,
     ) -> None:
         self._configured = self._name = name
         self._read = read
         self._index_of = index_of
         self._name_of = name_of
+        self._choose = choose
+        self._is_open = name == AUTO  # to another choice
         self._index: int | None = None
         self._raw: LinkCounters | None = None
         self._total: LinkCounters | None = None
-        self._state = InterfaceState.UP
+        self._state: InterfaceState | None = None
 
     @property
     def name(self) -> str:
-        """The name it has now, or had last."""
+        """The name it has now, or had last; ``auto`` before there was any."""
         return self._name
 
     @property
@@ -155,14 +182,23 @@ class InterfaceReader:
 
     def read(self) -> LinkCounters | None:
         """Return counters and state, None while the interface is gone; the counters never fall."""
+        if self._is_open:
+            self._take_choice()
         name = self._find()
         raw = None if name is None else self._read(name)
         if raw is not None:
             # Of an interface that is new to us, the past is not the link's.
             self._total = continue_counters(self._total or raw, self._raw or raw, raw)
             self._raw = raw
+            self._is_open = self._is_open and not raw.is_up
         self._note_state(state_of(raw))
         return raw and self._total
+
+    def _take_choice(self) -> None:
+        if (chosen := self._choose()) is not None and chosen != self._configured:
+            log.info("link.interface is auto: %s is the link", chosen)
+            self._configured = self._name = chosen
+            self._index = self._raw = self._total = self._state = None
 
     def _find(self) -> str | None:
         name = None if self._index is None else self._name_of(self._index)
@@ -176,16 +212,43 @@ class InterfaceReader:
         return name
 
     def _note_state(self, state: InterfaceState) -> None:
-        if state is not self._state:
-            self._state = state
+        before, self._state = self._state, state
+        if state is before or (before is None and state is InterfaceState.UP):
+            return
+        if self._total is not None:
             level = logging.WARNING if state.fault else logging.INFO
             log.log(level, "the link interface %s %s", self._name, state.fault or "is up again")
+        elif self._name == AUTO:
+            log.warning("link.interface is auto, and no interface looks like the link yet; it is taken when it comes")
+        else:
+            log.warning("the link interface %s is not there yet; it is taken when it comes", self._name)
 
 
-def read_memory() -> MemoryState:
-    """Return the host's memory."""
-    memory = psutil.virtual_memory()
-    return MemoryState(total_bytes=memory.total, available_bytes=memory.available)
+class MemoryReader:
+    """Reads the host's memory; while the kernel does not tell, what it told last stands.
+
+    Parameters
+    ----------
+    read : psutil's answer, for tests to give another
+    """
+
+    def __init__(self, read: Callable[[], Any] = psutil.virtual_memory) -> None:
+        self._read = read
+        self._last = MemoryState(total_bytes=0, available_bytes=0)  # not known yet: plan for little
+        self._fault = ""
+
+    def read(self) -> MemoryState:
+        """Return the memory there is, and what new work could have of it."""
+        try:
+            memory = self._read()
+        except (OSError, ValueError) as error:
+            if (fault := str(error)) != self._fault:
+                self._fault = fault
+                log.warning("the kernel does not tell of its memory (%s); what it told last stands", fault)
+            return self._last
+        self._fault = ""
+        self._last = MemoryState(total_bytes=memory.total, available_bytes=memory.available)
+        return self._last
 
 
 def _default_route(route: Path) -> str:

@@ -5,6 +5,7 @@ Importing this package loads neither osqp nor cvxpy; ``load`` does, when that ba
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ from arpd.solvers.outcome import (
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+log = logging.getLogger(__name__)
 
 __all__ = [
     "CheckedSolver",
@@ -68,6 +71,7 @@ class CheckedSolver:
         self._solver = solver
         self._outcomes: Counter[tuple[str, str]] = Counter()
         self._disagreements = 0
+        self._fault = ""
 
     @property
     def name(self) -> Backend:
@@ -94,7 +98,7 @@ class CheckedSolver:
             raise ValueError(f"the problem must be feasible: {verdict.reason}")
         filling = water_fill(problem)
         if self.name is not Backend.EXACT:
-            outcome = self._solver.solve(problem)
+            outcome = self._ask(problem)
             self._outcomes[self.name, outcome.kind] += 1
             if isinstance(outcome, Solved):
                 if not disagreement(outcome.values, filling.shares()):
@@ -102,3 +106,12 @@ class CheckedSolver:
                 self._disagreements += 1
         self._outcomes[Backend.EXACT, Solved.kind] += 1
         return filling, Backend.EXACT
+
+    def _ask(self, problem: ShareProblem) -> Outcome:
+        try:
+            return self._solver.solve(problem)
+        except Exception as error:  # whatever a library throws, exact has the answer already
+            if (reason := f"{self.name}: {type(error).__name__}: {error}") != self._fault:
+                self._fault = reason
+                log.exception("%s; exact takes over", reason)
+            return SolverFailed(reason=reason)

@@ -17,6 +17,7 @@ from arpd.refusal import RefusalReason
 from arpd.settings import Backend
 from arpd.swap import SwapResult
 from arpd.version import VERSION
+from arpd.web.intake_metrics import intake_metrics
 from arpd.web.link_metrics import link_metrics
 from arpd.web.reader_metrics import reader_metrics
 from arpd.web.status import topic_rows
@@ -34,10 +35,11 @@ if TYPE_CHECKING:
 _TOPIC_LABELS = ("topic", "node", "direction")
 
 # Label values that are known beforehand start at zero, so that rate() sees their first increase.
-_CAUSES = ("demand", "down", "readers", "reload", "start", "takeover", "topics", "up")
+_CAUSES = ("demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _APPLIED = ("ok", "refused", "timeout", "unreachable")
 _RELOADED = ("failed", "ok")
+_EFFECTS = ("awaiting_restart", "in_force")
 
 
 def _deadline_s(deadline_ns: int) -> float:
@@ -127,6 +129,16 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         "0 while the last reload was refused and an older configuration is in force.",
         lambda s: not s.config_error,
     ),
+    (
+        "arpd_config_last_reload_success_timestamp_seconds",
+        "Unix time at which the configuration in force was read.",
+        lambda s: s.config_loaded_at_s,
+    ),
+    (
+        "arpd_config_keys_awaiting_restart",
+        "Keys whose value in the file last read takes effect after a restart.",
+        lambda s: len(s.keys_awaiting_restart),
+    ),
 )
 
 _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
@@ -148,6 +160,13 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
     ("arpd_refusals", "Plan changes wanted but refused.", "reason", _REASONS, lambda t: t.refusals_by_reason),
     ("arpd_applies", "Parameter calls to publishers.", "result", _APPLIED, lambda t: t.applies_by_result),
     ("arpd_config_reloads", "Configuration reloads.", "result", _RELOADED, lambda t: t.reloads_by_result),
+    (
+        "arpd_config_changed_keys",
+        "Keys that reloads changed: in force at once, or after a restart.",
+        "effect",
+        _EFFECTS,
+        lambda t: t.changed_keys_by_effect,
+    ),
 )
 
 _STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
@@ -254,6 +273,7 @@ class SnapshotCollector(Collector):
         yield from link_metrics(snapshot)
         yield from _of_topics(topic_rows(snapshot))
         yield from reader_metrics(snapshot)
+        yield from intake_metrics(snapshot)
 
 
 def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:

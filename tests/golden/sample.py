@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
+from arpd.admission import Kind, Reason, Taken
 from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import (
     Allocation,
@@ -192,6 +193,7 @@ def make_snapshot() -> Snapshot:
             rmw="rmw_fastrtps_cpp",
             radio_bytes_per_second=8_125_000.0,
             peer_ages_s=MappingProxyType({"ceddp-3f2a": 0.0625, "edge-c001": 12.5}),
+            taken=Taken(refused={(Kind.REPORTS, Reason.UNANSWERED): 7, (Kind.PUBLISHERS, Reason.SOURCE): 2}, pending=3),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=500_000.0,

@@ -11,6 +11,7 @@ import pytest
 from golden.sample import FINISHED_AT_S
 from prometheus_client import CollectorRegistry, generate_latest
 
+from arpd.web.http_metrics import HttpCounts
 from arpd.web.metrics import SnapshotCollector
 
 GOLDEN = Path(__file__).with_name("exposition.txt")
@@ -22,6 +23,7 @@ def exposition(snapshot) -> str:
     registry.register(
         SnapshotCollector(lambda: snapshot, clock=lambda: FINISHED_AT_S + 0.25, version="1.2.3", python="3.11.0")
     )
+    registry.register(HttpCounts())
     return generate_latest(registry).decode()
 
 

@@ -6,7 +6,17 @@ import psutil
 import pytest
 
 from arpd.errors import LinkError
-from arpd.host.counters import InterfaceReader, choose_interface, hardware_address, index_of, name_of, read_counters
+from arpd.host.counters import (
+    InterfaceReader,
+    MemoryReader,
+    choose_interface,
+    hardware_address,
+    index_of,
+    ipv4_addresses,
+    likeliest_interface,
+    name_of,
+    read_counters,
+)
 from arpd.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)
@@ -65,7 +75,7 @@ class Kernel:
             state=state,
         )
 
-    def reader(self, name):
+    def reader(self, name, choose=lambda: None):
         def named(wanted):
             return next(((i, c) for i, c in self.interfaces.items() if c.interface == wanted), (None, None))
 
@@ -74,6 +84,7 @@ class Kernel:
             read=lambda wanted: named(wanted)[1],
             index_of=lambda wanted: named(wanted)[0],
             name_of=lambda index: self.interfaces[index].interface if index in self.interfaces else None,
+            choose=choose,
         )
 
 
@@ -135,13 +146,39 @@ def test_a_change_of_state_is_logged_once(kernel, caplog):
     assert all(f"wlan0 {word}" in message for word, message in zip(words, said, strict=True))
 
 
-def test_an_interface_that_is_not_there_at_first_is_gone(kernel, caplog):
-    """A reader may be older than its interface."""
+def test_an_interface_that_is_not_there_at_first_is_taken_when_it_comes(kernel, caplog):
+    """A reader may be older than its interface; the log says once what is missing."""
     reader = kernel.reader("wlan0")
-    assert reader.read() is None
-    assert "wlan0 is gone" in caplog.text
+    assert [reader.read() for _ in range(3)] == [None, None, None]
+    assert [record.message for record in caplog.records] == [
+        "the link interface wlan0 is not there yet; it is taken when it comes"
+    ]
     kernel.put(3, "wlan0", rx=(500, 5))
     assert received(reader.read()) == (500, 5)
+
+
+def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
+    """A late radio is taken in place of an interface that never was up; one that was up is the link for good."""
+    caplog.set_level("INFO")
+    choice: list[str | None] = [None]
+    reader = kernel.reader("auto", choose=lambda: choice[0])
+    assert (reader.read(), reader.name, reader.index) == (None, "auto", None)
+    kernel.put(2, "eth0", state=InterfaceState.NO_CARRIER, rx=(900, 9))
+    choice[0] = "eth0"
+    assert (reader.read().interface, reader.name) == ("eth0", "eth0")
+    kernel.put(3, "wlan0", rx=(500, 5))
+    choice[0] = "wlan0"
+    assert (received(reader.read()), reader.name, reader.index) == ((500, 5), "wlan0", 3)
+    choice[0] = "eth0"
+    kernel.put(3, "wlan0", state=InterfaceState.NO_CARRIER, rx=(600, 6))
+    assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
+    assert [record.message for record in caplog.records] == [
+        "link.interface is auto, and no interface looks like the link yet; it is taken when it comes",
+        "link.interface is auto: eth0 is the link",
+        "the link interface eth0 has no carrier",
+        "link.interface is auto: wlan0 is the link",
+        "the link interface wlan0 has no carrier",
+    ]
 
 
 def test_a_renamed_interface_is_followed(kernel, caplog):
@@ -247,3 +284,31 @@ def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
     ]
     monkeypatch.setattr(psutil, "net_if_addrs", lambda: {"wlan0": addresses})
     assert hardware_address("wlan0") == "b827eb123f2a"
+
+
+def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
+    """Where no file can be opened any more there is no interface, no address and no choice, and the tick goes on."""
+
+    def refuse(*_arguments, **_options):
+        raise OSError(24, "Too many open files")
+
+    for name in ("net_io_counters", "net_if_stats", "net_if_addrs"):
+        monkeypatch.setattr(psutil, name, refuse)
+    assert (read_counters("lo"), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
+    assert InterfaceReader("auto").read() is None
+
+
+def test_memory_that_cannot_be_read_is_what_it_was(caplog):
+    """Nothing is known at first, so little is planned with; then what was told last stands."""
+    answers = iter(
+        [None, SimpleNamespace(total=100, available=40), None, None, SimpleNamespace(total=100, available=30)]
+    )
+
+    def read():
+        if (answer := next(answers)) is None:
+            raise OSError(24, "Too many open files")
+        return answer
+
+    memory = MemoryReader(read)
+    assert [memory.read().available_bytes for _ in range(5)] == [0, 40, 40, 40, 30]
+    assert len(caplog.records) == 2

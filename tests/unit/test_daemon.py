@@ -1,10 +1,16 @@
 """The daemon over a world that does what it is told, some of it late."""
 
+import math
 from dataclasses import replace
+from typing import Any
+
+import pytest
 
 from arpd.daemon import Daemon
-from arpd.model import MemoryState, Observation
-from arpd.settings import Settings
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import Direction, MemoryState, Observation
+from arpd.program import Program
+from arpd.settings import LinkSettings, Settings
 from tests.sample_publishers import publisher, reader
 
 TOPIC = "/t"
@@ -104,6 +110,24 @@ def test_a_clean_stop_waits_for_the_reader_that_goes_first():
     assert world.writer.deadline_ns == 90 * MS
 
 
+def test_a_clean_stop_gives_the_rates_back_last():
+    """On a link that cannot carry what the application publishes, its QoS would else never be proved."""
+    world = World()
+    world.writer = replace(world.writer, rate_hz=5.0)
+    assert restored(world) == 0
+    rows = [topics[TOPIC] for node, topics, _ in world.told if node == "/w"]
+    assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
+    assert (rows[-2].depth, rows[-2].deadline_ns) == (rows[-1].depth, rows[-1].deadline_ns) == (10, 90 * MS)
+
+
+def test_a_clean_stop_gives_the_rates_back_whatever_the_readers_do():
+    """A publisher that cannot have its QoS back is not left paced."""
+    world = World(deaf={"/r"})
+    world.writer, world.reader = replace(world.writer, rate_hz=5.0), replace(world.reader, deadline_ns=85 * MS)
+    assert restored(world) == 1
+    assert math.isinf(world.writer.rate_hz)
+
+
 def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
     """A reader that does not answer is counted, and its writer is left what that reader requests."""
     world = World(deaf={"/r"})
@@ -132,3 +156,67 @@ def test_a_daemon_that_stands_by_only_watches(caplog):
     daemon.tick(world.now_s)
     assert world.gates
     assert world.probes
+
+
+def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
+    """Before it restores anything a daemon hears who is there: publishers with a plan, or another daemon in charge."""
+    world = World()
+    late: Any = World()
+    late.superior = "robot-2"
+    seen = late.observe
+
+    def observe(now_s):
+        observation = seen(now_s)
+        return observation if now_s > 1.0 else replace(observation, superior="", other_daemons=())
+
+    late.observe = observe
+    assert (restored(world), restored(late)) == (0, 0)
+    assert world.writer.deadline_ns == 90 * MS
+    assert not late.told
+
+
+@pytest.mark.parametrize("stage", ["observe", "solve"])
+def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
+    """Nothing is told to anybody in such a tick, and the next one that works goes on where the last one stood."""
+    world: Any = World()
+    world.superior = "robot-2"
+    daemon: Any = Daemon(world, Settings(link=LinkSettings(capacity_bytes_per_second=1e6)), interface="lo")
+    daemon.tick(0.0)
+    world.superior = ""
+    world.writer = replace(world.writer, direction=Direction.SENSING, remote_readers=1)
+    for tick in range(30):
+        daemon.tick(0.1 * tick)
+    before, gates = daemon.snapshot, len(world.gates)
+    assert before.decision.plan.generation > 0
+
+    def fail(*_arguments, **_options):
+        raise ArithmeticError("a bug")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(World if stage == "observe" else Program, stage, fail)
+        for tick in range(30, 40):
+            with pytest.raises(ArithmeticError):
+                daemon.tick(0.1 * tick)
+            daemon.note_failed_tick()
+    assert (daemon.snapshot, len(world.gates)) == (before, gates)
+    daemon.tick(4.0)
+    assert daemon.snapshot.decision.plan == before.decision.plan
+    assert daemon.snapshot.totals.ticks_failed == 10
+
+
+def test_an_interface_that_is_not_there_yet_is_named():
+    """The status tells what never was there from what is gone."""
+    world: Any = World()
+    for wanted, said in (("wlan0", "wlan0 is not there yet"), ("auto", "no link interface is there yet")):
+        daemon: Any = Daemon(world, Settings(), interface=wanted)
+        daemon.tick(0.0)
+        assert daemon.status_line().startswith(f"{said}; ")
+    counters = LinkCounters(
+        interface="wlan1", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
+    )
+    seen = world.observe
+    world.observe = lambda now_s: replace(seen(now_s), counters=counters if now_s == 0.1 else None)
+    daemon.tick(0.1)
+    assert (daemon.interface, daemon.snapshot.interface) == ("wlan1", "wlan1")
+    daemon.tick(0.2)
+    assert daemon.status_line().startswith("wlan1 is gone; ")

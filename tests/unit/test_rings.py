@@ -7,7 +7,9 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "arpd"
 DOMAIN = {
+    "admission",
     "demand",
+    "endpoints",
     "errors",
     "estimator",
     "estimator_tuning",
@@ -15,15 +17,18 @@ DOMAIN = {
     "foreign",
     "governor",
     "handover",
+    "hearing",
     "incumbent",
     "interface",
     "lease",
     "local_queue",
+    "memory",
     "model",
     "offline",
     "ordering",
     "pacing",
     "paper",
+    "peers",
     "planner",
     "probe_schedule",
     "probing",

@@ -308,3 +308,21 @@ def test_importing_the_program_loads_no_solver_library():
         "assert 'osqp' in sys.modules and 'cvxpy' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a bug"), MemoryError(), KeyError("x")])
+def test_whatever_a_back_end_throws_exact_answers(caplog, error):
+    """The answer is there all the same, the failure is counted every time and logged once."""
+
+    class Throwing:
+        name = Backend.OSQP
+
+        def solve(self, problem):
+            raise error
+
+    problem = shares(weights=[1, 2], lo=[0.0, 0.0], hi=[1.0, 1.0], budget=0.9)
+    judge = CheckedSolver(Throwing())
+    for _ in range(3):
+        assert judge.solve(problem) == (water_fill(problem), Backend.EXACT)
+    assert judge.outcomes == {("osqp", "failed"): 3, ("exact", "solved"): 3}
+    assert len(caplog.records) == 1

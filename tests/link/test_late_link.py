@@ -1,0 +1,84 @@
+"""A real link that comes late: `arpd run` is there before it."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.sim.namespaces import executable, inside
+from arpd.sim.simlink import INTERFACE, SimLink, available
+
+WORKS, WHY_NOT = available()
+pytestmark = [
+    pytest.mark.link,
+    pytest.mark.ros,
+    pytest.mark.skipif(not WORKS, reason=f"no simulated link here: {WHY_NOT}"),
+]
+REPO = Path(__file__).parents[2]
+PORT = 9464
+
+
+def ip(host, *argv):
+    subprocess.run([executable("ip"), "-n", host.namespace, *argv], check=True, capture_output=True)
+
+
+def rename(host, name, other):
+    ip(host, "link", "set", name, "down")
+    ip(host, "link", "set", name, "name", other)
+    ip(host, "link", "set", other, "up")  # the peer's own end must not be without a carrier
+
+
+def arpd(link, host, log, *argv):
+    """Start arpd again as often as it fails, as its unit does."""
+    again = ["sh", "-c", 'until "$@"; do sleep 0.2; done', "sh"]
+    command = ["env", "FASTDDS_BUILTIN_TRANSPORTS=UDPv4", *again, sys.executable, "-u", "-m", "arpd", *argv]
+    return link.popen(host, command, env={**os.environ, "PYTHONPATH": str(REPO)}, cwd=REPO, stderr=log)
+
+
+def metric(link, name):
+    """Return what the daemon on the robot exposes, None while it does not."""
+    try:
+        with inside(
+            link.robot.namespace, lambda: socket.create_connection(("127.0.0.1", PORT), timeout=5.0)
+        ) as channel:
+            connection = http.client.HTTPConnection("127.0.0.1", PORT)
+            connection.sock = channel
+            connection.request("GET", "/metrics", headers={"Connection": "close"})
+            lines = connection.getresponse().read().decode().splitlines()
+    except OSError:
+        return None
+    return next((float(line.split()[-1]) for line in lines if line.startswith(f"{name} ")), None)
+
+
+def until(condition, what, timeout_s=60.0):
+    until_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < until_s, f"did not happen in time: {what}"
+        time.sleep(0.1)
+
+
+def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
+    """It starts without, says so, and starts anew with the address: then it hears the peer across the link."""
+    (tmp_path / "arpd.yaml").write_text(f"link: {{interface: {INTERFACE}}}\nhttp: {{port: {PORT}}}\n")
+    with SimLink(f"late-{os.getpid()}") as link, (tmp_path / "log").open("w") as log:
+        ip(link.robot, "address", "flush", "dev", INTERFACE)
+        rename(link.robot, INTERFACE, "away")
+        arpd(link, "ceddp", log, "peer", "--interface", INTERFACE)
+        arpd(link, "robot", log, "run", "--config", str(tmp_path / "arpd.yaml"))
+        until(lambda: metric(link, "arpd_ready") == 1, "the daemon is ready")
+        assert f"{INTERFACE} is not there yet" in (tmp_path / "log").read_text()
+        rename(link.robot, "away", INTERFACE)
+        assert metric(link, "arpd_peer_reports_total") == 0
+        ip(link.robot, "address", "add", f"{link.robot.address}/30", "dev", INTERFACE)
+        until(lambda: (metric(link, "arpd_peer_reports_total") or 0) > 10, "the peer is heard")
+        assert f"arpd: {INTERFACE} has an address that ROS here does not know of" in (tmp_path / "log").read_text()

@@ -1,0 +1,259 @@
+"""What goes wrong around a daemon that governs, in virtual time: what it does then, and what it leaves alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from arpd.daemon import Daemon
+from arpd.model import Direction, LinkState
+from arpd.settings import ProgramSettings, Settings, TopicSettings
+from arpd.sim import scenario, world
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule
+
+LASTS_S = 25.0
+STARTS_S = 1000.0  # of the sensors, on the clock of the daemon
+TOPICS = (
+    SimTopic(name="/points", payload_bytes=5800, rate_hz=20.0),
+    SimTopic(name="/odom", payload_bytes=730, rate_hz=20.0),
+    SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=10.0, direction=Direction.ACTUATION),
+)
+
+
+@pytest.fixture
+def play(monkeypatch):
+    """Play the robot while something goes wrong; return the course, and the daemon with what it did."""
+
+    def play(*, do=None, see=None, link="0:20mbit", duration_s=LASTS_S, settings=None, model=None, seed=1):
+        """Play.
+
+        Parameters
+        ----------
+        do : run time (s) → what happens to the daemon then
+        see : turns run time and what is there into what the daemon sees
+        """
+        orders = sorted((do or {}).items())
+        seen = []
+
+        class Watched(Daemon):
+            def __init__(self, *arguments, **options):
+                super().__init__(*arguments, **options)
+                seen.append(self)
+                self.decisions, self.queues_s = [], []
+
+            def tick(self, now_s):
+                while orders and now_s >= STARTS_S + orders[0][0]:
+                    orders.pop(0)[1](self)
+                self.decisions.append((now_s - STARTS_S, super().tick(now_s)))
+                self.queues_s.append(self.snapshot.link.queue_delay_s)
+                return self.decisions[-1][1]
+
+        class Seen(world.SimulatedWorld):
+            def observe(self, now_s):
+                observation = super().observe(now_s)
+                return observation if see is None else see(now_s - STARTS_S, observation)
+
+        monkeypatch.setattr(scenario, "Daemon", Watched)
+        monkeypatch.setattr(scenario, "SimulatedWorld", Seen)
+        schedule = RateSchedule.parse(link)
+        result = scenario.run(
+            settings or Settings(), schedule, duration_s, seed=seed, managed=True, topics=TOPICS, model=model
+        )
+        return result, seen[0]
+
+    return play
+
+
+def plans(daemon, since_s, until_s=LASTS_S):
+    """Causes of the plans made in that time; what follows the end of the sources is left out."""
+    return [made.reason for at_s, made in daemon.decisions if since_s <= at_s < until_s and made.level_changed]
+
+
+def settled(result):
+    """Whether the last plan is in force on all publishers."""
+    last = result.moments[-1]
+    return last.planned == last.confirmed == len(TOPICS)
+
+
+def reload(settings):
+    return lambda daemon: daemon.reload(lambda: settings)
+
+
+SLACK = Settings(program=ProgramSettings(deadline_slack=2.0))  # changes QoS of every topic
+
+
+# -- reload
+
+
+def test_a_reload_during_a_swap_wins(play):
+    """What it asks for is in force in the end, and nothing is lost on the way."""
+    result, daemon = play(do={14.0: reload(SLACK), 15.0: reload(Settings()), 16.0: reload(SLACK)})
+    assert plans(daemon, 14.0) == ["reload", "reload", "reload"]
+    assert settled(result)
+    assert sum(topic.lost for topic in result.topics) == 0
+    deadlines = {name: row.deadline_ns for name, row in daemon.snapshot.decision.plan.topics.items()}
+    assert deadlines["/odom"] == pytest.approx(2.0e9 / 20.0, rel=0.05)
+
+
+def test_a_reload_in_an_outage_is_planned_for_when_the_link_is_back(play):
+    """The settings are in force at once; no plan is made for a link that is gone."""
+    result, daemon = play(do={13.0: reload(SLACK)}, model=LinkModel(outages=((10.0, 16.0),)))
+    assert plans(daemon, 10.0, 16.0) == []
+    assert daemon.settings == SLACK
+    assert plans(daemon, 16.0)[:1] == ["reload"]
+    assert settled(result)
+
+
+def test_a_reload_while_standing_by_is_in_force_when_it_is_called_to_drive(play):
+    """It makes one plan, of the new settings, and none while another daemon drives."""
+    result, daemon = play(
+        do={10.0: reload(SLACK)},
+        see=lambda t_s, seen: (
+            replace(seen, superior="robot-2", other_daemons=("robot-2",)) if 6.0 <= t_s < 14.0 else seen
+        ),
+    )
+    assert plans(daemon, 6.0, 14.0) == []
+    assert plans(daemon, 14.0) == ["start"]
+    assert settled(result)
+
+
+# -- the network
+
+
+def test_a_partition_of_the_graph_makes_no_plan(play):
+    """When all far readers vanish and come back one after the other, the plan in force is the one from before."""
+    back_s = {"/points": 21.0, "/odom": 21.6, "/cmd_vel": 22.2}
+
+    def see(t_s, seen):
+        return replace(
+            seen,
+            publishers=tuple(
+                replace(p, direction=Direction.LOCAL, remote_readers=0) if 14.0 <= t_s < back_s[p.topic] else p
+                for p in seen.publishers
+            ),
+        )
+
+    result, daemon = play(see=see)
+    assert plans(daemon, 13.0) == []
+    assert settled(result)
+
+
+def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force(play):
+    """Where others answer, its silence is no outage: the link is used as before, and measured when it returns."""
+
+    def see(t_s, seen):
+        return replace(seen, reports=()) if 8.0 <= t_s < 22.0 else seen
+
+    result, daemon = play(see=see, duration_s=28.0)
+    silent = [moment for moment in result.moments if 9.0 <= moment.t_s < 22.0]
+    assert {moment.state for moment in silent} <= {LinkState.APP_LIMITED, LinkState.STEADY}
+    assert {moment.gate for moment in silent} == {1.0}
+    assert plans(daemon, 8.0, 28.0) == []
+    assert settled(result)
+
+
+def test_a_peer_whose_silence_nobody_breaks_is_an_outage_at_first(play):
+    """When nothing arrives any more the gate closes, and after ten seconds the link is used again without a peer."""
+    heard = []
+
+    def see(t_s, seen):
+        if not 8.0 <= t_s < 22.0:
+            return seen
+        heard.append(seen.counters.rx_packets)
+        return replace(seen, reports=(), counters=replace(seen.counters, rx_packets=heard[0]))
+
+    result, daemon = play(see=see, duration_s=28.0)
+    states = {round(moment.t_s, 1): (moment.state, moment.gate) for moment in result.moments}
+    assert states[10.0] == (LinkState.OUTAGE, pytest.approx(0.01))
+    assert states[21.0][0] is not LinkState.OUTAGE
+    assert states[21.0][1] == 1.0
+    assert len(plans(daemon, 8.0, 28.0)) <= 1
+    assert settled(result)
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(play, monkeypatch, step_s):
+    """Neither the far host's clock nor this one's, which stamp what is sent and received, decides anything."""
+
+    def step(_daemon):
+        monkeypatch.setattr(world, "_PEER_CLOCK_S", world._PEER_CLOCK_S + step_s)
+        monkeypatch.setattr(scenario, "_UNIX_S", scenario._UNIX_S - step_s)
+
+    _, undisturbed = play(duration_s=14.0)
+    _, daemon = play(do={10.0: step}, duration_s=14.0)
+    assert daemon.snapshot.unix_time_s == pytest.approx(undisturbed.snapshot.unix_time_s - step_s, abs=1.0)
+    assert daemon.decisions == undisturbed.decisions
+    assert daemon.queues_s == pytest.approx(undisturbed.queues_s, abs=0.05)
+
+
+# -- memory
+
+MIB = 2.0**20
+RESERVE = 128 * MIB
+DEEP = Settings(
+    program=ProgramSettings(memory_reserve_bytes=RESERVE),
+    default_topic=TopicSettings(latency_budget_s=100.0),  # histories of several MiB
+)
+
+
+def memory(available):
+    """Make what is seen of a computer with so much memory available, by run time (bytes)."""
+    return lambda t_s, seen: replace(seen, memory=replace(seen.memory, available_bytes=available(t_s)))
+
+
+def history_bytes(publishers, depths):
+    return sum((700 + 1.3 * p.payload_bytes) * depths[p.topic] for p in publishers)
+
+
+def planned_bytes(decision, publishers):
+    return history_bytes(publishers, {name: row.depth for name, row in decision.plan.topics.items()})
+
+
+def announced_bytes(publishers):
+    return history_bytes(publishers, {p.topic: p.depth for p in publishers})
+
+
+def test_depths_fall_as_soon_as_memory_does(play):
+    """Within a tick of less than the reserve being left the plan asks for less, and a swap later it is in force."""
+    fall_s = 14.0
+    result, daemon = play(
+        settings=DEEP, see=memory(lambda t_s: 512 * MIB if t_s < fall_s else RESERVE + MIB / 2), duration_s=22.0
+    )
+    publishers = daemon.snapshot.observation.publishers
+    before = [made for at_s, made in daemon.decisions if at_s < fall_s][-1]
+    asked_s, asked = next((at_s, made) for at_s, made in daemon.decisions if made.reason == "memory")
+    assert planned_bytes(before, publishers) > 1.5 * MIB
+    assert planned_bytes(asked, publishers) <= MIB
+    assert asked_s - fall_s < 0.2
+    assert settled(result)
+    assert announced_bytes(publishers) <= MIB
+    assert plans(daemon, fall_s, 22.0) == ["memory"]
+    rates = [{name: row.rate_hz for name, row in made.plan.topics.items()} for made in (before, asked)]
+    assert rates[0] == rates[1]  # the link has not changed
+    assert sum(topic.lost for topic in result.topics) == 0
+
+
+def test_memory_that_falls_slowly_is_followed_in_steps(play):
+    """Not with a plan for every byte."""
+    _, daemon = play(settings=DEEP, see=memory(lambda t_s: RESERVE + MIB * max(1.0, 20.0 - t_s)), duration_s=26.0)
+    made = plans(daemon, 12.0, 26.0)
+    assert set(made) == {"memory"}
+    assert len(made) <= 12
+    assert planned_bytes(daemon.snapshot.decision, daemon.snapshot.observation.publishers) <= 1.12 * MIB
+
+
+def test_memory_that_swings_is_not_followed_upwards(play):
+    """What returns for some seconds only is not planned with; what stays is, after half a minute."""
+
+    def available(t_s):
+        if t_s < 14.0 or t_s >= 40.0:
+            return 512 * MIB
+        return RESERVE + (1 if int(t_s / 4) % 2 else 30) * MIB
+
+    _, daemon = play(settings=DEEP, see=memory(available), duration_s=80.0)
+    assert plans(daemon, 14.0, 40.0) == ["memory"]
+    risen = [at_s for at_s, made in daemon.decisions if 40.0 < at_s < 80.0 and made.reason == "memory"]
+    assert risen == [pytest.approx(70.0, abs=4.5)]

@@ -1,0 +1,370 @@
+"""What a reload brings into force, key by key; and that it is the whole file or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from functools import cache
+from typing import Any
+
+import pytest
+
+from arpd.config import load_settings, needs_restart
+from arpd.config_schema import SECTIONS, flatten
+from arpd.daemon import Daemon
+from arpd.errors import ConfigError
+from arpd.estimator import Estimator
+from arpd.governor import Governor
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import MemoryState, Observation
+from tests.sample_publishers import publisher
+
+DT_S = 1.0
+COURSE_S = 50.0
+TOPICS: list[dict[str, Any]] = [{"name": "/b", "weight": 3}, {"name": "/a"}]
+RELAY = {"topics": [{"name": "/scan"}]}
+# Bit rate of the radio from a moment on (s, bytes/s); without one the first belief stands.
+RADIO = ((6.0, 2.2e6), (11.0, 0.8e6), (18.0, 3e6), (24.0, 0.7e6), (30.0, 3e6), (46.0, 2.7e6))
+LATE_S = 15.0  # a third topic comes
+
+# Every key: what it becomes, and what the rest of the file must say for that to matter.
+CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
+    "link.interface": ("wlan7", {}),
+    "link.capacity": ("4mbit", {}),
+    "link.initial_capacity": ("4mbit", {}),
+    "link.headroom": (0.5, {}),
+    "link.packet_overhead": ("2ms", {}),
+    "program.backend": ("exact", {}),
+    "program.deadline_slack": (3, {}),
+    "program.memory_budget": ("64KiB", {}),
+    "program.memory_reserve": ("511.5MiB", {"defaults": {"latency_budget": "none"}}),
+    "governor.down_ratio": (0.3, {}),
+    "governor.up_ratio": (8, {}),
+    "governor.hold": ("12s", {}),
+    "governor.dwell": ("20s", {}),
+    "governor.dwell_max": ("5s", {}),
+    "governor.deadband": (0.9, {}),
+    "governor.swaps_per_minute": (2, {}),
+    "governor.debounce": ("5s", {}),
+    "http.host": ("127.0.0.9", {}),
+    "http.port": (1234, {}),
+    "http.web_config": ("web.yaml", {}),
+    "graph.sensing_topics": (7, {}),
+    "graph.actuation_topics": (7, {}),
+    "defaults.weight": (9, {}),
+    "defaults.min_rate_hz": (9, {}),
+    "defaults.max_rate_hz": (5, {}),
+    "defaults.min_depth": (40, {}),
+    "defaults.max_depth": (3, {}),
+    "defaults.latency_budget": ("100ms", {}),
+    "topics.name": ("/c", {}),
+    "topics.weight": (9, {}),
+    "topics.min_rate_hz": (9, {}),
+    "topics.max_rate_hz": (5, {}),
+    "topics.min_depth": (40, {}),
+    "topics.max_depth": (3, {}),
+    "topics.latency_budget": ("100ms", {}),
+    "topics.payload": ("1kB", {}),
+    "topics.source_rate_hz": (9, {}),
+    "relay.prefix": ("/far", {}),
+    "relay.topics.name": ("/imu", {}),
+    "relay.topics.overflow": ("queue", {}),
+    "relay.topics.depth": (77, {}),
+    "on_stop": ("keep", {}),
+    "on_lost": ("baseline", {}),
+    "lost_after": ("9s", {"on_lost": "baseline"}),
+}
+# In force, and nothing the daemon does depends on it: `arpd solve` reads them.
+OFFLINE = {"topics.payload", "topics.source_rate_hz"}
+FREE = sorted(key for key in CHANGES if not needs_restart(key))
+BOUND = sorted(key for key in CHANGES if needs_restart(key))
+
+
+class World:
+    """Two topics, and later a third, over a link whose radio tells its bit rate; notes what it was told."""
+
+    def __init__(self, settings):
+        self.settings = settings
+        self.graph = settings.graph
+        self.told = []
+
+    def observe(self, now_s):
+        names = {"/a": 200.0, "/b": 20_000.0} | ({"/c": 4000.0} if now_s >= LATE_S else {})
+        return Observation(
+            now_s=now_s,
+            counters=LinkCounters(
+                interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
+            ),
+            reports=(),
+            publishers=tuple(
+                publisher("/n", name, payload_bytes=size, source_rate_hz=200.0, remote_readers=1)
+                for name, size in names.items()
+            ),
+            readers=(),
+            memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
+            sensing_topics=2 if self.graph.sensing_topics is None else self.graph.sensing_topics,
+            actuation_topics=0 if self.graph.actuation_topics is None else self.graph.actuation_topics,
+            peers=0,
+            radio_bytes_per_second=next((rate for at_s, rate in reversed(RADIO) if now_s >= at_s), None),
+        )
+
+    def apply(self, transitions, *, now_s):
+        self.told += ((now_s, step.topics, step.lease_s) for step in transitions)
+
+    def set_gate(self, gate):
+        pass
+
+    def probe(self, request):
+        pass
+
+    def reconfigure(self, graph):
+        self.graph = graph
+
+    def results(self):
+        return {}
+
+    def probes_sent(self):
+        return 0, 0
+
+
+def document(key=None):
+    """Return a configuration: the one a key is changed in, or with the change."""
+    extra = CHANGES[key][1] if key else {}
+    topics = [{**topic} for topic in TOPICS]
+    return {"link": {"initial_capacity": "16mbit"}, "topics": topics, "relay": json.loads(json.dumps(RELAY)), **extra}
+
+
+def changed(key):
+    """Return the configuration with this one key changed."""
+    wanted = document(key)
+    *path, last = key.split(".")
+    at = wanted
+    for step in path:
+        at = at.setdefault(step, {})
+        at = at[0] if isinstance(at, list) else at
+    at[last] = CHANGES[key][0]
+    return wanted
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    """Read a configuration as the daemon does, from a file."""
+    path = tmp_path_factory.mktemp("reload") / "arpd.yaml"
+
+    @cache
+    def read(text):
+        path.write_text(text)
+        return load_settings(path, interfaces=None)
+
+    return lambda data: read(json.dumps(data))  # JSON is YAML
+
+
+def course(settings, *, reload=None):
+    """Return what a daemon does over the course: what it decided and told, tick by tick, and how it would stop."""
+    world = World(settings)
+    now_s = 0.0
+    daemon: Any = Daemon(world, settings, interface="w", clock=lambda: now_s)
+    if reload is not None:
+        assert daemon.reload(lambda: reload)
+    done = []
+    while now_s < COURSE_S:
+        decision = daemon.tick(now_s)
+        seen = daemon.snapshot
+        done.append(
+            (
+                decision.gate,
+                decision.plan,
+                seen.link.capacity_bytes_per_second,
+                seen.observation.sensing_topics,
+                seen.observation.actuation_topics,
+                seen.allocation.backend,
+                seen.lease_s,
+            )
+        )
+        now_s += DT_S
+    return done, world.told, daemon.settings.on_stop
+
+
+@pytest.fixture(scope="module")
+def untouched(load):
+    """Return what a daemon does that nobody reloads, by key: few of them need a file of their own."""
+    known = {}
+
+    def of(key):
+        text = json.dumps(document(key))
+        if text not in known:
+            known[text] = course(load(document(key)))
+        return known[text]
+
+    return of
+
+
+def test_every_key_is_tried():
+    """No key of the file is left out below."""
+    keys = {".".join((*path, key)) for path, section in SECTIONS.items() for key in section.kinds()}
+    assert keys == set(CHANGES)
+
+
+@pytest.mark.parametrize("key", FREE)
+def test_a_reloaded_key_is_in_force(load, untouched, key):
+    """A daemon that reloads the key does, tick for tick, what one does that was started with it, and not as before."""
+    old, new = load(document(key)), load(changed(key))
+    reloaded = course(old, reload=new)
+    assert reloaded == course(new)
+    assert (reloaded == untouched(key)) == (key in OFFLINE)
+
+
+@pytest.mark.parametrize("key", BOUND)
+def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
+    """The daemon holds what is in force and not what the file says, and names the key in log, status and metrics."""
+    old, new = load(document(key)), load(changed(key))
+    daemon: Any = Daemon(World(old), old, interface="w", clock=lambda: 0.0)
+    assert daemon.reload(lambda: new)
+    assert daemon.settings == old
+    differing = {name for name in flatten(old) | flatten(new) if flatten(old).get(name) != flatten(new).get(name)}
+    waiting = [record.message for record in caplog.records if "takes effect after a restart" in record.message]
+    assert {message.partition(": ")[0] for message in waiting} == differing
+    daemon.tick(0.0)
+    assert set(daemon.snapshot.keys_awaiting_restart) == differing
+    assert "restart needed for " in daemon.status_line()
+
+
+# -- whole or not at all
+
+
+def daemon_of(settings, world=None):
+    return Daemon(world or World(settings), settings, interface="w", clock=lambda: 0.0)
+
+
+@pytest.mark.parametrize("part", [World, Estimator, Governor])
+def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch, part):
+    """Wherever taking the new settings fails, every part goes on with the old ones, in all it does from then on."""
+    old, new = load(document()), load(changed("graph.sensing_topics") | changed("link.headroom"))
+    failures = iter([RuntimeError("broken")])
+    take = part.reconfigure
+
+    def break_once(self, settings):
+        take(self, settings)
+        for failure in failures:
+            raise failure
+
+    monkeypatch.setattr(part, "reconfigure", break_once)
+    world, now_s = World(old), 0.0
+    daemon: Any = Daemon(world, old, interface="w", clock=lambda: now_s)
+    with pytest.raises(RuntimeError, match="broken"):
+        daemon.reload(lambda: new)
+    assert daemon.settings is old
+    undisturbed, _, _ = course(old)
+    for gate, plan, *_, sensing, _, _, _ in undisturbed[:20]:
+        decision = daemon.tick(now_s)
+        assert (decision.gate, decision.plan, world.graph) == (gate, plan, old.graph)
+        assert daemon.snapshot.observation.sensing_topics == sensing
+        now_s += DT_S
+
+
+def unusable(path):
+    """Spoil a configuration file, in one way after the other; name each."""
+    path.unlink()
+    yield "does not exist"
+    path.mkdir()
+    yield "is a directory"
+    path.rmdir()
+    path.write_text(json.dumps(document())[:-40])
+    yield "yaml: "
+    with path.open("wb") as file:
+        file.truncate(100_000_000)
+    yield "is larger than"
+    path.write_bytes(b"")
+    yield "is empty"
+    path.write_bytes(b"\0\1")
+    yield "a control character"
+    path.chmod(0)
+    if not os.access(path, os.R_OK):  # root may read everything
+        yield "may not be read"
+
+
+def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
+    """Each way is named in log, status and metrics while the old settings stay; a good file puts that right."""
+    path = tmp_path / "arpd.yaml"
+    path.write_text(json.dumps(document()))
+    daemon = daemon_of(load_settings(path, interfaces=None))
+    old = daemon.settings
+    for refused, why in enumerate(unusable(path), start=1):
+        assert not daemon.reload(lambda: load_settings(path, interfaces=None))
+        daemon.tick(0.0)
+        assert daemon.settings is old
+        assert why in daemon.snapshot.config_error
+        assert f"reload refused: {path}" in daemon.status_line()
+        assert daemon.snapshot.totals.reloads_by_result == {"failed": refused}
+        assert caplog.records[-1].message == "reload refused, faults: 1; the configuration in force stays"
+    path.unlink()
+    path.write_text(json.dumps(changed("on_stop")))
+    assert daemon.reload(lambda: load_settings(path, interfaces=None))
+    daemon.tick(0.0)
+    assert (daemon.settings.on_stop, daemon.snapshot.config_error) == ("keep", "")
+
+
+def test_a_flood_of_faults_is_counted_and_not_logged(load, caplog):
+    """Somebody else's file, a megabyte of it, does not fill the journal."""
+
+    def load_wrong():
+        raise ConfigError([f"arpd.yaml:{line}:1: x: is wrong; right it" for line in range(1, 5001)])
+
+    assert not daemon_of(load(document())).reload(load_wrong)
+    assert len(caplog.records) < 30
+    assert "faults: 5000" in caplog.records[-1].message
+
+
+def test_what_changed_is_logged_and_counted(load, caplog):
+    """One line per key, what waits for a restart apart; a file without changes is no change, and makes no new plan."""
+    caplog.set_level("INFO")
+    world = World(load(document()))
+    now_s = 0.0
+    daemon: Any = Daemon(world, world.settings, interface="w", clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s)
+    while daemon.tick(now_s).plan.generation == 0:
+        now_s += DT_S
+    caplog.clear()
+    wanted = changed("http.port") | {"on_stop": "keep", "program": {"deadline_slack": 2}}
+    assert daemon.reload(lambda: load(wanted))
+    assert [record.message for record in caplog.records] == [
+        "reloaded: program.deadline_slack: 1.25 -> 2.0",
+        "reloaded: on_stop: restore -> keep",
+        "http.port: 9464 -> 1234; takes effect after a restart",
+    ]
+    assert daemon.tick(now_s + DT_S).reason == "reload"
+    assert daemon.reload(lambda: load(wanted))
+    assert daemon.tick(now_s + 2 * DT_S).reason == ""
+    seen = daemon.snapshot
+    assert seen.totals.reloads_by_result == {"ok": 2}
+    assert seen.totals.changed_keys_by_effect == {"in_force": 2, "awaiting_restart": 1}
+    assert seen.config_loaded_at_s == 1.7e9 + now_s
+    assert daemon.reload(lambda: load(document()))
+    assert caplog.records[-1].message == "reloaded: on_stop: keep -> restore"
+    daemon.tick(now_s + 3 * DT_S)
+    assert daemon.snapshot.keys_awaiting_restart == ()
+
+
+def test_counts_go_on_through_a_reload(load):
+    """Solves are counted since the start, not since the last configuration."""
+    daemon, now_s = daemon_of(load(document())), 0.0
+    while daemon.tick(now_s).plan.generation == 0:
+        now_s += DT_S
+    before = sum(daemon.snapshot.totals.solves_by_outcome.values())
+    assert daemon.reload(lambda: load(changed("program.backend")))
+    daemon.tick(now_s + DT_S)
+    assert sum(daemon.snapshot.totals.solves_by_outcome.values()) > before > 0
+
+
+def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeypatch, caplog):
+    """`exact` takes over, at a start and at a reload, and the log says so."""
+    monkeypatch.setitem(sys.modules, "arpd.solvers.cvxpy_", None)
+    cvxpy = load({"program": {"backend": "cvxpy"}})
+    reloaded = daemon_of(load(document()))
+    assert reloaded.reload(lambda: cvxpy)
+    for daemon in (daemon_of(cvxpy), reloaded):
+        now_s = 0.0
+        while daemon.tick(now_s).plan.generation == 0:
+            now_s += DT_S
+        assert daemon.snapshot.allocation.backend == "exact"
+    assert caplog.text.count("program.backend: cvxpy cannot be used") == 2

@@ -1,0 +1,364 @@
+"""The loop around the daemon: signals, reloads, failing ticks, and what is told to systemd."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from arpd.host.locators import Locators
+from arpd.settings import OnStop, Settings
+from arpd.supervisor import Signals, Supervisor, stop
+from arpd.web.patient import PatientServer
+from arpd.web.server import HttpAddressError
+
+NUMBERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+@pytest.fixture
+def signals():
+    """Install the handlers for a test; they run in this process."""
+    before = [signal.getsignal(number) for number in NUMBERS]
+    signals = Signals(is_looping=True)
+    signals.install()
+    yield signals
+    for number, handler in zip(NUMBERS, before, strict=True):
+        signal.signal(number, handler)
+
+
+class Told:
+    """Stands in for systemd: notes what it is told, in order."""
+
+    watchdog_period_s = 10.0
+
+    def __init__(self):
+        self.messages = []
+
+    def ready(self):
+        self.messages.append("READY")
+
+    def reloading(self):
+        self.messages.append("RELOADING")
+
+    def watchdog(self):
+        self.messages.append("WATCHDOG")
+
+    def status(self, text):
+        self.messages.append(text)
+
+    def count(self, message):
+        return self.messages.count(message)
+
+
+class Daemon:
+    """Does at each tick what the test wants done then; ends with the last."""
+
+    def __init__(self, signals, *ticks):
+        self._signals = signals
+        self._ticks = iter(ticks)
+        self.then = iter(())
+        self.settings = Settings()
+        self.loaded = []
+        self.refused = []
+        self.failed = 0
+        self.ticked = 0
+
+    def tick(self, _now_s):
+        self._signals.wakeup.set()  # the next one at once
+        do = next(self._ticks, None) or next(self.then, None)
+        if do is None:
+            self._signals.stop = True
+            return
+        do()
+        self.ticked += 1
+
+    def reload(self, load):
+        self.loaded.append(load())
+
+    def note_failed_reload(self, why):
+        self.refused.append(why)
+
+    def note_failed_tick(self):
+        self.failed += 1
+
+    def note_late_tick(self):
+        pass
+
+    def status_line(self):
+        return "fine"
+
+
+def nothing():
+    pass
+
+
+def fail():
+    raise ValueError("a bug")
+
+
+def send(number, times=1):
+    for _ in range(times):
+        os.kill(os.getpid(), number)
+
+
+def run(daemon, signals, load=Settings, **options):
+    told: Any = Told()
+    Supervisor(daemon, signals, told, load=load, **options).run()
+    return told
+
+
+# -- reload
+
+
+def test_ten_reloads_in_a_second_are_few_and_the_last_file_wins(signals):
+    """Signals that come while a file is read are one more reload of what the file says by then."""
+    file = ["first"]
+    reading, go_on = threading.Event(), threading.Event()
+
+    def load():
+        found = file[0]
+        reading.set()
+        assert go_on.wait(10.0)
+        return found
+
+    def change():
+        assert reading.wait(10.0)
+        file[0] = "last"
+        send(signal.SIGHUP, 9)
+        go_on.set()
+
+    daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP), nothing, change)
+    daemon.then = until(lambda: len(daemon.loaded) == 2)
+    told = run(daemon, signals, load)
+    assert daemon.loaded == ["first", "last"]
+    assert [said for said in told.messages if said in {"READY", "RELOADING"}] == ["READY", *2 * ("RELOADING", "READY")]
+
+
+def until(condition, timeout_s=10.0):
+    """Tick on until a condition holds."""
+    until_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < until_s, "did not happen in time"
+        yield nothing
+
+
+def test_a_file_that_takes_long_to_read_does_not_stop_the_ticks(signals):
+    """Ticks go on while it is read, and it is in force afterwards."""
+    go_on = threading.Event()
+
+    def load():
+        assert go_on.wait(10.0)
+        return "slow"
+
+    daemon = Daemon(signals, lambda: send(signal.SIGHUP), *5 * [nothing], go_on.set)
+    daemon.then = until(lambda: daemon.loaded)
+    run(daemon, signals, load)
+    assert daemon.loaded == ["slow"]
+    assert daemon.ticked >= 7
+
+
+def test_whatever_a_reload_raises_is_refused_and_answered(signals, caplog):
+    """A bug in reading or taking a configuration ends the reload, not the daemon."""
+    daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP))
+    daemon.then = until(lambda: daemon.refused)
+    told = run(daemon, signals, fail)
+    assert daemon.refused == ["ValueError: a bug"]
+    assert [said for said in told.messages if said in {"READY", "RELOADING"}] == ["READY", "RELOADING", "READY"]
+    assert "reload failed; the configuration in force stays" in caplog.text
+
+
+def test_a_reload_does_not_end_the_start(signals):
+    """READY is said once a tick has finished; a reload before that is not announced."""
+    daemon = Daemon(signals, *3 * [fail])
+    daemon.then = until(lambda: daemon.loaded)
+    send(signal.SIGHUP)
+    told = run(daemon, signals, lambda: "file")
+    before = told.messages.index("READY")
+    assert "RELOADING" not in told.messages[:before]
+    assert daemon.failed == 3
+
+
+# -- ticks that fail
+
+
+def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
+    """While ticks fail nothing is fed, systemd and the log are told why, once, and that they finish again."""
+    told_while_failing: list[str] = []
+    told: Any = Told()
+    daemon: Any = Daemon(signals, *20 * [fail], lambda: told_while_failing.extend(told.messages), nothing)
+    Supervisor(daemon, signals, told, load=Settings).run()
+    assert told_while_failing == ["ticks fail (ValueError: a bug); the publishers keep the plan they have"]
+    assert daemon.failed == 20
+    assert told.messages[1:] == ["READY", "WATCHDOG", "fine"]
+    assert [record.levelno for record in caplog.records] == [logging.ERROR]
+    assert caplog.records[0].exc_info is not None
+
+
+# -- stop
+
+
+def test_a_stop_before_there_is_a_loop_ends_the_process(signals):
+    """Nothing has been changed yet, and importing ROS would take longer than systemd waits."""
+    signals.is_looping = False
+    with pytest.raises(SystemExit) as ended:
+        send(signal.SIGTERM)
+    assert ended.value.code == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_ends_the_loop_after_the_tick_even_if_a_reload_waits(signals, number):
+    """What is asked for together with a stop is not begun."""
+    daemon = Daemon(signals, lambda: (send(signal.SIGHUP), send(number)), nothing)
+    told = run(daemon, signals)
+    assert (daemon.ticked, daemon.loaded, told.count("RELOADING")) == (1, [], 0)
+
+
+@pytest.mark.parametrize("times", [1, 2, 5])
+def test_more_of_the_same_signal_does_not_cut_a_restore_short(signals, caplog, times):
+    """However impatient somebody is, publishers get their QoS back; the restore ends by itself."""
+    restored = []
+
+    class Restoring(Daemon):
+        def restore(self, *, wait):
+            for _ in range(times):
+                send(signal.SIGTERM)
+                wait(0.01)
+            restored.append(True)
+            return 0
+
+    caplog.set_level("INFO")
+    daemon: Any = Restoring(signals)
+    stop(daemon)
+    assert restored == [True]
+    assert "every publisher has its original QoS back" in caplog.text
+
+
+def test_a_restore_that_fails_still_is_a_clean_end(signals, caplog):
+    """The log says that publishers may keep their plan."""
+
+    class Restoring(Daemon):
+        def restore(self, *, wait):
+            fail()
+
+    daemon: Any = Restoring(signals)
+    stop(daemon)
+    assert "publishers may keep their plan" in caplog.text
+
+
+def test_a_daemon_told_to_keep_restores_nothing(signals):
+    """`on_stop: keep` leaves the plan in force."""
+    daemon: Any = Daemon(signals)
+    daemon.settings = Settings(on_stop=OnStop.KEEP)
+    stop(daemon)  # which has no restore
+
+
+# -- around it
+
+
+def test_what_is_wrong_around_the_daemon_shows_in_its_status(signals):
+    """Whoever reads `systemctl status` learns that there are no metrics."""
+    told = run(Daemon(signals, nothing), signals, fault=lambda: "no metrics: port taken")
+    assert "fine; no metrics: port taken" in told.messages
+
+
+def test_the_loop_ends_when_a_new_process_would_reach_more(signals):
+    """It does so without being told to stop."""
+    cut_off = iter([False, False, True])
+    daemon = Daemon(signals, *9 * [nothing])
+    run(daemon, signals, is_cut_off=lambda: next(cut_off))
+    assert (daemon.ticked, signals.stop) == (2, False)
+
+
+class Host:
+    """Interfaces and their addresses, and a clock."""
+
+    def __init__(self, **addresses):
+        self.now_s = 100.0
+        self.addresses = addresses
+        self.link = "wlan0"
+        self.locators = Locators(lambda: self.link, addresses=self.known, clock=lambda: self.now_s)
+
+    def known(self):
+        return {name: frozenset([address]) for name, address in self.addresses.items()}
+
+    def are_outdated(self, after_s):
+        until_s = self.now_s + after_s
+        while self.now_s < until_s:
+            self.now_s += 0.1
+            if self.locators.are_outdated():
+                return True
+        return False
+
+
+def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
+    """A radio that is late, or that gets another address, after a few seconds in which it may get more."""
+    late = Host(lo="127.0.0.1")
+    assert not late.are_outdated(60.0)
+    late.addresses["wlan0"] = "10.0.0.5"
+    assert not late.are_outdated(2.5)
+    assert late.are_outdated(3.0)
+    renumbered = Host(wlan0="10.0.0.5")
+    renumbered.addresses["wlan0"] = "10.0.0.77"
+    assert renumbered.are_outdated(6.0)
+
+
+def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
+    """Not the link's own that goes and returns, not another interface, and not a link that is chosen late."""
+    host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
+    del host.addresses["wlan0"]
+    assert not host.are_outdated(30.0)
+    host.addresses |= {"wlan0": "10.0.0.5", "docker0": "172.17.0.1"}
+    assert not host.are_outdated(30.0)
+    host.link = "eth0"
+    assert not host.are_outdated(30.0)
+
+
+def test_an_address_that_is_passed_through_calls_for_nothing():
+    """A link-local address that is gone after two seconds was none to be found under."""
+    host = Host(wlan0="10.0.0.5")
+    host.addresses["wlan0"] = "169.254.3.4"
+    assert not host.are_outdated(2.0)
+    host.addresses["wlan0"] = "10.0.0.5"
+    assert not host.are_outdated(30.0)
+
+
+@contextmanager
+def listening(port):
+    """Listen where nobody else may; as the real server, raise where somebody does."""
+    try:
+        with socket.create_server(("127.0.0.1", port), reuse_port=False):
+            yield f"http://127.0.0.1:{port}"
+    except OSError as error:
+        raise HttpAddressError(f"http: cannot listen on 127.0.0.1:{port}: {error.strerror}; take another") from error
+
+
+def test_a_port_that_is_taken_is_tried_again(caplog):
+    """The daemon goes on without metrics, says so once, and serves as soon as the port is free."""
+    caplog.set_level("INFO")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        server = PatientServer(lambda: listening(port), again_s=0.02)
+        with server.up():
+            assert server.fault.startswith(
+                f"no metrics: http: cannot listen on 127.0.0.1:{port}: Address already in use"
+            )
+            time.sleep(0.1)
+            other.close()
+            until_s = time.monotonic() + 10.0
+            while server.fault and time.monotonic() < until_s:
+                time.sleep(0.01)
+            assert server.fault == ""
+    assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
+
+
+def test_what_else_keeps_it_from_serving_at_the_start_is_raised():
+    """A web configuration that is wrong does not get better by trying again."""
+    with pytest.raises(ValueError, match="a bug"), PatientServer(fail).up():
+        raise AssertionError("must not be entered")
