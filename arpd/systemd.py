@@ -8,15 +8,19 @@ The protocol is one datagram to ``$NOTIFY_SOCKET``. ``sdnotify`` (no release sin
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 log = logging.getLogger(__name__)
+
+_BEAT_S = 1.0
+_STALE_S = 5.0  # a part that has finished nothing for so long hangs; the watchdog then waits for its own time
 
 
 def _datagram_socket() -> socket.socket:
@@ -75,6 +79,36 @@ class Notifier:
                 channel.sendall(message.encode())
         except OSError as error:
             log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
+
+
+class Heartbeat:
+    """Feeds the watchdog, at most once a second, while every part of the process finishes its rounds.
+
+    Parameters
+    ----------
+    notifier : where the watchdog listens
+    parts : for each other thread that must not hang, when it last finished a round, on the same clock (s)
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        notifier: Notifier,
+        *,
+        parts: Sequence[Callable[[], float]] = (),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._notifier = notifier
+        self._parts = parts
+        self._clock = clock
+        self._beat_s = -math.inf
+
+    def beat(self) -> None:
+        """Note that the calling thread has finished a round."""
+        now_s = self._clock()
+        if now_s - self._beat_s >= _BEAT_S and all(now_s - finished_s() < _STALE_S for finished_s in self._parts):
+            self._beat_s = now_s
+            self._notifier.watchdog()
 
 
 def _watchdog_period_s(environ: Mapping[str, str]) -> float | None:

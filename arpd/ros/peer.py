@@ -9,13 +9,14 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-from arpd.host.counters import InterfaceReader, choose_interface, hardware_address
+from arpd.host.counters import InterfaceReader, hardware_address
+from arpd.host.locators import Locators
 from arpd.logs import configure_logging
 from arpd.probing import PeerReport
 from arpd.receiver import BUSY_S, Receiver, ReportSchedule
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.runtime import control_node, spin_until, stop_on_signals
-from arpd.systemd import Notifier
+from arpd.systemd import Heartbeat, Notifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _LONGEST_S = 59.0  # that a report covers
+_MOST_PROBES_HZ = 1000.0  # packets; a daemon sends ten pings, and trains of 24, a dozen of them a second at most
+_QUIET_S = 5.0  # a daemon sends several probes in this time, whatever the link does
 
 
 class Peer:
@@ -48,8 +51,9 @@ class Peer:
         from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415
         from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
 
-        from arpd.ros import report  # noqa: PLC0415
+        from arpd.ros import intake, report  # noqa: PLC0415
 
+        self._octets = intake.octets
         self._report = report
         self._reader = reader
         self._name = name
@@ -59,24 +63,36 @@ class Peer:
         self._counters = reader.read()
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
-        node.create_subscription(UInt8MultiArray, PROBE_TOPIC, self._on_probe, best_effort)
+        self._intake = intake.Intake(
+            node,
+            UInt8MultiArray,
+            PROBE_TOPIC,
+            best_effort,
+            most_bytes=report.MOST_PROBE_BYTES,
+            take=self._on_probe,
+            refuse=lambda: log.debug("ignored a message that is longer than any probe"),
+            calm_hz=_MOST_PROBES_HZ,
+        )
         # Steady time: when this host's clock is set back, reports go on.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(BUSY_S, self._look, clock=steady)
         self._armed_s = math.inf
+        self.probed_s = -math.inf  # when the last probe arrived
         self._arm(self._schedule.look_s)
 
-    def _on_probe(self, message: Any, info: Any) -> None:
+    def _on_probe(self, data: bytes, info: Any) -> None:
         try:
-            header = self._report.decode_probe(message)
+            packet = self._octets(data)
+            header = self._report.read_probe(packet)
         except ValueError as fault:
             log.debug("ignored a probe: %s", fault)
             return
+        self.probed_s = self._clock()
         self._receiver.on_probe(
             train=header.train,
             index=header.index,
             packets=header.packets,
-            payload_bytes=len(message.data),
+            payload_bytes=len(packet),
             sent_ns=info["source_timestamp"],
             received_ns=info["received_timestamp"],
         )
@@ -128,6 +144,37 @@ class Peer:
         self._schedule.note_sent(now_s)
 
 
+class ProbeStatus:
+    """What `systemctl status` shows of a peer: whether a daemon's probes arrive, and since when.
+
+    Parameters
+    ----------
+    task : what the peer does, in words
+    tell : told the line at the start and whenever it changes
+    wall_clock : the time of day, in words
+    """
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        tell: Callable[[str], None],
+        wall_clock: Callable[[], str] = lambda: time.strftime("%Y-%m-%d %H:%M:%S"),
+    ) -> None:
+        self._task = task
+        self._tell = tell
+        self._wall_clock = wall_clock
+        self._arrive = False
+        tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
+
+    def update(self, *, probed_s: float, now_s: float) -> None:
+        """Compare with when the last probe arrived (s)."""
+        if (arrive := now_s - probed_s < _QUIET_S) == self._arrive:
+            return
+        self._arrive = arrive
+        self._tell(f"{self._task}; {'probes arrive' if arrive else 'no probes'} since {self._wall_clock()}")
+
+
 def default_name(interface: str) -> str:
     """Name this host so that no other peer has the same: host name and the end of the interface's Ethernet address.
 
@@ -144,23 +191,40 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     ----------
     interface : link interface on this host, or ``auto``
     name : what the peer calls itself in reports; by default the host name and the end of the interface's address
+
+    Raises
+    ------
+    LinkError
+        If another process would be heard over the link, and this one is not.
     """
     configure_logging(log_level)
-    chosen = choose_interface(interface)
-    name = name or default_name(chosen)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
+    reader = InterfaceReader(interface)
+    reader.read()  # finds what ``auto`` stands for
+    name = name or default_name(reader.name)
+    locators = Locators(lambda: reader.name)
     with control_node("arpd_peer") as node:
         # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        Peer(node, reader=InterfaceReader(chosen), name=name)
-        log.info("reporting what arrives on %s as %s", chosen, name)
+        peer = Peer(node, reader=reader, name=name)
+        log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()
-        notifier.status(f"reporting what arrives on {chosen} as {name}")
-        spin_until(executor, stopping)
+        status = ProbeStatus(f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
+        heartbeat = Heartbeat(notifier)
+
+        def on_turn() -> None:
+            status.update(probed_s=peer.probed_s, now_s=time.monotonic())
+            heartbeat.beat()
+            if locators.are_outdated():
+                stopping.set()
+
+        spin_until(executor, stopping, on_turn=on_turn)
         notifier.stopping()
+    if locators.are_outdated():
+        raise locators.error()
     return 0

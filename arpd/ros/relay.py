@@ -12,11 +12,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
+from arpd.host.counters import likeliest_interface
+from arpd.host.locators import Locators
 from arpd.logs import configure_logging
 from arpd.ros.graph import node_name_of
 from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
 from arpd.routes import Refusal, Route, Source, choose_route, own_output
-from arpd.systemd import Notifier
+from arpd.settings import AUTO
+from arpd.systemd import Heartbeat, Notifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -322,7 +325,7 @@ def best_executor(context: Any = None) -> Any:
     return SingleThreadedExecutor(context=context)
 
 
-def defaultnode_name_of(host: str) -> str:
+def default_node_name(host: str) -> str:
     """Return a node name of this host's own: two relays of one name would receive each other's parameters."""
     return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
 
@@ -334,17 +337,36 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     ----------
     config_path : YAML configuration
     node_name : name of the ROS node; `default_node_name` of this host when None
+
+    Raises
+    ------
+    LinkError
+        If another process would be heard over the link, and this one is not.
     """
     configure_logging(log_level)
     settings = load_settings(config_path, interfaces=None)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    with ros_node(node_name or defaultnode_name_of(platform.node())) as node:
+    link = settings.link.interface
+    locators = Locators(lambda: link if link != AUTO else likeliest_interface() or "")
+    with ros_node(node_name or default_node_name(platform.node())) as node:
         executor = best_executor()
         executor.add_node(node)
         Relay(node, settings.relay, on_change=notifier.status)
+        from arpd.ros.tuning import NodeTuning  # noqa: PLC0415 - ROS is checked in ros_node
+
+        tuning = NodeTuning.of(node)
+        heartbeat = Heartbeat(notifier, parts=[lambda: tuning.finished_s])
+
+        def on_turn() -> None:
+            heartbeat.beat()
+            if locators.are_outdated():
+                stopping.set()
+
         notifier.ready()
-        spin_until(executor, stopping)
+        spin_until(executor, stopping, on_turn=on_turn)
         notifier.stopping()
+    if locators.are_outdated():
+        raise locators.error()
     return 0

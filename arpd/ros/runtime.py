@@ -34,7 +34,7 @@ def ros_node(name: str) -> Iterator[Any]:
     Raises
     ------
     RosUnavailableError
-        If ROS 2 cannot be imported here.
+        If ROS 2 cannot be imported here, or does not start.
     """
     prepare_environment()
     try:
@@ -44,8 +44,14 @@ def ros_node(name: str) -> Iterator[Any]:
         raise RosUnavailableError(
             f"ROS 2 cannot be imported ({error}); source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
         ) from error
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(name)
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(name)
+    except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
+        rclpy.try_shutdown()
+        raise RosUnavailableError(
+            f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
+        ) from error
     try:
         yield node
     finally:
@@ -76,13 +82,18 @@ def spinning(executor: Any) -> Iterator[None]:
         executor.shutdown(timeout_sec=1.0)
 
 
-def spin_until(executor: Any, stopping: threading.Event) -> None:
-    """Spin in this thread until ``stopping`` is set."""
-    _spin(executor, stopping)
+def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None]) -> None:
+    """Spin in this thread until ``stopping`` is set.
+
+    Parameters
+    ----------
+    on_turn : called after every turn that did not fail, several times a second also when nothing happens
+    """
+    _spin(executor, stopping, on_turn=on_turn)
 
 
 def stop_on_signals(stopping: threading.Event, *, wake: Callable[[], None] | None = None) -> None:
-    """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler."""
+    """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler. SIGHUP is nothing to die of."""
 
     def handle(_signum: int, _frame: Any) -> None:
         stopping.set()
@@ -91,13 +102,15 @@ def stop_on_signals(stopping: threading.Event, *, wake: Callable[[], None] | Non
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
-def _spin(executor: Any, stopping: threading.Event) -> None:
+def _spin(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
     # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
     while not stopping.is_set():
         try:
             executor.spin_once(timeout_sec=0.2)
+            on_turn()
         except Exception:
             if stopping.is_set():
                 return

@@ -11,6 +11,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from contextlib import ExitStack, contextmanager, suppress
@@ -26,8 +27,12 @@ _CALL_S = 45.0
 _GONE_S = 5.0
 _TOOLS = ("systemd-nspawn", "systemctl", "nsenter", "unshare", "setpriv")
 
-# $1: folder with files/ and the mount point m; then the command to run where m/root is this machine with those files.
 _REPO = Path(__file__).resolve().parents[2]
+PYTHON = Path("/opt/python")  # where a machine sees the Python that runs the tests, which may live in a private home
+_REBOOT = 133  # how nspawn ends when its machine wants to be started again (systemd-nspawn(1), --keep-unit)
+_AGAIN = 'while :; do "$@"; ended=$?; [ "$ended" = "$again" ] || exit "$ended"; done'
+
+# $1: folder with files/ and the mount point m; then the command to run where m/root is this machine with those files.
 _MOUNT_AND_EXEC = """
 set -e
 folder=$1; shift
@@ -35,6 +40,8 @@ mount -t tmpfs -o mode=0755 arpd-machine "$folder/m"
 cp -a "$folder/files" "$folder/m/upper"
 mkdir "$folder/m/work" "$folder/m/root"
 mount -t overlay -o "lowerdir=/,upperdir=$folder/m/upper,workdir=$folder/m/work" arpd-machine "$folder/m/root"
+# What this machine serves is none of the tests' business.
+rm -rf "$folder/m/root/etc/systemd/system/multi-user.target.wants"
 exec "$@"
 """
 # $1: files that move the process that writes its id into them, one per line; then the command to run there.
@@ -65,16 +72,17 @@ def available() -> tuple[bool, str]:
     return tried.returncode == 0, f"no overlay of / here: {tried.stderr.strip()}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Machine:
     """A booted machine.
 
     Parameters
     ----------
-    init : process id of its systemd, as this machine sees it
+    init : process id of its systemd, as this machine sees it; another one after a reboot
     """
 
     init: int
+    _outside: subprocess.Popen[bytes]
 
     @property
     def root(self) -> Path:
@@ -98,13 +106,25 @@ class Machine:
         """Return what a unit has logged, and what systemd has logged about it."""
         return self.call("journalctl", "--unit", unit, "--no-pager").stdout
 
+    def reboot(self) -> None:
+        """Reboot on the same files, and wait until it is up again.
+
+        Raises
+        ------
+        MachineError
+            If it does not come up.
+        """
+        before = self.init
+        self.call("systemctl", "reboot")
+        self.init = _await_boot(self._outside, other_than=before)
+
     def _inside(self, argv: tuple[str, ...]) -> list[str]:
         return ["nsenter", "--target", str(self.init), "--all", *argv]
 
 
 @contextmanager
 def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iterator[Machine]:
-    """Boot a machine into basic.target; leaving the block, however that happens, ends it.
+    """Boot a machine into multi-user.target, which wants what `files` enable; leaving the block ends it.
 
     Parameters
     ----------
@@ -127,10 +147,12 @@ def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iter
             *(f"--network-namespace-path={network}", "--register=no", "--keep-unit", "--link-journal=no"),
             # A fixed place: the checkout may well live under /tmp, which nspawn and the units' sandbox hide.
             f"--bind-ro={_REPO}:/srv/arpd",
-            *("--console=pipe", "--", "systemd.unit=basic.target"),
+            f"--bind-ro={sys.base_prefix}:{PYTHON}",
+            *("--console=pipe", "--", "systemd.unit=multi-user.target"),
         )
+        again = ("env", f"again={_REBOOT}", "sh", "-c", _AGAIN, "sh")
         procs = "\n".join(f"{cgroup}/cgroup.procs" for cgroup in cgroups)
-        command = ("sh", "-c", _MOVE_AND_EXEC, "sh", procs, *_on_overlay(folder, *nspawn))
+        command = ("sh", "-c", _MOVE_AND_EXEC, "sh", procs, *_on_overlay(folder, *again, *nspawn))
         console = folder / "console"
         with console.open("w") as log:
             process = subprocess.Popen(
@@ -142,33 +164,34 @@ def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iter
             )
         stack.callback(_end, process)
         try:
-            machine = _await_boot(process)
+            machine = Machine(_await_boot(process), process)
         except MachineError as error:
             raise MachineError(f"{name}: {error}; its console:\n{console.read_text()}") from None
         yield machine
 
 
-def _await_boot(outside: subprocess.Popen[bytes]) -> Machine:
+def _await_boot(outside: subprocess.Popen[bytes], *, other_than: int | None = None) -> int:
     until_s = time.monotonic() + BOOT_S
     while time.monotonic() < until_s:
         if outside.poll() is not None:
             raise MachineError(f"systemd-nspawn ended with code {outside.returncode}")
-        if (init := _init_of(outside)) is not None:
-            machine = Machine(init)
-            if machine.call("systemctl", "is-active", "basic.target").stdout.strip() == "active":
-                return machine
+        if (init := _init_of(outside)) not in (None, other_than):
+            is_active = Machine(init, outside).call("systemctl", "is-active", "multi-user.target")
+            if is_active.stdout.strip() == "active":
+                return init
         time.sleep(0.1)
-    raise MachineError(f"no basic.target after {BOOT_S:.0f} s")
+    raise MachineError(f"no multi-user.target after {BOOT_S:.0f} s")
 
 
 def _init_of(outside: subprocess.Popen[bytes]) -> int | None:
     """Process id of the machine's systemd, None while there is none."""
+    processes = [outside.pid]
     with suppress(OSError):
-        for nspawn in _children(outside.pid):
-            for child in _children(nspawn):
-                # The last id on the line is the one inside; only the machine's first process is 1 there.
-                if re.search(r"^NSpid:.*\t1$", Path(f"/proc/{child}/status").read_text(), re.MULTILINE):
-                    return child
+        for pid in processes:
+            # Its ids here, in the namespace nspawn runs in, and inside, where only the machine's first process is 1.
+            if re.search(r"^NSpid:\t\d+\t\d+\t1$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE):
+                return pid
+            processes += _children(pid)
     return None
 
 

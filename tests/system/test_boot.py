@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import threading
 import time
 import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -22,7 +21,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
 import machine
+import numbered
 
+from arpd.ros.runtime import FASTDDS_PROFILE
 from arpd.sim import simlink
 from arpd.sim.namespaces import NETNS_DIR
 from scripts.robot.proxy import window
@@ -30,50 +31,69 @@ from scripts.robot.proxy import window
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
 REPO = Path(__file__).parents[2]
-CONFIG = REPO / "scripts/robot/arpd.yaml"
+UNITS = "/usr/local/lib/systemd/system"
+CONFIG = """\
+relay:
+  topics:
+    - {name: /numbered, overflow: queue, depth: 200}
+topics:
+  # Twice what is published: on a link that is calm, pacing withholds nothing.
+  - {name: /link/numbered, max_rate_hz: 50}
+  - {name: /own, max_rate_hz: 50}
+"""
 BROKEN = "\nlink:\n  headrom: 0.5\n"
 HTTP_PORT = 9464
-SENSORS = ("/scan/front", "/imu")
-LONGEST_SILENCE_S = 4.0  # the reader counts by the second, and two shared cores stall
+CONFIRMED = "2 of 2 publishers confirmed"
+LONGEST_SILENCE_S = 4.0  # of 25 samples a second; two shared cores stall
 
 
 def installed_files(domain_id):
-    """List what an installation leaves behind, with arpd and ROS from this venv."""
-    units = {f"/etc/systemd/system/{unit.name}": unit for unit in REPO.glob("systemd/*.service")}
-    environment = (REPO / "systemd/arpd.default").read_text() + (
-        f"ARPD_ROS_SETUP=\nARPD_BIN=/usr/lib/arpd/arpd\nROS_DOMAIN_ID={domain_id}\n"
-    )
+    """List what an installation leaves behind, with Python, ROS and arpd as this checkout's venv has them."""
+    units = {f"{UNITS}/{unit.name}": unit for unit in REPO.glob("systemd/*.service")}
+    environment = (REPO / "systemd/arpd.default").read_text() + f"ARPD_ROS_SETUP=\nROS_DOMAIN_ID={domain_id}\n"
     return {
         **units,
-        "/usr/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
-        "/usr/lib/arpd/arpd": Path(__file__).with_name("arpd-from-checkout"),
+        "/usr/local/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
+        "/usr/local/lib/sysusers.d/arpd.conf": REPO / "systemd/arpd.sysusers",
+        "/opt/arpd/bin/arpd": Path(__file__).with_name("arpd-from-checkout"),
+        "/opt/arpd/bin/python": machine.PYTHON / "bin" / Path(sys.executable).resolve().name,
+        "/opt/arpd/pyvenv.cfg": f"home = {machine.PYTHON}/bin\ninclude-system-site-packages = false\n",
+        **{f"/opt/arpd/{part}": Path("/srv/arpd/.venv", part) for part in ("lib", "share")},
         "/etc/default/arpd": environment,
         "/etc/arpd/arpd.yaml": CONFIG,
     }
 
 
 class Reader:
-    """The planner on the CEDDP, and when it heard each sensor."""
+    """The application on the CEDDP: what it has of each topic, and how long it was without."""
 
     def __init__(self, process):
         self._process = process
-        self.heard_s = {topic: [] for topic in SENSORS}
+        self._reports = []
         threading.Thread(target=self._read, daemon=True).start()
 
-    def longest_silence_s(self, since_s):
-        """Return the longest time until now in which a sensor was not heard."""
-        return max(
-            after - before
-            for heard_s in self.heard_s.values()
-            for before, after in pairwise([since_s, *(at_s for at_s in heard_s if at_s > since_s), time.monotonic()])
-        )
+    def now(self):
+        """Return the next report, which tells of all that happened until now."""
+        known = len(self._reports)
+        eventually(lambda: len(self._reports) > known + 1)
+        return self._reports[-1]
+
+    def since(self, report):
+        """Return, per topic, what was lost since that report, what was doubled, and the longest silence."""
+        now = self.now()
+        passed = self._reports[self._reports.index(report) + 1 :]
+        return {
+            topic: {
+                "lost": now[topic]["lost"] - report[topic]["lost"],
+                "doubled": now[topic]["doubled"] - report[topic]["doubled"],
+                "silence_s": max(one[topic]["silence_s"] for one in passed),
+            }
+            for topic in now
+        }
 
     def _read(self):
         for line in self._process.stdout:
-            arrived = json.loads(line)
-            for topic in SENSORS:
-                if arrived[topic]["rate_hz"]:
-                    self.heard_s[topic].append(time.monotonic())
+            self._reports.append(json.loads(line))
 
 
 class Deployment:
@@ -96,17 +116,39 @@ class Deployment:
         return self.state("StatusText")["StatusText"]
 
     def is_confirmed(self):
-        return f"{len(SENSORS)} of {len(SENSORS)} publishers confirmed" in self.status_text()
+        return CONFIRMED in self.status_text()
 
     def is_ready(self):
+        return self.get("/-/ready") is not None
+
+    def get(self, path):
         try:
-            with urllib.request.urlopen(f"{self._url}/-/ready", timeout=3.0) as answer:
-                return answer.status == 200
+            with urllib.request.urlopen(self._url + path, timeout=3.0) as answer:
+                return answer.read().decode() if answer.status == 200 else None
         except (OSError, urllib.error.URLError):
-            return False
+            return None
+
+    def swaps(self):
+        """Count the QoS swaps that the publishers have made, as they say themselves."""
+        return sum(
+            float(line.split()[-1]) for line in self.get("/metrics").splitlines() if "topic_swaps_total{" in line
+        )
+
+    def withheld(self, topic=numbered.OWN):
+        """Return how many samples pacing has withheld from a topic, as its publisher says itself."""
+        lines = [line for line in self.get("/metrics").splitlines() if "withheld_messages_total{" in line]
+        return sum(float(line.split()[-1]) for line in lines if f'topic="{topic}"' in line)
+
+    def lost_uncounted_since(self, report, withheld):
+        """Return how many of the application's samples are gone without pacing having withheld them."""
+        return self.reader.since(report)[numbered.OWN]["lost"] - (self.withheld() - withheld)
 
     def journal_of_this_start(self):
         return self.robot.journal("arpd").rpartition("Starting arpd.service")[2]
+
+    def hosts(self):
+        """Name each unit and the computer it runs on."""
+        return (("arpd", self.robot), ("arpd-relay", self.robot), ("arpd-peer", self.ceddp))
 
 
 def eventually(condition, timeout_s=30.0):
@@ -114,20 +156,18 @@ def eventually(condition, timeout_s=30.0):
     while time.monotonic() < until_s:
         if condition():
             return
-        time.sleep(0.2)
+        time.sleep(0.1)
     assert condition(), "did not happen in time"
 
 
 def start(link, host, log, *module):
-    return link.popen(
-        host,
-        [sys.executable, "-u", "-m", *module],
-        env={**os.environ, "PYTHONPATH": str(REPO)},
-        cwd=REPO,
-        stderr=log,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{REPO}:{Path(__file__).parent}",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE),
+    }
+    argv = [sys.executable, "-u", "-m", *module]
+    return link.popen(host, argv, env=environment, cwd=REPO, stderr=log, stdout=subprocess.PIPE, text=True)
 
 
 @pytest.fixture(scope="module")
@@ -139,13 +179,8 @@ def deployment(tmp_path_factory):
     with ExitStack() as stack:
         link = stack.enter_context(simlink.SimLink(f"boot-{os.getpid()}"))
         log = stack.enter_context((folder / "log").open("w"))
-        sources = [
-            start(link, "ceddp", log, "scripts.robot.planner", "/link", "adaptive", str(folder / "planner.json")),
-            *(
-                start(link, "robot", log, "scripts.robot.sensors", topic, str(folder / "sensor.json"))
-                for topic in SENSORS
-            ),
-        ]
+        start(link, "robot", log, "numbered", "source")
+        reader = Reader(start(link, "ceddp", log, "numbered", "sink"))
         robot, ceddp = (
             stack.enter_context(
                 machine.booted(
@@ -156,26 +191,41 @@ def deployment(tmp_path_factory):
             )
             for host in link.hosts
         )
-        for computer, unit in ((robot, "arpd-relay"), (ceddp, "arpd-peer")):
-            started = computer.call("systemctl", "start", unit)
-            assert started.returncode == 0, started.stderr + computer.journal(unit)
-        for source in sources:
-            assert source.stdout.readline() == "ready\n", (folder / "log").read_text()
-            source.send_signal(signal.SIGUSR1)
-        reader = Reader(sources[0])
+        for host, units in ((robot, ("arpd-relay", "arpd")), (ceddp, ("arpd-peer",))):
+            enabled = host.call("systemctl", "enable", "--now", *units)
+            assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
         url = stack.enter_context(window(link.robot, HTTP_PORT))
-        eventually(lambda: all(reader.heard_s.values()))
         yield Deployment(robot, ceddp, reader, url)
 
 
+@pytest.fixture
+def relay_ends():
+    """Have a test end the relay, which cannot carry what it does not see."""
+
+
+@pytest.fixture
+def peer_ends():
+    """Have a test end the peer, whose silence looks like an outage: pacing may then withhold, and count it."""
+
+
 @pytest.fixture(autouse=True)
-def data_keeps_arriving(deployment):
-    """Whatever a test does to the daemon, the relayed sensors reach their reader meanwhile."""
-    since_s = time.monotonic()
+def no_sample_is_lost(request, deployment):
+    """Whatever a test does, the applications' samples arrive meanwhile, each of them once."""
+    ended = {numbered.RELAYED: "relay_ends", numbered.OWN: "peer_ends"}
+    before = deployment.reader.now()
     yield
-    for computer, unit in ((deployment.robot, "arpd-relay"), (deployment.ceddp, "arpd-peer")):
-        assert computer.show(unit, "ActiveState", "NRestarts") == {"ActiveState": "active", "NRestarts": "0"}
-    assert deployment.reader.longest_silence_s(since_s) < LONGEST_SILENCE_S
+    since = deployment.reader.since(before)
+    print(since)
+    for topic, counts in since.items():
+        if ended[topic] in request.fixturenames:
+            assert counts["doubled"] == 0
+        else:
+            assert counts["doubled"] == 0
+            if counts["lost"]:  # by pacing, which says so? Two overloaded cores look like a congested link
+                deployment.robot.call("systemctl", "start", "arpd")
+                eventually(deployment.is_confirmed)
+                assert counts["lost"] <= deployment.withheld(topic)
+            assert counts["silence_s"] < LONGEST_SILENCE_S
 
 
 @pytest.fixture
@@ -189,6 +239,31 @@ def running(deployment):
     deployment.robot.call("systemctl", "start", "arpd")
     eventually(deployment.is_confirmed)
     return deployment
+
+
+def all_up(deployment):
+    """Whether every unit runs, the peer hears the daemon, and the relay carries its topic."""
+    said = {unit: host.show(unit, "ActiveState", "StatusText") for unit, host in deployment.hosts()}
+    return (
+        all(one["ActiveState"] == "active" for one in said.values())
+        and CONFIRMED in said["arpd"]["StatusText"]
+        and "relaying 1 of 1" in said["arpd-relay"]["StatusText"]
+        and "probes arrive since" in said["arpd-peer"]["StatusText"]
+    )
+
+
+def come_back(unit, host, *, restarts):
+    """Wait until systemd has started a unit for the given number of times anew, and it is ready."""
+    wanted = {"NRestarts": str(restarts), "ActiveState": "active"}
+    eventually(lambda: host.show(unit, *wanted) == wanted, timeout_s=60.0)
+
+
+def test_enabled_units_run_as_a_user_of_their_own(deployment):
+    """`systemctl enable --now` is all it takes: all three work, as the user that systemd-sysusers has made."""
+    eventually(lambda: all_up(deployment), timeout_s=60.0)
+    for unit, host in deployment.hosts():
+        main = host.root / "proc" / host.show(unit, "MainPID")["MainPID"]
+        assert main.stat().st_uid == int(host.call("id", "--user", "arpd").stdout) != 0
 
 
 def test_a_bad_configuration_fails_the_start_for_good(stopped):
@@ -208,6 +283,15 @@ def test_a_bad_configuration_fails_the_start_for_good(stopped):
         assert "/etc/arpd/arpd.yaml:" in stopped.journal_of_this_start()
     finally:
         stopped.config.write_text(good)
+
+
+def test_a_stop_while_starting_is_a_clean_stop(stopped):
+    """SIGTERM at any moment of the start ends the daemon at once, cleanly and for good."""
+    for delay_s in (0.0, 0.3, 0.8):
+        stopped.robot.call("systemctl", "start", "--no-block", "arpd")
+        time.sleep(delay_s)
+        assert stopped.robot.call("systemctl", "stop", "arpd").returncode == 0
+        assert stopped.state("ActiveState", "Result") == {"ActiveState": "inactive", "Result": "success"}
 
 
 def test_start_returns_when_the_daemon_runs(stopped):
@@ -231,21 +315,21 @@ def test_start_returns_when_the_daemon_runs(stopped):
 
 
 def test_status_says_what_the_link_carries(running):
-    """`systemctl status` shows the link's rate and the plan in words, and every finished tick feeds the watchdog."""
+    """`systemctl status` shows the link's rate and the plan in words, and finished work feeds all three watchdogs."""
     assert re.search(
         r"^[\d.]+ Mbit/s \(.*\), gate \d.\d\d, plan \d+: 2 of 2 publishers confirmed$", running.status_text()
     )
-    shown = running.robot.call("systemctl", "status", "arpd", "arpd-relay", "--no-pager").stdout
-    print(shown)
-    assert "Mbit/s" in shown
-    pinged = int(running.state("WatchdogTimestampMonotonic")["WatchdogTimestampMonotonic"])
-    eventually(lambda: int(running.state("WatchdogTimestampMonotonic")["WatchdogTimestampMonotonic"]) > pinged, 5.0)
+    for unit, host in running.hosts():
+        assert host.show(unit, "StatusText")["StatusText"] in host.call("systemctl", "status", unit).stdout
+        assert host.show(unit, "WatchdogUSec")["WatchdogUSec"].endswith("0s")
+        pinged = host.show(unit, "WatchdogTimestampMonotonic")
+        eventually(lambda: host.show(unit, "WatchdogTimestampMonotonic") != pinged, 10.0)  # noqa: B023 - not kept
 
 
-@pytest.mark.parametrize(("host", "unit"), [("robot", "arpd"), ("robot", "arpd-relay"), ("ceddp", "arpd-peer")])
-def test_the_sandbox_is_in_force_while_data_flows(running, host, unit):
-    """No capability, no new privilege, filtered system calls, a read-only system; and DDS works under it."""
-    computer = getattr(running, host)
+@pytest.mark.parametrize("unit", ["arpd", "arpd-relay", "arpd-peer"])
+def test_the_sandbox_is_in_force_while_data_flows(running, unit):
+    """No capability, no privilege, filtered system calls, a read-only system; DDS works, and complains of nothing."""
+    computer = dict(running.hosts())[unit]
     main = computer.root / "proc" / computer.show(unit, "MainPID")["MainPID"]
     status = dict(line.split(":\t", 1) for line in (main / "status").read_text().splitlines() if ":\t" in line)
     assert {key: status[key].strip() for key in ("CapBnd", "CapEff", "NoNewPrivs", "Seccomp")} == {
@@ -258,9 +342,10 @@ def test_the_sandbox_is_in_force_while_data_flows(running, host, unit):
         fields[4]: fields[5].split(",") for fields in map(str.split, (main / "mountinfo").read_text().splitlines())
     }
     assert "ro" in options["/"]
-    assert {"/dev", "/tmp"} <= set(options)
-    judged = computer.call("systemd-analyze", "security", "--no-pager", "--threshold=25", f"{unit}.service")
+    assert {"/tmp", "/var/tmp", "/home", "/root"} <= set(options)
+    judged = computer.call("systemd-analyze", "security", "--no-pager", "--threshold=20", f"{unit}.service")
     assert judged.returncode == 0, judged.stdout
+    assert not re.search("not permitted|denied", computer.journal(unit), re.IGNORECASE)
 
 
 def test_a_bad_reload_fails_and_keeps_the_daemon(running):
@@ -273,7 +358,7 @@ def test_a_bad_reload_fails_and_keeps_the_daemon(running):
         eventually(lambda: "reload refused: /etc/arpd/arpd.yaml:" in running.status_text())
         assert "headrom" in running.status_text()
         assert running.state("ActiveState", "SubState") == {"ActiveState": "active", "SubState": "running"}
-        assert "reload refused; the configuration in force stays" in running.journal_of_this_start()
+        assert re.search("reload refused.*the configuration in force stays", running.journal_of_this_start())
     finally:
         running.config.write_text(good)
     reloaded = running.robot.call("systemctl", "reload", "arpd")
@@ -282,17 +367,85 @@ def test_a_bad_reload_fails_and_keeps_the_daemon(running):
     assert running.state("MainPID", "NRestarts") == before
 
 
-@pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
-def test_a_daemon_that_dies_or_hangs_comes_back(running, death):
-    """After kill -9, or ten seconds without a tick, systemd starts the daemon anew and it governs again."""
-    before = running.state("MainPID", "NRestarts")
-    running.robot.call("kill", f"-{death.name}", before["MainPID"])
-    eventually(lambda: int(running.state("NRestarts")["NRestarts"]) == int(before["NRestarts"]) + 1)
-    eventually(running.is_ready)
-    after = running.state("MainPID", "ActiveState")
-    assert after["ActiveState"] == "active"
-    assert after["MainPID"] != before["MainPID"]
-    assert ("Watchdog timeout" in running.robot.journal("arpd")) == (death is signal.SIGSTOP)
+def test_a_killed_daemon_comes_back_to_its_plan(running):
+    """After kill -9 systemd starts the daemon anew, and every publisher confirms its plan again."""
+    before, swaps = running.state("MainPID", "NRestarts"), running.swaps()
+    killed_s = time.monotonic()
+    running.robot.call("kill", "-KILL", before["MainPID"])
+    come_back("arpd", running.robot, restarts=int(before["NRestarts"]) + 1)
+    ready_s = time.monotonic()
+    eventually(running.is_confirmed)
+    # How long that takes is for people to read: two shared cores take what they take.
+    confirmed_s = time.monotonic()
+    print(
+        f"ready {ready_s - killed_s:.1f} s after the kill, plan confirmed {confirmed_s - ready_s:.1f} s after that, "
+        f"{running.swaps() - swaps:.0f} swaps"
+    )
+    print("\n".join(line for line in running.robot.journal("arpd").splitlines() if ": plan " in line))
+    assert running.state("MainPID")["MainPID"] != before["MainPID"]
+
+
+@pytest.mark.usefixtures("relay_ends", "peer_ends")
+def test_a_killed_relay_and_a_killed_peer_come_back(running):
+    """After kill -9 of both, data flows again within seconds, and only what the relay would have carried is lost."""
+    before, withheld = running.reader.now(), running.withheld()
+    for unit, host in running.hosts()[1:]:
+        host.call("systemctl", "kill", "--signal=KILL", "--kill-who=main", unit)
+    for unit, host in running.hosts()[1:]:
+        come_back(unit, host, restarts=1)
+    eventually(lambda: all_up(running))
+    relayed = running.reader.since(before)[numbered.RELAYED]
+    assert relayed["lost"] <= numbered.RATE_HZ * (relayed["silence_s"] + 1.0)
+    eventually(lambda: running.lost_uncounted_since(before, withheld) <= 0, 5.0)  # it counts once a second
+
+
+@pytest.mark.usefixtures("relay_ends", "peer_ends")
+def test_a_hung_process_is_restarted_by_its_watchdog(running):
+    """A daemon, a relay and a peer that stand still are ended by systemd in the time their units say, and come back."""
+    before = {unit: host.show(unit, "MainPID", "NRestarts") for unit, host in running.hosts()}
+    report, withheld = running.reader.now(), running.withheld()
+    for unit, host in running.hosts():
+        host.call("kill", "-STOP", before[unit]["MainPID"])
+    for unit, host in running.hosts():
+        come_back(unit, host, restarts=int(before[unit]["NRestarts"]) + 1)
+        log = host.journal(unit)
+        assert "Watchdog timeout" in log
+        assert "Fatal Python error: Aborted" in log  # with the stack of every thread
+    eventually(lambda: all_up(running))
+    eventually(lambda: running.lost_uncounted_since(report, withheld) <= 0, 5.0)
+
+
+def test_an_upgrade_in_place_keeps_the_data_flowing(running):
+    """New files under a running relay change nothing, and a restarted daemon takes over its publishers."""
+    relay = running.robot.show("arpd-relay", "MainPID")
+    upgraded = running.robot.call(
+        "sh",
+        "-ec",
+        "cp -a /opt/arpd /opt/arpd.new; mv /opt/arpd /opt/arpd.old; mv /opt/arpd.new /opt/arpd; rm -r /opt/arpd.old;"
+        "for file in /usr/local/lib/arpd/arpd-launch " + UNITS + "/arpd*.service; do"
+        "  cp $file /root/new; echo '# upgraded' >>/root/new; install -m $(stat -c %a $file) /root/new $file;"
+        "done; systemctl daemon-reload; systemctl restart arpd",
+    )
+    assert upgraded.returncode == 0, upgraded.stderr
+    eventually(lambda: all_up(running))
+    assert running.robot.show("arpd-relay", "MainPID") == relay
+
+
+def test_a_full_disk_stops_nothing(running):
+    """With no byte and no file left where logs, state and temporary files go, a daemon that dies comes back."""
+    fill = (
+        "for at in /var/log /var/lib /tmp /var/tmp; do mount -t tmpfs -o size=64k,nr_inodes=8 full $at;"
+        " cat /dev/zero >$at/fill; for n in 1 2 3 4 5 6 7 8; do touch $at/$n; done; done; df -i /var/log"
+    )
+    filled = running.robot.call("sh", "-c", fill)
+    assert " 100% " in filled.stdout, filled
+    try:
+        before = running.state("MainPID", "NRestarts")
+        running.robot.call("kill", "-KILL", before["MainPID"])
+        come_back("arpd", running.robot, restarts=int(before["NRestarts"]) + 1)
+        eventually(running.is_confirmed)
+    finally:
+        running.robot.call("umount", "/var/log", "/var/lib", "/tmp", "/var/tmp")
 
 
 def test_stop_gives_the_publishers_their_qos_back(running):
@@ -305,3 +458,11 @@ def test_stop_gives_the_publishers_their_qos_back(running):
         "ExecMainStatus": "0",
     }
     assert "every publisher has its original QoS back" in running.journal_of_this_start()
+
+
+@pytest.mark.usefixtures("relay_ends", "peer_ends")
+def test_a_reboot_brings_everything_back(deployment):
+    """After a reboot of both computers the enabled units start by themselves, and the plan is in force again."""
+    with ThreadPoolExecutor() as both:
+        list(both.map(lambda host: host.reboot(), (deployment.robot, deployment.ceddp)))
+    eventually(lambda: all_up(deployment), timeout_s=60.0)

@@ -9,7 +9,8 @@ import uuid
 
 import pytest
 
-from arpd.systemd import Notifier
+from arpd.ros.peer import ProbeStatus
+from arpd.systemd import Heartbeat, Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -95,3 +96,69 @@ def test_no_ping_is_sent_when_no_watchdog_listens(manager):
     notifier.watchdog()
     notifier.ready()
     assert heard() == "READY=1"
+
+
+class Clock:
+    """A clock and a second thread's last round, both moved by hand."""
+
+    def __init__(self):
+        self.now_s = 100.0
+        self.finished_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def heart(manager):
+    """Return a heartbeat with one part, its clock, and how many pings the watchdog has had."""
+    environ, heard = manager
+    notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
+    clock = Clock()
+
+    def pings():
+        notifier.ready()  # ends what the watchdog heard
+        return sum(message == "WATCHDOG=1" for message in iter(heard, "READY=1"))
+
+    return Heartbeat(notifier, parts=[lambda: clock.finished_s], clock=clock), clock, pings
+
+
+def test_a_busy_process_pings_once_a_second(heart):
+    """However many rounds a thread finishes, the watchdog hears of them once a second."""
+    heartbeat, clock, pings = heart
+    for _ in range(3000):
+        clock.now_s += 1.0 / 1024.0
+        clock.finished_s = clock.now_s
+        heartbeat.beat()
+    assert pings() == 3
+
+
+def test_one_hung_part_stops_the_heartbeat(heart):
+    """While another thread has not finished a round for five seconds, this one's rounds feed no watchdog."""
+    heartbeat, clock, pings = heart
+    clock.now_s += 4.9
+    heartbeat.beat()
+    assert pings() == 1
+    for _ in range(5):
+        clock.now_s += 2.0
+        heartbeat.beat()
+    assert pings() == 0
+    clock.finished_s = clock.now_s
+    heartbeat.beat()
+    assert pings() == 1
+
+
+def test_a_peer_says_whether_probes_arrive_and_since_when():
+    """The status changes when the first probe comes, when none came for five seconds, and when they return."""
+    said: list[str] = []
+    moments = iter(["10:00:00", "10:00:20", "10:00:30"])
+    status = ProbeStatus("reporting", tell=said.append, wall_clock=lambda: next(moments))
+    status.update(probed_s=-float("inf"), now_s=0.0)
+    for probed_s, now_s in ((10.0, 10.1), (14.0, 15.0), (15.0, 20.0), (15.0, 21.0), (30.0, 30.0)):
+        status.update(probed_s=probed_s, now_s=now_s)
+    assert said[0].startswith("reporting; no probes yet: ")
+    assert said[1:] == [
+        "reporting; probes arrive since 10:00:00",
+        "reporting; no probes since 10:00:20",
+        "reporting; probes arrive since 10:00:30",
+    ]

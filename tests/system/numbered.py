@@ -1,0 +1,96 @@
+"""An application whose samples are numbered: what it published on the robot is counted on the CEDDP.
+
+Usage: python -m numbered source|sink
+
+The source publishes on /numbered, as any rclpy node does, and on /own, with an AdaptivePublisher. The sink reads what
+the relay makes of the one, and the other, and prints what it has as one JSON line several times a second.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from arpd import AdaptivePublisher
+
+RELAYED, OWN = "/link/numbered", "/own"
+RATE_HZ = 25.0
+QOS = QoSProfile(depth=200)  # RELIABLE, KEEP_LAST: eight seconds' worth
+REPORT_S = 0.25
+
+
+class Source(Node):
+    """Publishes both topics, from its first reader on."""
+
+    def __init__(self) -> None:
+        super().__init__("numbered_source")
+        self._newest: dict[Any, int] = {
+            self.create_publisher(String, "/numbered", QOS): 0,
+            AdaptivePublisher(self, String, OWN, QOS, overflow="queue"): 0,
+        }
+        self.create_timer(1.0 / RATE_HZ, self._publish)
+
+    def _publish(self) -> None:
+        for publisher, number in self._newest.items():
+            if number or publisher.get_subscription_count():
+                publisher.publish(String(data=str(number)))
+                self._newest[publisher] = number + 1
+
+
+class Sink(Node):
+    """Reads both topics."""
+
+    def __init__(self) -> None:
+        super().__init__("numbered_sink")
+        self._seen = {topic: _Seen() for topic in (RELAYED, OWN)}
+        for topic, seen in self._seen.items():
+            self.create_subscription(String, topic, seen.on_sample, QOS)
+        self.create_timer(REPORT_S, self._report)
+
+    def _report(self) -> None:
+        print(json.dumps({topic: seen.take() for topic, seen in self._seen.items()}), flush=True)
+
+
+class _Seen:
+    """What arrived of one topic: how many numbers were skipped or came twice, and the longest time without."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._lost = 0
+        self._doubled = 0
+        self._arrived_s = time.monotonic()
+        self._silence_s = 0.0
+
+    def on_sample(self, message: String) -> None:
+        number, now_s = int(message.data), time.monotonic()
+        if self._newest is not None:
+            self._lost += max(0, number - self._newest - 1)
+            self._doubled += number <= self._newest
+        self._newest = number if self._newest is None else max(number, self._newest)
+        self._silence_s = max(self._silence_s, now_s - self._arrived_s)
+        self._arrived_s = now_s
+
+    def take(self) -> dict[str, Any]:
+        silence_s = max(self._silence_s, time.monotonic() - self._arrived_s)
+        self._silence_s = 0.0
+        return {"newest": self._newest, "lost": self._lost, "doubled": self._doubled, "silence_s": silence_s}
+
+
+def main() -> None:
+    rclpy.init()
+    executor = SingleThreadedExecutor()
+    executor.add_node({"source": Source, "sink": Sink}[sys.argv[1]]())
+    while True:
+        executor.spin_once(timeout_sec=0.2)
+
+
+if __name__ == "__main__":
+    main()
