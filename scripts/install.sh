@@ -1,0 +1,384 @@
+#!/usr/bin/env bash
+# Installs arpd on this computer, or upgrades it.
+#
+# A version lives in /opt/arpd/versions/VERSION-HASH: a virtual environment, and in its share/arpd what goes elsewhere.
+# It is made beside the one in use, and /opt/arpd/current is switched to it in one step. The hash is over all that is
+# installed, so that a second run finds nothing to do, and a version that does not start is switched back.
+set -euo pipefail
+umask 022
+
+source=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# shellcheck source=scripts/bootstrap
+. "$source/scripts/bootstrap"
+# shellcheck source=scripts/install-checks
+. "$source/scripts/install-checks"
+
+prefix=/opt/arpd
+libexec=/usr/local/lib/arpd
+units=/usr/local/lib/systemd/system
+sysusers=/usr/local/lib/sysusers.d
+command_link=/usr/local/bin/arpd
+config=/etc/arpd/arpd.yaml
+ros_setup=/opt/ros/jazzy/setup.bash
+ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy/Installation/Ubuntu-Install-Debs.html)"
+
+# The daemon first: if a new version does not start, the relay, which carries the data, has not been touched.
+all_units=(arpd arpd-peer arpd-relay)
+# What the daemon, the peer and the relay import; a version that cannot is not switched to.
+imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.supervisor, arpd.ros.peer, arpd.ros.relay'
+
+usage() {
+    cat <<END
+usage: sudo scripts/install.sh [--robot | --ceddp] [--no-start] [--dry-run]
+
+Installs arpd under /opt/arpd with its systemd units, or upgrades it; from a checkout or an unpacked archive.
+/etc/arpd/arpd.yaml and /etc/default/arpd are yours: an upgrade never changes them.
+
+  --robot     run arpd and arpd-relay here: the robot computer. The default of a first installation;
+              an upgrade leaves enabled what is enabled
+  --ceddp     run arpd-peer here: the other end of the link
+  --no-start  start and restart nothing, as when an image is built
+  --dry-run   check, print every step, change nothing; needs no root
+  --help      this text
+
+PYTHON=/usr/bin/python3.12 chooses a Python. pip takes its settings (proxy, index) from PIP_* and pip.conf.
+exit codes: 0 done, 1 failed (what ran before still runs), 2 wrong usage
+END
+}
+
+die() {
+    say "$*"
+    exit 1
+}
+
+# step WHAT COMMAND...: says what it does and does it; in a dry run it only says so.
+step() {
+    if $dry_run; then
+        say "would $1"
+    else
+        say "$1"
+        "${@:2}"
+    fi
+}
+
+read_options() {
+    role='' start=true dry_run=false
+    for option in "$@"; do
+        case $option in
+        --robot | --ceddp)
+            if [ -n "$role" ] && [ "$role" != "${option#--}" ]; then
+                say "--robot or --ceddp, not both"
+                exit 2
+            fi
+            role=${option#--}
+            ;;
+        --no-start) start=false ;;
+        --dry-run) dry_run=true ;;
+        --help | -h)
+            usage
+            exit 0
+            ;;
+        *)
+            say "$option is not an option of this script"
+            usage >&2
+            exit 2
+            ;;
+        esac
+    done
+}
+
+# -- the new version, beside the one in use
+
+name_version() {
+    local version hash
+    version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$source/pyproject.toml")
+    hash=$(
+        cd "$source"
+        {
+            "$python" -VV
+            echo "$python $ros"
+            find pyproject.toml README.md LICENSE arpd etc systemd scripts/uninstall.sh \
+                -type f -not -path '*/__pycache__/*' -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
+        } | sha256sum
+    )
+    id=$version-${hash:0:12}
+    new=$prefix/versions/$id
+    old=$(readlink -e $prefix/current || true)
+}
+
+is_built() { [ -e "$new/share/arpd/complete" ] && "$new/bin/arpd" --version >/dev/null 2>&1; }
+
+build() {
+    local venv_options requirements
+    building=true
+    rm -rf "$new" $prefix/work.*
+    work=$(mktemp -d $prefix/work.XXXXXX)
+    if [ "$ros" = apt ]; then
+        # apt's ROS is built against apt's numpy 1.26, which is among the system's site-packages.
+        venv_options=(--system-site-packages)
+        requirements=("$work/source" 'numpy<2')
+    else
+        venv_options=()
+        requirements=("$work/source[ros]")
+    fi
+    TMPDIR=$work "$python" -m venv "${venv_options[@]}" "$new" || die "no virtual environment in $new"
+    # From a copy: a build writes into its source.
+    mkdir "$work/source"
+    cp -R "$source"/{pyproject.toml,README.md,LICENSE,arpd} "$work/source"
+    pip_install "${requirements[@]}"
+    with_ros "$new/bin/python" -c "$imports" || die "the new version cannot import what it needs"
+    mkdir -p "$new/share/arpd/scripts"
+    cp -R "$source"/{etc,systemd} "$new/share/arpd"
+    cp "$source/scripts/uninstall.sh" "$new/share/arpd/scripts"
+    chmod -R u=rwX,go=rX "$new/share/arpd"
+    touch "$new/share/arpd/complete"
+    building=false
+}
+
+pip_install() {
+    local log pip
+    log=$(mktemp "${TMPDIR:-/tmp}/arpd-install-pip.XXXXXX")
+    pip=(env -u PYTHONPATH -u PYTHONHOME -u PIP_USER -u PIP_TARGET -u PIP_PREFIX "TMPDIR=$work" "$new/bin/python" -m pip)
+    if ! "${pip[@]}" install --no-cache-dir --disable-pip-version-check "$@" 2>&1 | tee "$log" | show_progress; then
+        tail -n 12 "$log" >&2
+        die "pip could not install what pyproject.toml names; all it said is in $log"
+    fi
+    rm "$log"
+}
+
+# On a terminal the last line of pip, each over the one before.
+show_progress() {
+    local line columns
+    [ -t 2 ] || exec cat >/dev/null
+    columns=$(tput cols 2>/dev/null || echo 80)
+    while IFS= read -r line; do printf '\r\e[K%s' "${line:0:columns-1}" >&2; done
+    printf '\r\e[K' >&2
+}
+
+make_version() {
+    if is_built; then
+        [ "$old" = "$new" ] || say "$new is built already"
+        return
+    fi
+    if ! has_venv; then
+        step "install ${python##*/}-venv with apt" need "no-such-command=${python##*/}-venv"
+        $dry_run || has_venv || die "$python still has no venv module"
+    fi
+    step "make $new: arpd and its solvers$([ "$ros" = apt ] || echo ", and ROS 2 Jazzy,") from PyPI, some minutes on a Pi" build
+}
+
+check_config() {
+    [ -e $config ] || return 0
+    if ! "$new/bin/arpd" check --no-interfaces $config >/dev/null; then
+        die "arpd $id refuses the configuration above; correct it and run this again. Nothing was changed;" \
+            "the new version stays in $new for then"
+    fi
+}
+
+# -- switching to it
+
+# put MODE FILE TARGET: replaces in one step what differs.
+put() {
+    if cmp -s "$2" "$3" && [ "$(stat -c '%a %U' "$3")" = "${1#0} root" ]; then return; fi
+    changed=true
+    step "install $3" replace "$@"
+}
+
+replace() {
+    mkdir -p "$(dirname "$3")"
+    install -m "$1" "$2" "$3.arpd-new"
+    mv -fT "$3.arpd-new" "$3"
+}
+
+# place_files TREE: what systemd has to find outside of /opt/arpd.
+place_files() {
+    local tree=$1 unit drop_in=$units/arpd.service.d/10-notify-reload.conf
+    put 0755 "$tree/systemd/arpd-launch" $libexec/arpd-launch
+    for unit in "$tree"/systemd/*.service; do put 0644 "$unit" "$units/${unit##*/}"; done
+    if [ "$systemd_version" -ge 253 ]; then put 0644 "$tree/systemd/notify-reload.conf" $drop_in; fi
+    put 0644 "$tree/systemd/arpd.sysusers" $sysusers/arpd.conf
+}
+
+# keep FILE TARGET OLD_DEFAULT: the operator's; a default that has changed goes beside it.
+keep() {
+    if [ ! -e "$2" ]; then
+        step "install $2" replace 0644 "$1" "$2"
+    elif ! cmp -s "$1" "$2" && ! cmp -s "$1" "$3" && ! cmp -s "$1" "$2.new"; then
+        step "keep $2 and put the new default beside it: $2.new" replace 0644 "$1" "$2.new"
+    fi
+}
+
+point_to() {
+    ln -sfn "versions/${1##*/}" $prefix/current.new
+    mv -fT $prefix/current.new $prefix/current
+    # A folder with one link, not a link to a folder: Python would not find its pyvenv.cfg from there.
+    mkdir -p $prefix/bin "$(dirname $command_link)"
+    ln -sfn ../current/bin/arpd $prefix/bin/arpd
+    ln -sfn $prefix/bin/arpd $command_link
+}
+
+tell_systemd() {
+    systemd-sysusers $sysusers/arpd.conf
+    if $systemd_runs; then systemctl daemon-reload; fi
+}
+
+state() { systemctl show --property=ActiveState --value "$1"; }
+
+find_running() {
+    running=()
+    local unit
+    $systemd_runs || return 0
+    for unit in "${all_units[@]}"; do
+        case $(state "$unit") in active | activating | reloading) running+=("$unit") ;; esac
+    done
+}
+
+switch() {
+    changed=false
+    restarted=()
+    find_running
+    if [ "$old" != "$new" ]; then
+        changed=true
+        if ! $dry_run; then switched=true; fi
+        step "point /opt/arpd/current to versions/$id" point_to "$new"
+    fi
+    place_files "$source"
+    keep "$source/etc/arpd/arpd.yaml" $config "$old/share/arpd/etc/arpd/arpd.yaml"
+    keep "$source/systemd/arpd.default" /etc/default/arpd "$old/share/arpd/systemd/arpd.default"
+    if $changed; then step "make the system user arpd, and systemd read its files anew" tell_systemd; fi
+}
+
+# Waits for READY, and a moment more, in which a daemon that dies of its first ticks shows.
+bring_up() {
+    local main
+    systemctl reset-failed "$1" 2>/dev/null || true
+    systemctl restart "$1" || return 1
+    main=$(systemctl show --property=MainPID --value "$1")
+    sleep 2
+    [ "$(state "$1")" = active ] && [ "$(systemctl show --property=MainPID --value "$1")" = "$main" ]
+}
+
+tell_why() {
+    say "$1 does not stay up; its journal ends with:"
+    journalctl --unit "$1" --lines 8 --no-pager --output cat >&2 || true
+}
+
+restart_running() {
+    local unit
+    if ! $start || ! $changed; then return; fi
+    for unit in "${running[@]}"; do
+        restarted+=("$unit")
+        if step "restart $unit" bring_up "$unit"; then continue; fi
+        tell_why "$unit"
+        die "the new version does not run here"
+    done
+}
+
+back_to_old() {
+    local unit
+    if [ -z "$old" ]; then
+        rm $prefix/current
+        return
+    fi
+    say "going back to ${old##*/}"
+    point_to "$old"
+    place_files "$old/share/arpd"
+    tell_systemd
+    for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
+}
+
+# A first installation that does not start has nothing to go back to: it stays, with the reason.
+set_role() {
+    local unit wanted other=()
+    failed=()
+    if [ -z "$role" ] && [ -n "$old" ]; then return; fi
+    case ${role:-robot} in
+    robot) wanted=(arpd-relay arpd) other=(arpd-peer) ;;
+    ceddp) wanted=(arpd-peer) other=(arpd arpd-relay) ;;
+    esac
+    for unit in "${other[@]}"; do
+        systemctl --quiet is-enabled "$unit" 2>/dev/null || continue
+        step "stop and disable $unit" disable "$unit"
+    done
+    for unit in "${wanted[@]}"; do
+        if systemctl --quiet is-enabled "$unit" 2>/dev/null; then continue; fi
+        step "enable $unit" systemctl --quiet enable "$unit"
+        if ! $start || step "start $unit" bring_up "$unit"; then continue; fi
+        tell_why "$unit"
+        failed+=("$unit")
+    done
+}
+
+disable() {
+    systemctl --quiet disable "$1"
+    if $systemd_runs && $start; then systemctl stop "$1"; fi
+}
+
+# All versions but this one and the one before. With --no-start an even older one may still run.
+remove_old_versions() {
+    local version
+    if ! $start || [ "$old" = "$new" ]; then return; fi
+    for version in "$prefix"/versions/*; do
+        case $version in "$new" | "$old" | "$prefix/versions/*") ;; *) step "remove $version" rm -rf "$version" ;; esac
+    done
+}
+
+row() { printf '  %-42s %s\n' "$1" "$2"; }
+
+tell() {
+    local unit
+    echo
+    if $changed; then echo "arpd $id is installed:"; else echo "arpd $id was installed already; nothing was changed:"; fi
+    row "$new" "$("$new/bin/python" -VV | cut -d' ' -f1,2), ROS 2 Jazzy from $ros"
+    row $command_link "the command"
+    row "$units" "the units; their launcher is in $libexec"
+    row $config "yours"
+    if [ -e $config.new ]; then row $config.new "the new default, to compare yours with"; fi
+    row /etc/default/arpd "yours"
+    if [ -e /etc/default/arpd.new ]; then row /etc/default/arpd.new "the new default, to compare yours with"; fi
+    for unit in "${all_units[@]}"; do
+        row "$unit" "$(systemctl is-enabled "$unit" 2>/dev/null || true)$(! $systemd_runs || echo ", $(state "$unit")")"
+    done
+    echo "next:"
+    row "systemctl status arpd" "what the link carries and which plan is in force, in one line"
+    row "curl localhost:9464/metrics" "all of it, for Prometheus"
+    row "sudoedit $config" "your topics; then: arpd check && sudo systemctl reload arpd"
+    row "journalctl -u 'arpd*'" "what happened"
+    row "sudo $prefix/current/share/arpd/scripts/uninstall.sh" "to remove it"
+    [ ${#failed[@]} -eq 0 ] || die "installed, but ${failed[*]} did not start: correct what the journal says," \
+        "then: sudo systemctl restart ${failed[*]}"
+}
+
+# Whatever ends the script: no half-made version, no version that does not run.
+finish() {
+    set +e
+    trap '' INT TERM HUP
+    if $switched; then back_to_old; fi
+    if $building; then rm -rf "$new"; fi
+    rm -rf "$work"
+    rmdir $prefix/versions $prefix 2>/dev/null
+}
+
+main() {
+    read_options "$@"
+    building=false switched=false work=''
+    check
+    name_version
+    if ! $dry_run; then
+        mkdir -p $prefix/versions
+        exec 9<$prefix
+        flock --nonblock 9 || die "another installation is under way"
+        trap finish EXIT
+        trap 'exit 1' INT TERM HUP
+    fi
+    make_version
+    if $dry_run; then say "would check $config with the new version"; else check_config; fi
+    switch
+    restart_running
+    switched=false
+    set_role
+    remove_old_versions
+    if $dry_run; then say "dry run: nothing was changed"; else tell; fi
+}
+
+main "$@"

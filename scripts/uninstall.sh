@@ -1,0 +1,113 @@
+#!/usr/bin/env bash
+# Removes arpd from this computer: what scripts/install.sh put there, and nothing else. --help tells more.
+set -euo pipefail
+
+say() { printf '%s: %s\n' "$(basename "$0")" "$*" >&2; }
+
+usage() {
+    cat <<END
+usage: sudo uninstall.sh [--purge] [--dry-run]
+
+Stops arpd, which gives the publishers their own QoS back, and removes it. What is yours stays.
+
+  --purge    remove this, too: /etc/arpd, /etc/default/arpd, drop-ins of the units, the user arpd
+  --dry-run  print every step, change nothing; needs no root
+  --help     this text
+
+exit codes: 0 done, 1 failed, 2 wrong usage
+END
+}
+
+step() {
+    if $dry_run; then
+        say "would $1"
+    else
+        say "$1"
+        "${@:2}"
+    fi
+}
+
+is_there() { [ -e "$1" ] || [ -L "$1" ]; }
+
+remove() {
+    local path
+    for path in "$@"; do
+        if is_there "$path"; then step "remove $path" rm -rf "$path"; fi
+    done
+}
+
+# The daemon first, while the relay still runs: its publishers get their own QoS back.
+stop() {
+    local unit
+    for unit in arpd arpd-relay arpd-peer; do
+        if [ -e "/usr/local/lib/systemd/system/$unit.service" ]; then step "stop and disable $unit" disable "$unit"; fi
+    done
+}
+
+disable() {
+    if [ -d /run/systemd/system ]; then systemctl stop "$1"; fi
+    systemctl --quiet disable "$1"
+}
+
+remove_program() {
+    remove /usr/local/lib/systemd/system/arpd{,-relay,-peer}.service \
+        /usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf /usr/local/lib/sysusers.d/arpd.conf /usr/local/lib/arpd
+    if [ "$(readlink /usr/local/bin/arpd)" = /opt/arpd/bin/arpd ]; then remove /usr/local/bin/arpd; fi
+    if [ -d /opt/arpd/versions ]; then remove /opt/arpd/{current,bin,versions}; fi
+    $dry_run || rmdir --parents --ignore-fail-on-non-empty \
+        /usr/local/lib/systemd/system{/arpd.service.d,} /usr/local/lib/sysusers.d /opt/arpd 2>/dev/null || true
+    if ! $dry_run && [ -d /run/systemd/system ]; then
+        systemctl daemon-reload
+        systemctl reset-failed 'arpd*' 2>/dev/null || true
+    fi
+}
+
+remove_user() {
+    userdel arpd
+    if getent group arpd >/dev/null; then groupdel arpd; fi
+}
+
+# Only the system user: a person may be called arpd.
+has_system_user() {
+    local uid
+    uid=$(id -u arpd 2>/dev/null) && [ "$uid" -lt 1000 ]
+}
+
+main() {
+    purge=false dry_run=false
+    for option in "$@"; do
+        case $option in
+        --purge) purge=true ;;
+        --dry-run) dry_run=true ;;
+        --help | -h)
+            usage
+            exit 0
+            ;;
+        *)
+            say "$option is not an option of this script"
+            usage >&2
+            exit 2
+            ;;
+        esac
+    done
+    if ! $dry_run && [ "$(id -u)" != 0 ]; then
+        say "not root; sudo $0"
+        exit 1
+    fi
+    local path theirs=(/etc/arpd /etc/default/arpd{,.new} /etc/systemd/system/arpd{,-relay,-peer}.service.d)
+    stop
+    remove_program
+    if $purge; then
+        remove "${theirs[@]}"
+        if has_system_user; then step "remove the user arpd" remove_user; fi
+    else
+        for path in "${theirs[@]}"; do
+            if is_there "$path"; then say "left: $path"; fi
+        done
+        if has_system_user; then say "left: the user arpd"; fi
+    fi
+    if is_there /opt/arpd && ! $dry_run; then say "left: /opt/arpd, with what arpd did not put there"; fi
+    say "left: what arpd has written to the journal"
+}
+
+main "$@"

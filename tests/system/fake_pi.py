@@ -1,0 +1,132 @@
+"""A booted computer that looks like a Pi: ROS under /opt/ros/jazzy, numpy and the rest in the system's site-packages.
+
+Both are this venv's in truth, so that pip finds all that arpd needs and fetches nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import sys
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+REPO = Path(__file__).parents[2]
+PYTHON = "python{}.{}".format(*sys.version_info)
+SITE = f".venv/lib/{PYTHON}/site-packages"
+SOURCE = ("pyproject.toml", "README.md", "LICENSE", "arpd", "etc", "systemd")
+SCRIPTS = ("bootstrap", "install-checks", "install.sh", "uninstall.sh")
+CONFIG = "/etc/arpd/arpd.yaml"
+BREAK = "/etc/arpd/break"
+# In the place of _run's first line: a version that passes every check and does not run.
+BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
+    if Path("{BREAK}").exists():
+        raise SystemExit("broken on purpose")
+"""
+UNITS = ("arpd", "arpd-relay", "arpd-peer")
+# What pip finds on Ubuntu 24.04, by name only: what is imported is this venv's, which may be newer.
+ON_A_PI = {"numpy": "1.26.4", "cvxpy": "1.7.5"}
+
+
+def wheel_of_setuptools(folder):
+    """Pack the installed setuptools, which builds arpd, as a wheel: pip wants one, and there may be no network."""
+    files = metadata.files("setuptools")
+    wheel = folder / f"setuptools-{metadata.version('setuptools')}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as packed:
+        for path in files:
+            if ".." not in path.parts and path.suffix != ".pyc":
+                packed.write(path.locate(), path)
+    return wheel
+
+
+def unpack_source(folder):
+    """Lay out what an unpacked archive has: no .git, nothing built."""
+    folder.chmod(0o755)  # pytest's folders are its own
+    ignore = shutil.ignore_patterns("__pycache__")
+    for name in SOURCE:
+        if (REPO / name).is_dir():
+            shutil.copytree(REPO / name, folder / name, ignore=ignore)
+        else:
+            shutil.copy(REPO / name, folder / name)
+    (folder / "scripts").mkdir()
+    for name in SCRIPTS:
+        shutil.copy(REPO / "scripts" / name, folder / "scripts" / name)
+
+
+def substitute(path, old, new):
+    text = path.read_text()
+    assert text.count(old) == 1, f"{old!r} in {path}"
+    path.write_text(text.replace(old, new))
+
+
+def installed_by_apt(folder):
+    """List the files that stand for what apt has installed; a wheel of setuptools, made in the folder, for PyPI."""
+    site = f"/srv/arpd/{SITE}"
+    wheel = wheel_of_setuptools(folder)
+    return {
+        "/opt/ros/jazzy/setup.bash": (
+            f'for libs in /srv/arpd/.venv/lib {site}/ros_*.libs; do LD_LIBRARY_PATH="$libs:$LD_LIBRARY_PATH"; done\n'
+            "export LD_LIBRARY_PATH\nfalse\n"
+        ),
+        f"/usr/local/lib/{PYTHON}/dist-packages/apt.pth": f"{site}\n",
+        **{
+            f"/usr/local/lib/{PYTHON}/dist-packages/{name}-{version}.dist-info/METADATA": (
+                f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+            )
+            for name, version in ON_A_PI.items()
+        },
+        f"/srv/wheels/{wheel.name}": wheel,
+    }
+
+
+class FakePi:
+    """A booted robot computer with the sources of two versions of arpd, and this venv as its ROS and site-packages."""
+
+    def __init__(self, booted):
+        self.booted = booted
+        for version in ("first", "second"):
+            self.path(f"/srv/{version}").mkdir()
+            unpack_source(self.path(f"/srv/{version}"))
+        substitute(self.path("/srv/second/arpd/cli.py"), BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
+        version = metadata.version("arpd")
+        substitute(self.path("/srv/second/pyproject.toml"), f'version = "{version}"', 'version = "99.0"')
+        default = self.path("/srv/second" + CONFIG)
+        default.write_text(default.read_text() + "# A default of the second version.\n")
+
+    def path(self, path):
+        return self.booted.root / path.lstrip("/")
+
+    def install(self, version, *options):
+        # Nothing of this process's environment: sudo would not hand it on either.
+        environment = ("env", "-i", "PATH=/usr/sbin:/usr/bin", "PIP_NO_INDEX=1", "PIP_FIND_LINKS=/srv/wheels")
+        # To its end: making a venv takes seconds, and on two busy cores a minute.
+        running = self.booted.popen(*environment, f"/srv/{version}/scripts/install.sh", *options)
+        told, _ = running.communicate()
+        return running.returncode, told
+
+    def current(self):
+        link = self.path("/opt/arpd/current")
+        return link.readlink().name if link.is_symlink() else None
+
+    def states(self):
+        return {unit: self.booted.call("systemctl", "is-active", unit).stdout.strip() for unit in UNITS}
+
+    def processes(self):
+        return {unit: self.booted.show(unit, "MainPID")["MainPID"] for unit in ("arpd", "arpd-relay")}
+
+    def files(self, *folders):
+        """List what the folders hold: path → what changes when it is written."""
+        root = str(self.booted.root)
+        listed = {}
+        for folder in folders:
+            for parent, _, names in os.walk(self.path(folder)):
+                for path in (Path(parent), *(Path(parent, name) for name in names)):
+                    status = path.lstat()
+                    listed[str(path).removeprefix(root)] = (
+                        status.st_ino,
+                        status.st_mtime_ns,
+                        stat.filemode(status.st_mode),
+                    )
+        return listed

