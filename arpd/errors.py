@@ -50,6 +50,6 @@ class LinkError(ArpdError):
 
 
 class RosUnavailableError(ArpdError):
-    """ROS 2 cannot be imported in this Python."""
+    """ROS 2 cannot be imported in this Python, or does not start."""
 
     exit_code = 69

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from arpd.refusal import Refusal, RefusalReason
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 # Both are Fast DDS: its profile shortens heartbeats, its GUIDs tell hosts apart, its readers number samples.
 _FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
@@ -23,7 +24,8 @@ class Rmw:
     name : its identifier, as in RMW_IMPLEMENTATION
     can_swap : whether writers and readers may be replaced live: acknowledgements come fast enough to wait for them,
         and samples carry the sequence number that tells doubles apart
-    tells_hosts : whether an endpoint's GID carries its host in bytes 2-3 (DESIGN §2)
+    tells_hosts : whether an endpoint's GID carries its host in bytes 2-3 (DESIGN §2). Not under DDS Security: there
+        Fast DDS puts a hash of the certificate's subject, the enclave, into bytes 0-5
     """
 
     name: str
@@ -62,11 +64,13 @@ def _identifier() -> str:
     return str(get_rmw_implementation_identifier())
 
 
-def current_rmw(identifier: Callable[[], str] = _identifier) -> Rmw:
+def current_rmw(identifier: Callable[[], str] = _identifier, *, environ: Mapping[str, str] = os.environ) -> Rmw:
     """Return the middleware of this process.
 
     Parameters
     ----------
     identifier : asks ROS for its name
+    environ : where ROS 2 reads whether SROS 2 is on
     """
-    return rmw_of(identifier())
+    rmw = rmw_of(identifier())
+    return replace(rmw, tells_hosts=rmw.tells_hosts and environ.get("ROS_SECURITY_ENABLE") != "true")

@@ -11,12 +11,20 @@ from arpd.ros.rmw import current_rmw, rmw_of
 from arpd.web.metrics import SnapshotCollector
 from arpd.web.status import status_document
 
+MS = 1_000_000
+
 
 @pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
 def test_fast_dds_is_swapped(name):
     """On Fast DDS swaps are on and hosts are known."""
-    rmw = current_rmw(identifier=lambda: name)
+    rmw = current_rmw(identifier=lambda: name, environ={})
     assert (rmw.name, rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (name, True, True, "")
+
+
+def test_under_sros2_guids_tell_no_hosts():
+    """With security on Fast DDS swaps as ever, but its GUIDs name the enclave where the host was."""
+    rmw = current_rmw(identifier=lambda: "rmw_fastrtps_cpp", environ={"ROS_SECURITY_ENABLE": "true"})
+    assert (rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (True, False, "")
 
 
 @pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
@@ -35,12 +43,16 @@ def endpoint(process, deadline_ns=0):
 def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
     """Where hosts are unknown, a reader in another process counts as one copy across the link, and as sensing."""
     told = crossing_without_hosts(
-        writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9), endpoint(b"c", 5)]
+        writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)]
     )
     assert told == Crossing(
-        direction=Direction.SENSING, remote_readers=1, requests=(("", 0), ("", 5), ("", 9)), offers_ns=(0,)
+        direction=Direction.SENSING,
+        remote_readers=1,
+        requests=(("", 0), ("", 5 * MS), ("", 9 * MS)),
+        offers_ns=(0,),
+        writers=frozenset({""}),
     )
-    assert told.tightest_request_ns() == 5
+    assert told.tightest_request_ns() == 5 * MS
 
 
 @pytest.mark.parametrize(("writers", "readers"), [((b"a",), (b"a",)), ((b"a",), ()), ((), (b"b",))])
@@ -52,10 +64,12 @@ def test_without_hosts_one_process_is_local(writers, readers):
 
 def test_the_readers_that_arpd_drives_bind_nobody():
     """The tightest request leaves out the nodes named, and a node's own requests can be asked for."""
-    readers = [Endpoint(host=b"", participant=b"b", deadline_ns=ns, node=node) for node, ns in (("/a", 5), ("/b", 7))]
+    readers = [
+        Endpoint(host=b"", participant=b"b", deadline_ns=ns, node=node) for node, ns in (("/a", 5 * MS), ("/b", 7 * MS))
+    ]
     told = crossing_without_hosts(writers=[endpoint(b"a")], readers=readers)
-    assert (told.tightest_request_ns(), told.tightest_request_ns(besides={"/a"})) == (5, 7)
-    assert (told.requests_of("/b"), told.requests_of("/c")) == ((7,), ())
+    assert (told.tightest_request_ns(), told.tightest_request_ns(besides={"/a"})) == (5 * MS, 7 * MS)
+    assert (told.requests_of("/b"), told.requests_of("/c")) == ((7 * MS,), ())
 
 
 def exposition(snapshot):

@@ -1,0 +1,245 @@
+"""The SROS 2 policy in etc/sros2, against what arpd's processes really open.
+
+The Fast DDS of the wheels has no security plugins (it was built without -DSECURITY=ON), so what is enforced cannot be
+seen here; what a process opens can, and that is what a permission is about.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from fnmatch import fnmatchcase
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+import rclpy
+from chaos.world import free_domain, free_port
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd.ros.relay import best_executor
+from arpd.ros.runtime import prepare_environment, spinning
+
+pytestmark = pytest.mark.ros
+REPO = Path(__file__).resolve().parents[2]
+POLICY = REPO / "etc/sros2/arpd.policy.xml"
+MANAGED = REPO / "etc/sros2/managed.xml"
+NODE = REPO / "etc/sros2/node.xml"
+XI = "{http://www.w3.org/2001/XInclude}"
+CHECK = "arpd_executor_check"
+TOPIC = "/sros2/scan"
+# Element → what it may hold, by sros2's policy.xsd 0.2.0.
+CHILDREN = {
+    "policy": {"enclaves"},
+    "enclaves": {"enclave"},
+    "enclave": {"profiles"},
+    "profiles": {"profile"},
+    "profile": {"topics", "services"},
+    "topics": {"topic"},
+    "services": {"service"},
+    "topic": set(),
+    "service": set(),
+}
+ATTRIBUTES = {
+    "policy": {"version"},
+    "enclave": {"path"},
+    "profile": {"ns", "node"},
+    "topics": {"publish", "subscribe"},
+    "services": {"request", "reply"},
+}
+
+
+def included(path):
+    """Parse a policy file and resolve its includes, each of which takes all a profile holds."""
+    root = ET.parse(path).getroot()
+    for parent in list(root.iter()):
+        for place, child in reversed(list(enumerate(parent))):
+            if child.tag == f"{XI}include":
+                assert child.get("xpointer") == "xpointer(/profile/*)"
+                parent[place : place + 1] = list(included(path.parent / child.get("href")))
+    return root
+
+
+def rules(profile):
+    """Return what a profile allows: (what, full name) pairs."""
+    namespace, node = profile.get("ns", "/").rstrip("/"), profile.get("node", "")
+
+    def full(name):
+        return name if name[0] == "/" else f"{namespace}/{node}{name[1:]}" if name[0] == "~" else f"{namespace}/{name}"
+
+    return {
+        (what, full(entry.text))
+        for group in profile
+        for what, answer in group.items()
+        for entry in group
+        if answer == "ALLOW"
+    }
+
+
+def profile_of(enclave, *, is_check=False):
+    found = [p for p in included(POLICY).iter("profile") if (p.get("node") == CHECK) is is_check]
+    enclaves = [e.get("path") for e in included(POLICY).iter("enclave")]
+    return found[enclaves.index(enclave)]
+
+
+def opened(node, name):
+    """Return what a node has opened, as the graph knows it."""
+    asked = {
+        "publish": node.get_publisher_names_and_types_by_node,
+        "subscribe": node.get_subscriber_names_and_types_by_node,
+        "reply": node.get_service_names_and_types_by_node,
+        "request": node.get_client_names_and_types_by_node,
+    }
+    try:
+        return {(what, full) for what, ask in asked.items() for full, _ in ask(name, "/")}
+    except rclpy._rclpy_pybind11.NodeNameNonExistentError:
+        return set()
+
+
+def is_used(rule, endpoints):
+    return any(what == rule[0] and fnmatchcase(name, rule[1]) for what, name in endpoints)
+
+
+def beyond(endpoints, allowed):
+    """Return what was opened and no rule allows."""
+    return {endpoint for endpoint in endpoints if not any(is_used(rule, {endpoint}) for rule in allowed)}
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory):
+    """Run, relay, peer and a driver with both adaptive ends, after the driver was tuned; what each has opened."""
+    workdir = tmp_path_factory.mktemp("sros2")
+    config = workdir / "arpd.yaml"
+    config.write_text(
+        json.dumps(
+            {
+                "link": {"interface": "lo", "capacity": "10gbit"},
+                "http": {"port": free_port()},
+                "relay": {"topics": [{"name": TOPIC}]},
+            }
+        )
+    )
+    domain = free_domain()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        patch.setenv("PYTHONPATH", str(REPO))
+        prepare_environment()
+        # The chaos tests' daemon is arpd run, for which another process is across the link: there is one host only.
+        argvs = [
+            [str(REPO / "tests/chaos/nodes.py"), "daemon", str(config)],
+            ["-m", "arpd", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
+            ["-m", "arpd", "peer", "--interface", "lo"],
+        ]
+        processes = [
+            subprocess.Popen([sys.executable, *argv], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=REPO)
+            for argv in argvs
+        ]
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        node = rclpy.create_node("driver", context=context)
+        publisher = AdaptivePublisher(node, String, TOPIC, 10)
+        AdaptiveSubscription(node, String, "/sros2/cmd", lambda _sample: None, 10)
+        node.create_timer(0.05, lambda: publisher.publish(String(data="x")))
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        try:
+            with spinning(executor):
+                yield wait_for_plan(node, publisher)
+        finally:
+            for process in processes:
+                process.kill()
+                process.communicate()
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)
+
+
+def wait_for_plan(node, publisher):
+    """Collect what every node has opened, until the driver's publisher is under a plan and all is there."""
+    wanted = {"arpd": 1, "arpd_relay_robot": 1, "arpd_peer": 1, "driver": 1}
+    until_s = time.monotonic() + 60.0
+    while time.monotonic() < until_s:
+        found = {name: opened(node, name) for name in wanted}
+        is_tuned = node.has_parameter("arpd.generation") and node.get_parameter("arpd.generation").value
+        is_carried = ("publish", f"/link{TOPIC}") in found["arpd_relay_robot"]
+        if is_tuned and is_carried and all(("reply", f"/{name}/list_parameters") in found[name] for name in wanted):
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"no plan reached the driver: {found}, {publisher.plan}")
+
+
+def test_the_policy_has_sros2s_form():
+    """Every element and attribute of the policy is one of sros2's format 0.2.0, and nothing is named DENY or *."""
+    root = included(POLICY)
+    assert (root.tag, root.get("version")) == ("policy", "0.2.0")
+    for element in root.iter():
+        assert {child.tag for child in element} <= CHILDREN[element.tag]
+        assert set(element.keys()) <= ATTRIBUTES.get(element.tag, set())
+        if element.tag in {"topics", "services"}:
+            assert set(element.attrib.values()) == {"ALLOW"}
+        if element.tag in {"topic", "service"}:
+            assert element.text.strip("/*")
+
+
+@pytest.mark.parametrize(
+    ("enclave", "name"), [("/arpd/run", "arpd"), ("/arpd/relay", "arpd_relay_robot"), ("/arpd/peer", "arpd_peer")]
+)
+def test_an_enclave_allows_exactly_what_its_process_opens(graph, enclave, name):
+    """What the process has opened is allowed, and what is allowed it has opened, but for the relay's own sources."""
+    allowed = rules(profile_of(enclave))
+    carried = {("subscribe", TOPIC)} if name.startswith("arpd_relay") else set()
+    assert beyond(graph[name], allowed) == carried
+    assert {rule for rule in allowed if not is_used(rule, graph[name])} == set()
+
+
+def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
+    """A node with an AdaptivePublisher and an AdaptiveSubscription opens its topics and what managed.xml names."""
+    profile = ET.Element("profile", ns="/", node="driver")
+    profile.extend([*included(NODE), *included(MANAGED)])
+    assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC), ("subscribe", "/sros2/cmd")}
+
+
+def test_the_executors_check_is_allowed_everywhere(ros, monkeypatch):
+    """The node with which a process tries its executor opens what each enclave allows it, and no more."""
+    seen = {}
+
+    class Looked(Node):
+        def destroy_node(self):
+            seen[self.get_name()] = opened(self, self.get_name())
+            super().destroy_node()
+
+    monkeypatch.setattr(rclpy, "create_node", Looked)
+    best_executor(ros.context).shutdown()
+    for enclave in ("/arpd/run", "/arpd/relay", "/arpd/peer"):
+        allowed = rules(profile_of(enclave, is_check=True))
+        assert beyond(seen[CHECK], allowed) == {rule for rule in allowed if not is_used(rule, seen[CHECK])} == set()
+
+
+def test_enforce_without_a_keystore_starts_nothing(tmp_path):
+    """Under ROS_SECURITY_STRATEGY=Enforce a process that has no keys ends; it never runs unprotected."""
+    secured = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+        "ROS_SECURITY_ENCLAVE_OVERRIDE": "/arpd/peer",
+    }
+    ended = subprocess.run(
+        [sys.executable, "-m", "arpd", "peer", "--interface", "lo"],
+        env={**os.environ, **secured},
+        cwd=REPO,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 69
+    assert "SECURITY ERROR" in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
