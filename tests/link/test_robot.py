@@ -17,7 +17,7 @@ from scripts.robot.run import PREFIX, REPO, robot
 from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
 
 CAN, WHY = available()
-pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
+pytestmark = [pytest.mark.alone, pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
 # What 5 Mbit/s cannot carry at the source's rate; the others keep theirs, so their QoS need not change again.

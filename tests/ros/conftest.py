@@ -1,11 +1,11 @@
 """Real rclpy for every test: a context of its own, on this host only, with an executor in a thread."""
 
-import os
 import threading
 import time
 from contextlib import ExitStack
 
 import pytest
+from domain import DOMAIN
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -38,7 +38,7 @@ def ros(monkeypatch):
 
     prepare_environment()
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=1 + os.getpid() % 90)
+    rclpy.init(context=context, domain_id=DOMAIN)
     with ExitStack() as stack:
         yield Ros(context, stack)
     rclpy.try_shutdown(context=context)

@@ -138,7 +138,7 @@ def test_a_late_call_of_an_older_plan_changes_nothing(ros, node, publisher, anno
         parameters = [Parameter(names[key], value=value).to_parameter_msg() for key, value in values.items()]
         return client.call_async(SetParametersAtomically.Request(parameters=parameters))
 
-    answers = [call(depth=10 + n, lease=float(n), generation=n) for n in (1, 4, 2, 3)]
+    answers = [call(depth=10 + n, lease=100.0 + n, generation=n) for n in (1, 4, 2, 3)]
     eventually(lambda: all(answer.done() for answer in answers))
     assert [answer.result().result.successful for answer in answers] == [True, True, False, False]
-    eventually(lambda: announced.shows(depth=14, generation=4, lease_s=4.0))
+    eventually(lambda: announced.shows(depth=14, generation=4, lease_s=104.0))

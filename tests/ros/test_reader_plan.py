@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
+from domain import DOMAIN
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -98,7 +99,7 @@ def planner(ros, background):
 
 @pytest.fixture
 def listener():
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(1 + os.getpid() % 90), "PYTHONPATH": str(REPOSITORY)}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPOSITORY)}
     process = subprocess.Popen(
         [sys.executable, Path(__file__).with_name("listener.py"), TOPIC, str(100 * MS)],
         env=environment,

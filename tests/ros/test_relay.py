@@ -1,6 +1,5 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
-import os
 import time
 from contextlib import ExitStack
 
@@ -9,6 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
+from domain import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -117,7 +117,7 @@ def elsewhere(ros):
 
         def node(name, executor=SingleThreadedExecutor, **options):
             context = rclpy.Context()
-            rclpy.init(context=context, domain_id=1 + os.getpid() % 90)
+            rclpy.init(context=context, domain_id=DOMAIN)
             stack.callback(rclpy.try_shutdown, context=context)
             return type(ros)(context, stack).node(name, executor(context=context), **options)
 
