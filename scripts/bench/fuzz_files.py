@@ -1,0 +1,137 @@
+"""Fuzz targets that are files: configurations, a saved status, link traces."""
+
+from __future__ import annotations
+
+import json
+import math
+
+from scripts.bench.fuzz_target import FAULT, REPO, Fuzzable, insist, memory_file
+
+
+def config() -> Fuzzable:
+    """Feed a configuration: it becomes settings, or faults of one clear line each."""
+    import yaml
+
+    from arpd.config import load_settings
+    from arpd.config_schema import SECTIONS
+    from arpd.errors import ConfigError
+
+    path = memory_file()
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            load_settings(path, interfaces=lambda: ("wlan0",))
+        except ConfigError as error:
+            insist(bool(error.faults) and all(map(FAULT.fullmatch, error.faults)), f"a clear fault: {error.faults}")
+
+    keys = {key for section in SECTIONS.values() for key in section.model_fields}
+    shipped = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_bytes())
+    seeds = [
+        yaml.safe_dump(shipped).encode(),  # without its comments: short inputs are many inputs
+        b"link: {interface: wlan0, capacity: 8mbit}\nrelay: {topics: [{name: /camera, overflow: queue}]}\n",
+        b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
+        b"- " * 100,
+        b"topics: [" + b"{name: /a}, " * 10 + b"]",
+    ]
+    words = (
+        ": ",
+        "- ",
+        "\n  ",
+        "!!python/object:",
+        "&a",
+        "*a",
+        "<<",
+        "20mbit",
+        "200ms",
+        "1MiB",
+        ".inf",
+        ".nan",
+        "none",
+    )
+    return Fuzzable(feed=feed, seeds=tuple(seeds), words=(*sorted(keys), *words))
+
+
+def status_file() -> Fuzzable:
+    """Feed a saved status: it becomes publishers, or one line says why not."""
+    from arpd.errors import ArpdError
+    from arpd.status_file import read_status
+
+    path = memory_file()
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            publishers = read_status(path)
+        except ArpdError as error:
+            insist("\n" not in str(error), f"one line: {error}")
+            return
+        insist(all(math.isfinite(p.payload_bytes + p.source_rate_hz) for p in publishers), "finite numbers")
+
+    row = {
+        "node": "/lidar",
+        "topic": "/scan",
+        "direction": "sensing",
+        "payload_bytes": 5828.0,
+        "source_rate_hz": 20.0,
+        "remote_readers": 1,
+        "requested_deadline_ns": None,
+    }
+    seed = json.dumps({"api_version": 1, "topics": [row]}).encode()
+    words = (*row, "api_version", "topics", "1e999", "NaN", "-Infinity", "actuation", "local", "null", "[[[[")
+    return Fuzzable(feed=feed, seeds=(seed,), words=words)
+
+
+def trace() -> Fuzzable:
+    """Feed a link trace: it becomes rates and losses, or one line says why not."""
+    from arpd.errors import TraceError
+    from arpd.sim.trace import read_trace
+
+    path = memory_file()
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            found = read_trace(path)
+        except TraceError as error:
+            insist("\n" not in str(error), f"one line: {error}")
+            return
+        rates = [step.rate_bytes_per_second for step in found.rates.steps]
+        insist(all(0.0 <= rate < math.inf for rate in rates), f"finite rates: {rates}")
+        insist(all(0.0 <= step.loss <= 1.0 for step in found.losses), f"probabilities: {found.losses}")
+
+    seeds = (
+        b"time_s,rate_bit_per_s,loss\n0,2e7,0\n10,5000000,0.02\n20,2e7,0\n",
+        b"# recorded\ntime_s,rate_bit_per_s\n0,1\n",
+        b"0\n1\n1\n5\n20\n400\n",
+    )
+    return Fuzzable(feed=feed, seeds=seeds, words=("time_s,", "rate_bit_per_s", ",loss", "\n", "#", "1e300", "nan"))
+
+
+def web_config() -> Fuzzable:
+    """Feed a web-config: it becomes a protection, or faults of one clear line each."""
+    from arpd.errors import ConfigError
+    from arpd.web.web_config import load_protection
+
+    path = memory_file()
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            load_protection(path)
+        except ConfigError as error:
+            insist(bool(error.faults) and all(map(FAULT.fullmatch, error.faults)), f"a clear fault: {error.faults}")
+
+    seeds = (
+        b"tls_server_config: {cert_file: a.pem, key_file: a.key, min_version: TLS12}\n",
+        b"basic_auth_users:\n  ops: $2b$12$CwTycUXWue0Thq9StjUM0uJ8vDqYPBlRgYFRQ0qVdCkXo6B6xkz5e\n",
+        b"http_server_config: {headers: {X-Frame-Options: deny}}\n",
+    )
+    words = (
+        "client_ca_file: ",
+        "client_auth_type: ",
+        "RequireAndVerifyClientCert",
+        "client_allowed_sans: [",
+        "max_version",
+    )
+    return Fuzzable(feed=feed, seeds=seeds, words=words)

@@ -1,0 +1,232 @@
+"""Fuzz targets that arrive over ROS: reports, probes, announcements, claims, parameters."""
+
+from __future__ import annotations
+
+import math
+import struct
+from types import SimpleNamespace
+from typing import Any
+
+from scripts.bench.fuzz_target import Fuzzable, insist
+
+_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+
+
+def report() -> Fuzzable:
+    """Feed a peer's report: it is refused, or says possible things and survives being sent on."""
+    from arpd.probing import PeerReport, Train
+    from arpd.ros.report import decode_report, encode_report
+
+    def feed(data: bytes) -> None:
+        try:
+            found = decode_report(SimpleNamespace(data=data), received_at_s=1.0)
+        except ValueError:
+            return
+        numbers = [found.interval_s, *found.delays_s]
+        numbers += [span for train in found.trains for span in (train.duration_s, train.sent_s)]
+        insist(all(map(math.isfinite, numbers)), f"finite numbers: {found}")
+        insist(found.interval_s > 0, f"an interval: {found}")
+        insist(all(train.duration_s > 0 and train.packets > 0 for train in found.trains), f"trains: {found}")
+        if len(found.delays_s) <= 32 and len(found.trains) <= 32:
+            again = decode_report(encode_report(found), received_at_s=1.0)
+            insist(again.trains == found.trains and again.delays_s == found.delays_s, f"the same again: {again}")
+
+    some = PeerReport(
+        peer="ceddp",
+        received_at_s=1.0,
+        interval_s=0.1,
+        rx_bytes=1000,
+        rx_packets=9,
+        last_probe=7,
+        delays_s=(0.01, 0.02),
+        trains=(Train(payload_bytes=12000, duration_s=0.01, sent_s=0.001, packets=10),),
+    )
+    return Fuzzable(feed=feed, seeds=(bytes(encode_report(some).data),))
+
+
+def probe() -> Fuzzable:
+    """Feed a probe packet: it is refused, or has its place in its train."""
+    from arpd.ros.report import ProbeHeader, decode_probe, encode_probe
+
+    def feed(data: bytes) -> None:
+        try:
+            header = decode_probe(SimpleNamespace(data=data))
+        except ValueError:
+            return
+        insist(0 <= header.index < header.packets and header.quiet_s >= 0, f"a place in a train: {header}")
+        insist(decode_probe(encode_probe(header, payload_bytes=len(data))) == header, "the same again")
+
+    seed = encode_probe(ProbeHeader(train=7, index=2, packets=9, quiet_s=0.5), payload_bytes=64)
+    return Fuzzable(feed=feed, seeds=(bytes(seed.data),))
+
+
+def publisher() -> Fuzzable:
+    """Feed a publisher's announcement: it is refused, or becomes a state that can be announced again."""
+    from arpd.ros.announce import from_status, to_status
+
+    def feed(data: bytes) -> None:
+        try:
+            state = from_status(SimpleNamespace(values=_pairs(data)))
+        except ValueError:
+            return
+        insist(state.payload_bytes < math.inf and state.depth >= 1, f"possible numbers: {state}")
+        insist(len(state.node) <= 256 and state.node.isprintable(), f"a name: {state.node!r}")
+        if _is_text(state.type_name, state.refusal, *state.swaps_by_result):
+            from_status(to_status(state))
+
+    state = _publisher()
+    return Fuzzable(feed=feed, seeds=(_lines(to_status(state)),), words=_numbers())
+
+
+def reader() -> Fuzzable:
+    """Feed a reader's announcement: it is refused, or becomes a state that can be announced again."""
+    from arpd.readers import ReaderState
+    from arpd.ros.announce import reader_from_status, reader_to_status
+
+    def feed(data: bytes) -> None:
+        try:
+            state = reader_from_status(SimpleNamespace(values=_pairs(data)))
+        except ValueError:
+            return
+        insist(state.depth >= 1 and state.lease_s < math.inf, f"possible numbers: {state}")
+        if _is_text(state.refusal, *state.handovers_by_result):
+            reader_from_status(reader_to_status(state))
+
+    state = ReaderState(
+        node="/base", topic="/cmd_vel", depth=10, baseline_depth=10, handovers_by_result={"done": 2}, lease_s=3.0
+    )
+    return Fuzzable(feed=feed, seeds=(_lines(reader_to_status(state)),), words=_numbers())
+
+
+def wire() -> Fuzzable:
+    """Feed serialized announcements, as they come off the network: the middleware or arpd refuses them."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    from arpd.ros.announce import from_status, reader_from_status, to_status
+    from arpd.ros.daemons import from_status as claim_from_status
+
+    def feed(data: bytes) -> None:
+        try:
+            message = deserialize_message(_CDR_LITTLE_ENDIAN + data, DiagnosticArray)
+        except Exception as error:
+            if type(error).__name__ in {"RCLError", "RMWError", "UnicodeDecodeError"}:
+                return  # what the middleware refuses never reaches arpd
+            raise
+        for status in message.status:
+            for read in (from_status, reader_from_status, claim_from_status):
+                try:
+                    read(status)
+                except ValueError:
+                    continue
+
+    message = DiagnosticArray(status=[to_status(_publisher())] * 2)
+    return Fuzzable(feed=feed, seeds=(bytes(serialize_message(message))[4:],), words=_numbers())
+
+
+def claim() -> Fuzzable:
+    """Feed a daemon's claim: it is refused, or can be weighed against one's own and claimed again."""
+    from arpd.incumbent import Claim, Incumbency
+    from arpd.ros.daemons import from_status, to_status
+
+    own = Claim(started_ns=5, token="0" * 32, host="robot")
+
+    def feed(data: bytes) -> None:
+        head, _, rest = data.partition(b"\n\n")
+        name, _, token = head.decode("utf-8", "surrogateescape").partition("\n")
+        try:
+            found = from_status(SimpleNamespace(name=name, hardware_id=token, values=_pairs(rest)))
+        except ValueError:
+            return
+        insist(found.host.isprintable() and found.started_ns >= 0, f"a possible claim: {found}")
+        incumbency = Incumbency(own)
+        for now_s in (1.0, 1.5):  # one claim is not believed
+            incumbency.note(found, now_s)
+        insist(len(incumbency.others(1.5)) <= 1, "one claim is one daemon")
+        insist(from_status(to_status(found)) == found, "the same again")
+
+    return Fuzzable(
+        feed=feed,
+        seeds=(b"arpd on robot2\n" + b"1" * 32 + b"\n\nstarted_ns=1700000000000000000",),
+        words=("started_ns=", "arpd on "),
+    )
+
+
+def parameters() -> Fuzzable:
+    """Feed values of QoS parameters: they are refused with a reason, or make a plan to run with."""
+    from dataclasses import replace
+
+    from arpd.model import TopicPlan
+    from arpd.ros.bounds import checked_lease_s
+    from arpd.ros.tuning import _checked
+
+    fields = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "lease_s")
+    plan = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
+
+    def feed(data: bytes) -> None:
+        changes: dict[str, int | float] = {}
+        for place in range(0, len(data) - 8, 9):
+            field = fields[data[place] % len(fields)]
+            form = "<q" if field in {"depth", "deadline_ns"} else "<d"
+            parameter = SimpleNamespace(
+                name=f"arpd./a.publisher.{field}", value=struct.unpack_from(form, data, place + 1)[0]
+            )
+            try:
+                if field == "lease_s":
+                    insist(0.0 <= checked_lease_s(parameter) < math.inf, "a time")
+                else:
+                    changes[field] = _checked(parameter, field, most_depth=5000)
+            except ValueError as refusal:
+                insist(parameter.name in str(refusal), f"a refusal that names the parameter: {refusal}")
+        try:
+            made = replace(plan, **changes)  # type: ignore[arg-type]
+        except ValueError as refusal:
+            insist(bool(str(refusal)), "a refusal with a reason")
+            return
+        insist(made.depth >= 1 and made.rate_hz >= 0 and made.deadline_ns >= 0, f"a plan: {made}")
+
+    def entry(field: int, value: float) -> bytes:
+        return bytes([field]) + struct.pack("<q" if field < 2 else "<d", value)
+
+    seeds = (
+        b"".join(entry(i, v) for i, v in enumerate((10, 10**9, 5.0, 1.0, 3.0))),
+        b"".join(entry(i, v) for i, v in enumerate((2**62, -1, math.nan, math.inf, -0.0))),
+    )
+    return Fuzzable(feed=feed, seeds=seeds)
+
+
+def _pairs(data: bytes) -> list[Any]:
+    """Read lines as key and value, so that a mutation hits text and not lengths."""
+    lines = data.decode("utf-8", "surrogateescape").split("\n")
+    return [SimpleNamespace(key=key, value=value) for key, _, value in (line.partition("=") for line in lines)]
+
+
+def _lines(status: Any) -> bytes:
+    return "\n".join(f"{pair.key}={pair.value}" for pair in status.values).encode()
+
+
+def _publisher() -> Any:
+    from arpd.model import Direction, PublisherState
+
+    return PublisherState(
+        node="/lidar",
+        topic="/scan",
+        type_name="sensor_msgs/msg/LaserScan",
+        direction=Direction.SENSING,
+        payload_bytes=5828.0,
+        source_rate_hz=20.0,
+        depth=10,
+        baseline_depth=10,
+        swaps_by_result={"done": 3, "undelivered": 1},
+        refusal="",
+    )
+
+
+def _is_text(*texts: str) -> bool:
+    """Whether no text has a lone surrogate: the middleware hands over UTF-8 only, and takes nothing else."""
+    return not any("\ud800" <= character <= "\udfff" for text in texts for character in text)
+
+
+def _numbers() -> tuple[str, ...]:
+    words = ("inf", "nan", "-1", "1e308", "9223372036854775807", "9223372036854775808", "swaps_", "handovers_", "/a/b")
+    return (*words, "keep_all", "refusal=", "refusal_reason=", "lease_s=", "generation=")

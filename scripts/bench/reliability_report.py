@@ -1,0 +1,186 @@
+"""The reliability table: what `reliability.py` and `fuzz.py` noted, as Markdown for people."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+BEGIN, END = "<!-- reliability:begin -->", "<!-- reliability:end -->"
+TARGET_S = 5.0
+_MIB = 2**20
+_NAMES = {
+    "rate": "changes of capacity",
+    "reload": "reloads (one in six refused)",
+    "kill run": "kill -9 of run",
+    "kill peer": "of the peer",
+    "kill relay": "of the relay",
+    "restart run": "clean restarts of run",
+    "outage": "outages",
+    "interface": "interface down and up",
+}
+
+
+def table(document: dict[str, Any], fuzz: dict[str, Any] | None, *, warm_s: float) -> str:
+    """Return everything as a Markdown table, the conditions above it.
+
+    Parameters
+    ----------
+    warm_s : age from which a process's memory counts (s)
+    """
+    happened = ", ".join(f"{document['events'].get(kind, 0)} {words}" for kind, words in _NAMES.items())
+    load = document["load_average"][2]
+    head = (
+        f"{document['minutes']:g} minutes with what happens in a bad hour: {happened}; the demo robot on a link of "
+        f"2 to 20 Mbit/s, two cores, load average {load:.1f}."
+    )
+    rows = [
+        *_messages(document),
+        *_recoveries(document["recoveries"]),
+        *_ticks(document["lives"]),
+        *_growth(document["footprints"], warm_s),
+        _logs(document["log"]),
+        *_fuzz(fuzz),
+        *_security(document.get("security", {})),
+    ]
+    return "\n".join([head, "", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
+
+
+def replace_block(readme: Path, text: str) -> None:
+    """Put the text between the markers of a file; the rest of it stays as it is.
+
+    Raises
+    ------
+    SystemExit
+        If the markers are not there.
+    """
+    before, begin, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise SystemExit(f"{readme} has no {BEGIN} … {END}")
+    readme.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+def _messages(document: dict[str, Any]) -> list[tuple[str, str]]:
+    by_kind = {
+        kind: [topic for name, topic in document["topics"].items() if f"/{kind}/" in name]
+        for kind in ("adaptive", "plain")
+    }
+
+    def total(kind: str, key: str) -> int:
+        return sum(topic[key] for topic in by_kind[kind])
+
+    adaptive, plain = (
+        f"{total(kind, 'lost'):,} of {total(kind, 'sent'):,} lost, {total(kind, 'doubled')} doubled, "
+        f"{total(kind, 'late')} out of order"
+        for kind in ("adaptive", "plain")
+    )
+    silence_s = {kind: max(topic["silence_s"] for topic in topics) for kind, topics in by_kind.items()}
+    return [
+        ("reliable messages of a running application with AdaptivePublishers", adaptive),
+        ("the same without arpd, at the same time", plain),
+        ("longest silence at their reader", f"{silence_s['adaptive']:.1f} s; without arpd {silence_s['plain']:.1f} s"),
+    ]
+
+
+def _recoveries(recoveries: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    words = {
+        "calm kill": "from the start after a kill -9 of run to the plan confirmed, while link and configuration stay",
+        "kill run": "the same while both change all the time",
+        "restart run": "from the start after a clean stop of run to the plan confirmed",
+        "kill relay": "from the relay's start to all its topics under the plan again",
+        "kill peer": "from the peer's start to its report at the daemon",
+    }
+    rows = []
+    for kind, what in words.items():
+        took = [one["whole_s"] for one in recoveries if one["kind"] == kind]
+        came = sorted(seconds for seconds in took if seconds is not None)
+        if not took:
+            continue
+        value = f"median {median(came):.1f} s, longest {came[-1]:.1f} s" if came else "–"
+        value += f"; within {TARGET_S:g} s: {sum(s <= TARGET_S for s in came)} of {len(took)}"
+        if len(came) < len(took):
+            value += f"; {len(took) - len(came)} not before the next event"
+        if "run" in what:
+            value += f"; it answers after {_median(recoveries, kind, 'answered_s')}"
+            value += f" and has planned for all after {_median(recoveries, kind, 'planned_s')}"
+        rows.append((what, value))
+    return rows
+
+
+def _median(recoveries: Sequence[dict[str, Any]], kind: str, key: str) -> str:
+    took = [one[key] for one in recoveries if one["kind"] == kind and one[key] is not None]
+    return f"{median(took):.1f} s" if took else "–"
+
+
+def _ticks(lives: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    ticks, late, failed = (sum(life[key] for life in lives) for key in ("ticks", "ticks_late", "ticks_failed"))
+    refused = sum(life["reloads"].get("failed", 0) for life in lives)
+    taken = sum(life["reloads"].get("ok", 0) for life in lives)
+    return [
+        ("ticks", f"{ticks:,}; {late:,} started late, {failed} failed"),
+        ("reloads", f"{taken} taken, {refused} refused and the old configuration kept"),
+    ]
+
+
+def _growth(footprints: dict[str, list[dict[str, Any]]], warm_s: float) -> list[tuple[str, str]]:
+    rows = []
+    for name, notes in footprints.items():
+        lives = [list(life) for _, life in groupby(notes, key=lambda note: note["pid"])]
+        longest = max(lives, key=lambda life: life[-1]["at_s"] - life[0]["at_s"])
+        warm = [note for note in longest if note["at_s"] - longest[0]["at_s"] >= warm_s]
+        if len(warm) < 3:
+            continue
+        begin, middle, end = warm[0], warm[len(warm) // 2], warm[-1]
+        rss = " → ".join(f"{note['rss_bytes'] / _MIB:.1f}" for note in (begin, middle, end))
+        value = f"{rss} MiB over {(end['at_s'] - begin['at_s']) / 60:.1f} min ({_slope(warm) * 3600 / _MIB:+.1f} MiB/h)"
+        value += f", threads {_change(warm, 'threads')}, open files {_change(warm, 'files')}"
+        rows.append((f"arpd {name}, its longest life without a restart, from {warm_s:g} s on", value))
+    return rows
+
+
+def _change(notes: Sequence[dict[str, Any]], key: str) -> str:
+    values = [note[key] for note in notes]
+    return f"{values[0]}" if min(values) == max(values) else f"{values[0]} → {values[-1]} (at most {max(values)})"
+
+
+def _slope(notes: Sequence[dict[str, Any]]) -> float:
+    """Least squares: bytes per second."""
+    times = [note["at_s"] for note in notes]
+    values = [note["rss_bytes"] for note in notes]
+    mean_t, mean_v = sum(times) / len(times), sum(values) / len(values)
+    spread = sum((t - mean_t) ** 2 for t in times)
+    return float(sum((t - mean_t) * (v - mean_v) for t, v in zip(times, values, strict=True)) / spread)
+
+
+def _logs(log: dict[str, dict[str, int]]) -> tuple[str, str]:
+    counts = {name: sum(lines.values()) for name, lines in log.items()}
+    return ("log lines at WARNING and above", ", ".join(f"{name} {count}" for name, count in counts.items()))
+
+
+def _fuzz(fuzz: dict[str, Any] | None) -> list[tuple[str, str]]:
+    if not fuzz:
+        return []
+    targets = fuzz["targets"]
+    executions = sum(found["executions"] for found in targets.values())
+    crashes = sum(len(found["crashes"]) for found in targets.values())
+    slowest, what = max((found["slowest_s"], name) for name, found in targets.items())
+    grown = max(found["peak_rss_bytes"] - found["rss_at_start_bytes"] for found in targets.values())
+    value = f"{executions / 1e6:.1f} million inputs, {crashes} crashes; slowest {slowest * 1e3:.0f} ms ({what})"
+    value += f", memory at most {grown / _MIB:.0f} MiB more"
+    return [(f"coverage-guided fuzzing of {len(targets)} readers of foreign input", value)]
+
+
+def _security(scores: dict[str, str]) -> list[tuple[str, str]]:
+    if not scores:
+        return []
+    return [
+        (
+            "`systemd-analyze security` (0 best, 10 worst)",
+            ", ".join(f"{unit} {score}" for unit, score in scores.items()),
+        )
+    ]

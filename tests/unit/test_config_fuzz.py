@@ -1,0 +1,145 @@
+"""The configuration file in odd shapes, and every target of scripts/bench/fuzz.py without its fuzzer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from arpd.config import load_settings
+from arpd.errors import ConfigError
+from scripts.bench.fuzz_target import FAULT
+from scripts.bench.fuzz_targets import TARGETS
+
+SHIPPED = (Path(__file__).parents[2] / "etc" / "arpd" / "arpd.yaml").read_text(encoding="utf-8")
+# Without its comments, which cost time and change nothing.
+LINES = [line for line in SHIPPED.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+ROS_TARGETS = {"report", "probe", "publisher", "reader", "wire", "claim", "parameters"}
+
+
+def leaves(text):
+    """Return every value of a file that is no mapping or list, with its dotted key."""
+
+    def walk(node, key):
+        if isinstance(node, yaml.MappingNode):
+            for name, value in node.value:
+                yield from walk(value, f"{key}.{name.value}".lstrip("."))
+        elif isinstance(node, yaml.ScalarNode):
+            yield key, node
+
+    return list(walk(yaml.compose(text), ""))
+
+
+GOOD = "\n".join(LINES) + "\n"
+LEAVES = leaves(GOOD)
+
+
+@pytest.fixture
+def load(tmp_path):
+    path = tmp_path / "arpd.yaml"
+
+    def load(raw):
+        path.write_bytes(raw)
+        return load_settings(path, interfaces=None)
+
+    return load
+
+
+def test_the_file_without_its_comments_is_good(load):
+    """What the tests below spoil is a file that loads, and has a value for most keys."""
+    load(GOOD.encode())
+    assert len(LEAVES) > 25
+
+
+# None of these is a value of any key.
+WRONG = st.sampled_from(["[]", "{}", "[[1]]", "{a: b}", "!!", ".nan", "-1e999", '"\\0"'])
+
+
+@QUICK
+@given(st.sampled_from(LEAVES), WRONG)
+def test_one_wrong_value_is_one_fault_at_its_place(load, leaf, wrong):
+    """A single value of a wrong kind is named with its key, its line and its column, and nothing else is."""
+    key, node = leaf
+    start, end = node.start_mark, node.end_mark
+    raw = GOOD[: start.index] + wrong + GOOD[end.index :]
+    with pytest.raises(ConfigError) as refused:
+        load(raw.encode())
+    (fault,) = refused.value.faults
+    assert FAULT.fullmatch(fault)
+    _, line, _, named, _ = fault.split(":", 4)
+    assert int(line) == start.line + 1
+    assert named.strip() in {key, "yaml"}
+
+
+MANGLED = st.tuples(
+    st.sampled_from(["drop", "double", "indent", "dedent", "cut", "swap"]), st.integers(0, 10**6), st.integers(0, 10**6)
+)
+
+
+def mangle(lines, edits):
+    """Return the lines after edits such as a hand or an editor makes."""
+    lines = list(lines)
+    for what, one, other in edits:
+        i, j = one % len(lines), other % len(lines)
+        match what:
+            case "drop" if len(lines) > 1:
+                del lines[i]
+            case "double":
+                lines.insert(j, lines[i])
+            case "indent":
+                lines[i] = "  " + lines[i]
+            case "dedent":
+                lines[i] = lines[i].removeprefix("  ")
+            case "cut":
+                lines[i] = lines[i][: other % (len(lines[i]) + 1)]
+            case "swap":
+                lines[i], lines[j] = lines[j], lines[i]
+    return "\n".join(lines) + "\n"
+
+
+@QUICK
+@given(st.lists(MANGLED, min_size=1, max_size=6), st.binary(max_size=4), st.integers(0, 10**6))
+def test_a_mangled_file_loads_or_says_where_it_is_wrong(load, edits, junk, at):
+    """Whatever becomes of the shipped file, it is settings, or each fault has a line of that file."""
+    raw = mangle(LINES, edits).encode()
+    raw = raw[: at % (len(raw) + 1)] + junk + raw[at % (len(raw) + 1) :]
+    try:
+        load(raw)
+    except ConfigError as error:
+        for fault in error.faults:
+            assert FAULT.fullmatch(fault)
+            assert 1 <= int(fault.split(":")[1]) <= raw.count(b"\n") + raw.count(b"\r") + raw.count(b"\xc2\x85") + 1
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_fuzz_target_takes_its_seeds_and_what_is_near(name):
+    """What the fuzzer starts from breaks nothing, nor does any of it cut, doubled or with a byte changed."""
+    if name in ROS_TARGETS:
+        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    code = TARGETS[name].load()
+    for seed in code.seeds:
+        for data in (seed, seed[: len(seed) // 2], seed + seed, bytes([seed[0] ^ 0x80]) + seed[1:], b""):
+            code.feed(data)
+
+
+@pytest.mark.parametrize(
+    "raw", [b"topics: [" + b"[]," * 300_000 + b"]", b"".join(b"k%d: 1\n" % k for k in range(90_000))]
+)
+def test_a_costly_file_is_refused_early(load, raw):
+    """Of a file that would take a quarter of a minute and half a gigabyte, no more is read than refuses it."""
+    with pytest.raises(ConfigError) as refused:
+        load(raw)
+    (fault,) = refused.value.faults
+    assert "yaml: holds more than 20,000 keys and values;" in fault
+
+
+def test_of_many_faults_the_first_hundred_are_told(load):
+    """A file that is wrong all over does not fill the journal: the rest of its faults is one line."""
+    with pytest.raises(ConfigError) as refused:
+        load(b"".join(b"k%d: 1\n" % k for k in range(150)))
+    assert len(refused.value.faults) == 101
+    assert refused.value.faults[-1].endswith(":101:1: file: has 50 more faults; correct those above first")
