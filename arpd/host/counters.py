@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from arpd.errors import LinkError
 from arpd.host.backlog import read_backlog
 from arpd.interface import InterfaceState, LinkCounters, continue_counters, state_of
 from arpd.model import MemoryState
@@ -25,39 +24,32 @@ _SYS_NET = Path("/sys/class/net")
 _PROC_ROUTE = Path("/proc/net/route")
 
 
-def choose_interface(
-    wanted: str,
+def likeliest_interface(
     *,
     sys_net: Path = _SYS_NET,
     route: Path = _PROC_ROUTE,
     names: Callable[[], Mapping[str, Any]] | None = None,
-) -> str:
-    """Return the link interface: the one asked for, or for ``auto`` the likeliest one.
+) -> str | None:
+    """Return the interface that ``auto`` takes now, None when nothing tells.
 
-    ``auto`` takes a wireless interface that is up, else the interface of the default route, else the only one
-    besides loopback.
+    It is a wireless interface that is up, else the interface of the default route, else the only one besides loopback.
 
-    Raises
-    ------
-    LinkError
-        If the interface asked for does not exist, or ``auto`` finds none; the message names those that exist.
+    Parameters
+    ----------
+    sys_net, route, names : the kernel's answers, for tests to give others
     """
-    stats = names() if names else psutil.net_if_stats()
-    existing = sorted(stats)
-    others = [name for name in existing if name != "lo"]
-    if wanted != AUTO:
-        if wanted not in existing:
-            raise LinkError(f"link.interface {wanted!r} does not exist; this host has {', '.join(existing) or 'none'}")
-        return wanted
+    try:
+        stats = (names or psutil.net_if_stats)()
+    except OSError:
+        return None
+    others = [name for name in sorted(stats) if name != "lo"]
     for name in others:
         if (sys_net / name / "wireless").exists() and stats[name].isup:
             return name
     routed = _default_route(route)
     if routed in others:
         return routed
-    if len(others) == 1:
-        return others[0]
-    raise LinkError(f"cannot tell which interface is the link; set link.interface to one of {', '.join(existing)}")
+    return others[0] if len(others) == 1 else None
 
 
 def read_counters(name: str) -> LinkCounters | None:
@@ -110,14 +102,6 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
         for name, addresses in every.items()
     }
     return {name: addresses for name, addresses in found.items() if addresses}
-
-
-def likeliest_interface() -> str | None:
-    """Return the interface that ``auto`` takes now, None when it finds none."""
-    try:
-        return choose_interface(AUTO)
-    except (LinkError, OSError):
-        return None
 
 
 def index_of(name: str) -> int | None:

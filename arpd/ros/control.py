@@ -28,7 +28,7 @@ from arpd.ros.intake import Intake, Pause, octets
 from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.ros.parameters import ParameterApplier
 from arpd.ros.refused import Refused
-from arpd.ros.report import MOST_REPORT_BYTES, ProbeHeader, encode_probe, read_report
+from arpd.ros.report import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.ros.rmw import current_rmw
 from arpd.ros.rounds import Rounds
 from arpd.wire import probe_wire_bytes
@@ -219,7 +219,7 @@ class RosControl:
     def _on_report(self, data: bytes, _info: Any) -> None:
         now_s = self._clock()
         try:
-            report = read_report(octets(data), received_at_s=now_s)
+            report = decode_report(octets(data), received_at_s=now_s)
         except ValueError as fault:
             self._refuse_report(Reason.MALFORMED, "", str(fault))
             return

@@ -83,7 +83,7 @@ class Peer:
     def _on_probe(self, data: bytes, info: Any) -> None:
         try:
             packet = self._octets(data)
-            header = self._report.read_probe(packet)
+            header = self._report.decode_probe(packet)
         except ValueError as fault:
             log.debug("ignored a probe: %s", fault)
             return

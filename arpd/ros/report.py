@@ -51,13 +51,8 @@ def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
     return UInt8MultiArray(data=array("B", head.ljust(payload_bytes, b"\0")))
 
 
-def decode_probe(message: Any) -> ProbeHeader:
-    """Read a probe packet; raises ValueError if it is none of ours."""
-    return read_probe(bytes(message.data[: _PROBE.size]))
-
-
-def read_probe(data: bytes) -> ProbeHeader:
-    """Read a probe packet from the bytes of its message, as `decode_probe` does."""
+def decode_probe(data: bytes) -> ProbeHeader:
+    """Read a probe packet from the bytes of its message; raises ValueError if it is none of ours."""
     if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
         raise ValueError("not a probe of this version")
     _, quiet, index, packets, train = _PROBE.unpack_from(data)
@@ -89,19 +84,14 @@ def encode_report(report: PeerReport) -> Any:
     return UInt8MultiArray(data=array("B", head + name + body))
 
 
-def decode_report(message: Any, *, received_at_s: float) -> PeerReport:
-    """Read a receiver report.
+def decode_report(data: bytes, *, received_at_s: float) -> PeerReport:
+    """Read a receiver report from the bytes of its message.
 
     Raises
     ------
     ValueError
         If it is malformed or says something impossible.
     """
-    return read_report(bytes(message.data), received_at_s=received_at_s)
-
-
-def read_report(data: bytes, *, received_at_s: float) -> PeerReport:
-    """Read a receiver report from the bytes of its message, as `decode_report` does."""
     if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
         raise ValueError("not a peer report of this version")
     _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)

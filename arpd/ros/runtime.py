@@ -92,13 +92,11 @@ def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[]
     _spin(executor, stopping, on_turn=on_turn)
 
 
-def stop_on_signals(stopping: threading.Event, *, wake: Callable[[], None] | None = None) -> None:
+def stop_on_signals(stopping: threading.Event) -> None:
     """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler. SIGHUP is nothing to die of."""
 
     def handle(_signum: int, _frame: Any) -> None:
         stopping.set()
-        if wake is not None:
-            wake()
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)

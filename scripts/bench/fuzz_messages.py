@@ -19,7 +19,7 @@ def report() -> Fuzzable:
 
     def feed(data: bytes) -> None:
         try:
-            found = decode_report(SimpleNamespace(data=data), received_at_s=1.0)
+            found = decode_report(data, received_at_s=1.0)
         except ValueError:
             return
         numbers = [found.interval_s, *found.delays_s]
@@ -28,7 +28,7 @@ def report() -> Fuzzable:
         insist(found.interval_s > 0, f"an interval: {found}")
         insist(all(train.duration_s > 0 and train.packets > 0 for train in found.trains), f"trains: {found}")
         if len(found.delays_s) <= 32 and len(found.trains) <= 32:
-            again = decode_report(encode_report(found), received_at_s=1.0)
+            again = decode_report(bytes(encode_report(found).data), received_at_s=1.0)
             insist(again.trains == found.trains and again.delays_s == found.delays_s, f"the same again: {again}")
 
     some = PeerReport(
@@ -50,11 +50,11 @@ def probe() -> Fuzzable:
 
     def feed(data: bytes) -> None:
         try:
-            header = decode_probe(SimpleNamespace(data=data))
+            header = decode_probe(data)
         except ValueError:
             return
         insist(0 <= header.index < header.packets and header.quiet_s >= 0, f"a place in a train: {header}")
-        insist(decode_probe(encode_probe(header, payload_bytes=len(data))) == header, "the same again")
+        insist(decode_probe(bytes(encode_probe(header, payload_bytes=len(data)).data)) == header, "the same again")
 
     seed = encode_probe(ProbeHeader(train=7, index=2, packets=9, quiet_s=0.5), payload_bytes=64)
     return Fuzzable(feed=feed, seeds=(bytes(seed.data),))

@@ -79,7 +79,7 @@ class Daemon:
 
     def _on_report(self, message):
         self.sizes.append(len(message.data))
-        self.reports.append(decode_report(message, received_at_s=time.monotonic()))
+        self.reports.append(decode_report(bytes(message.data), received_at_s=time.monotonic()))
 
 
 @pytest.fixture

@@ -5,11 +5,9 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from arpd.errors import LinkError
 from arpd.host.counters import (
     InterfaceReader,
     MemoryReader,
-    choose_interface,
     hardware_address,
     index_of,
     ipv4_addresses,
@@ -25,34 +23,33 @@ ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 
 @pytest.fixture
 def host(tmp_path):
-    """Make a host of interfaces: name → (state, is wireless)."""
+    """Choose on a host of interfaces: name → (state, is wireless)."""
 
-    def make(**interfaces):
+    def choose(**interfaces):
         for name, (_, wireless) in interfaces.items():
             (tmp_path / name / ("wireless" if wireless else "plain")).mkdir(parents=True)
         route = tmp_path / "route"
         route.write_text(ROUTE)
         names = {"lo": UP, **{name: state for name, (state, _) in interfaces.items()}}
-        return lambda wanted: choose_interface(wanted, sys_net=tmp_path, route=route, names=lambda: names)
+        return likeliest_interface(sys_net=tmp_path, route=route, names=lambda: names)
 
-    return make
+    return choose
 
 
 def test_auto_prefers_a_wireless_interface_that_is_up(host):
     """Of two radios the one that is up is the link, whatever the route says."""
-    choose = host(eth0=(UP, False), wlan0=(DOWN, True), wlan1=(UP, True))
-    assert choose("auto") == "wlan1"
+    assert host(eth0=(UP, False), wlan0=(DOWN, True), wlan1=(UP, True)) == "wlan1"
 
 
 def test_auto_takes_the_default_route_without_a_radio(host):
     """Without a radio that is up, the default route tells."""
-    assert host(eth0=(UP, False), eth1=(UP, False), wlan0=(DOWN, True))("auto") == "eth0"
+    assert host(eth0=(UP, False), eth1=(UP, False), wlan0=(DOWN, True)) == "eth0"
 
 
-def test_an_interface_that_is_not_there_is_named(host):
-    """The error names what exists."""
-    with pytest.raises(LinkError, match=r"wlan9.*does not exist.*eth0, lo"):
-        host(eth0=(UP, False))("wlan9")
+def test_auto_takes_the_only_one_there_is_and_does_not_guess(host):
+    """Without a radio or a route to tell by, a lone interface is the link, and of two neither is."""
+    assert host(usb0=(UP, False)) == "usb0"
+    assert host(usb1=(UP, False), usb2=(UP, False)) is None
 
 
 # -- what happens to it later

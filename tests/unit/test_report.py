@@ -24,15 +24,19 @@ REPORT = PeerReport(
 )
 
 
+def told(message, *, received_at_s=0.0):
+    return decode_report(bytes(message.data), received_at_s=received_at_s)
+
+
 def test_a_report_comes_back_as_it_was():
     """Counters, delays, trains with their departures, and the name of the peer."""
-    assert decode_report(encode_report(REPORT), received_at_s=12.5) == REPORT
+    assert told(encode_report(REPORT), received_at_s=12.5) == REPORT
 
 
 def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
     """Clocks half a century apart leave a delay as precise as any."""
     reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
-    early, late = (decode_report(encode_report(report), received_at_s=0.0).delays_s[0] for report in reports)
+    early, late = (told(encode_report(report)).delays_s[0] for report in reports)
     assert late - early == pytest.approx(1e-5, abs=1e-6)
 
 
@@ -46,7 +50,7 @@ def test_a_report_is_as_short_as_its_name(name, size):
 
 def test_a_long_name_is_cut_between_characters():
     """64 bytes of a name are kept, and no half of a letter."""
-    decoded = decode_report(encode_report(replace(REPORT, peer="x" + "é" * 40)), received_at_s=0.0)
+    decoded = told(encode_report(replace(REPORT, peer="x" + "é" * 40)))
     assert decoded.peer == "x" + "é" * 31
 
 
@@ -54,7 +58,7 @@ def test_more_than_a_report_holds_is_cut_to_the_newest():
     """Of a hundred delays and trains the last 32 are sent; counts beyond 32 bits read the most there is."""
     delays = tuple(float(i) for i in range(100))
     report = replace(REPORT, delays_s=delays, trains=REPORT.trains * 100, rx_bytes=10**12)
-    decoded = decode_report(encode_report(report), received_at_s=0.0)
+    decoded = told(encode_report(report))
     assert decoded.delays_s == delays[-32:]
     assert (len(decoded.trains), decoded.rx_bytes) == (32, 2**32 - 1)
 
@@ -63,7 +67,7 @@ def test_a_train_of_nothing_is_left_out():
     """A train without time, bytes or packets has no rate."""
     (whole,) = REPORT.trains
     empty = (replace(whole, duration_s=0.0), replace(whole, payload_bytes=0), replace(whole, packets=0))
-    assert decode_report(encode_report(replace(REPORT, trains=(*empty, whole))), received_at_s=0.0).trains == (whole,)
+    assert told(encode_report(replace(REPORT, trains=(*empty, whole)))).trains == (whole,)
 
 
 def test_a_report_of_another_version_is_refused():
@@ -71,7 +75,7 @@ def test_a_report_of_another_version_is_refused():
     message = encode_report(REPORT)
     message.data[0] = 1
     with pytest.raises(ValueError, match="version"):
-        decode_report(message, received_at_s=0.0)
+        told(message)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +98,7 @@ def test_a_report_of_another_version_is_refused():
 def test_impossible_numbers_are_refused(broken):
     """What no peer can have measured is not taken for a measurement."""
     with pytest.raises(ValueError, match="impossible"):
-        decode_report(encode_report(replace(REPORT, **broken)), received_at_s=0.0)
+        told(encode_report(replace(REPORT, **broken)))
 
 
 def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
@@ -106,10 +110,8 @@ def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
         for _ in range(chance.randrange(4)):
             if data:
                 data[chance.randrange(len(data))] = chance.randrange(256)
-        message = encode_report(REPORT)
-        message.data = list(data)
         try:
-            decoded = decode_report(message, received_at_s=0.0)
+            decoded = decode_report(bytes(data), received_at_s=0.0)
         except ValueError:
             continue
         assert all(math.isfinite(delay) for delay in decoded.delays_s)
@@ -121,7 +123,7 @@ def test_a_probe_says_its_place():
     header = ProbeHeader(train=2**32 + 7, index=3, packets=12)
     message = encode_probe(header, payload_bytes=1300)
     assert len(message.data) == 1300
-    assert decode_probe(message) == replace(header, train=7)
+    assert decode_probe(bytes(message.data)) == replace(header, train=7)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,5 @@ def test_a_probe_says_its_place():
 )
 def test_what_is_no_probe_is_refused(data):
     """Too short, of another version, or outside of its own train."""
-    message = encode_probe(ProbeHeader(train=1, index=0, packets=1), payload_bytes=16)
-    message.data = list(data)
     with pytest.raises(ValueError, match="probe"):
-        decode_probe(message)
+        decode_probe(data)
