@@ -270,11 +270,11 @@ class Daemon:
         """
         ordering = Ordering(patience_s=_RESTORE_READERS_S)
         generation = self._governor.plan.generation + 1
-        observation = self._observe(self._clock())
+        self._observe(self._clock())
         while (begun_s := self._clock()) - (self._began_s or 0.0) < _HEAR_S:
             # A predecessor's plan may be in force, or another daemon in charge: nobody was heard yet.
             wait(TICK_S)
-            observation = self._observe(self._clock())
+            self._observe(self._clock())
         plan_of = paced_restore_plan
         while True:
             now_s = self._clock()

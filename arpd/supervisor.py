@@ -6,6 +6,7 @@ import logging
 import signal
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -61,33 +62,21 @@ class Signals:
         self.reload = True
 
 
-class _Reading:
-    """A configuration file that is being read: a wrong one of a megabyte takes longer than ticks may wait."""
+def _reading(load: Callable[[], Settings]) -> Future[Settings]:
+    """Read the configuration in a thread: a wrong file of a megabyte takes longer than ticks may wait.
 
-    def __init__(self, load: Callable[[], Settings]) -> None:
-        self._load = load
-        self._settings: Settings | None = None
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name="arpd-config", daemon=True)
-        self._thread.start()
+    No executor's thread, because the process must be able to end before it does.
+    """
+    future: Future[Settings] = Future()
 
-    @property
-    def is_done(self) -> bool:
-        """Whether `result` returns, or raises, at once."""
-        return not self._thread.is_alive()
-
-    def result(self) -> Settings:
-        """Return the settings, or raise what kept them from being read."""
-        if self._error is not None:
-            raise self._error
-        assert self._settings is not None
-        return self._settings
-
-    def _run(self) -> None:
+    def read() -> None:
         try:
-            self._settings = self._load()
-        except Exception as error:  # noqa: BLE001 - raised by `result`
-            self._error = error
+            future.set_result(load())
+        except Exception as error:  # noqa: BLE001 - raised by the future's result
+            future.set_exception(error)
+
+    threading.Thread(target=read, name="arpd-config", daemon=True).start()
+    return future
 
 
 class Supervisor:
@@ -120,7 +109,7 @@ class Supervisor:
         self._fault = fault
         self._is_cut_off = is_cut_off
         self._heartbeat = Heartbeat(notifier)
-        self._reading: _Reading | None = None
+        self._reading: Future[Settings] | None = None
         self._is_ready = False
         self._status = ""
         self._failure = ""
@@ -146,7 +135,7 @@ class Supervisor:
 
     def _follow_reloads(self) -> None:
         """Begin or finish a reload; one that is asked for while a file is read follows, so that the last file wins."""
-        if self._reading is not None and self._reading.is_done:
+        if self._reading is not None and self._reading.done():
             try:
                 self._daemon.reload(self._reading.result)
             except Exception as error:
@@ -159,7 +148,7 @@ class Supervisor:
             self._signals.reload = False
             if self._is_ready:
                 self._notifier.reloading()
-            self._reading = _Reading(self._load)
+            self._reading = _reading(self._load)
 
     def _note_failure(self, error: Exception) -> None:
         self._daemon.note_failed_tick()

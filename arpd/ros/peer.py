@@ -15,7 +15,7 @@ from arpd.logs import configure_logging
 from arpd.probing import PeerReport
 from arpd.receiver import BUSY_S, Receiver, ReportSchedule
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.ros.runtime import control_node, spin_until, stop_on_signals
+from arpd.ros.runtime import control_node, serve_until, stop_on_signals
 from arpd.systemd import Heartbeat, Notifier
 
 if TYPE_CHECKING:
@@ -215,16 +215,12 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
         log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()
         status = ProbeStatus(f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
-        heartbeat = Heartbeat(notifier)
-
-        def on_turn() -> None:
-            status.update(probed_s=peer.probed_s, now_s=time.monotonic())
-            heartbeat.beat()
-            if locators.are_outdated():
-                stopping.set()
-
-        spin_until(executor, stopping, on_turn=on_turn)
+        serve_until(
+            executor,
+            stopping,
+            heartbeat=Heartbeat(notifier),
+            locators=locators,
+            on_turn=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
+        )
         notifier.stopping()
-    if locators.are_outdated():
-        raise locators.error()
     return 0

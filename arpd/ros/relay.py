@@ -16,7 +16,7 @@ from arpd.host.counters import likeliest_interface
 from arpd.host.locators import Locators
 from arpd.logs import configure_logging
 from arpd.ros.graph import node_name_of
-from arpd.ros.runtime import ros_node, spin_until, stop_on_signals
+from arpd.ros.runtime import ros_node, serve_until, stop_on_signals
 from arpd.routes import Refusal, Route, Source, choose_route, own_output
 from arpd.settings import AUTO
 from arpd.systemd import Heartbeat, Notifier
@@ -358,15 +358,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
 
         tuning = NodeTuning.of(node)
         heartbeat = Heartbeat(notifier, parts=[lambda: tuning.finished_s])
-
-        def on_turn() -> None:
-            heartbeat.beat()
-            if locators.are_outdated():
-                stopping.set()
-
         notifier.ready()
-        spin_until(executor, stopping, on_turn=on_turn)
+        serve_until(executor, stopping, heartbeat=heartbeat, locators=locators)
         notifier.stopping()
-    if locators.are_outdated():
-        raise locators.error()
     return 0

@@ -16,6 +16,9 @@ from arpd.ros.transport import send_without_waiting
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from arpd.host.locators import Locators
+    from arpd.systemd import Heartbeat
+
 log = logging.getLogger(__name__)
 
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
@@ -71,7 +74,7 @@ def control_node(name: str) -> Iterator[Any]:
 def spinning(executor: Any) -> Iterator[None]:
     """Spin an executor in a thread of its own; leaving the block ends the thread."""
     stopping = threading.Event()
-    thread = threading.Thread(target=_spin, args=(executor, stopping), name="arpd-ros", daemon=True)
+    thread = threading.Thread(target=spin_until, args=(executor, stopping), name="arpd-ros", daemon=True)
     thread.start()
     try:
         yield
@@ -82,14 +85,49 @@ def spinning(executor: Any) -> Iterator[None]:
         executor.shutdown(timeout_sec=1.0)
 
 
-def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None]) -> None:
+def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
     """Spin in this thread until ``stopping`` is set.
 
     Parameters
     ----------
     on_turn : called after every turn that did not fail, several times a second also when nothing happens
     """
-    _spin(executor, stopping, on_turn=on_turn)
+    # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
+    while not stopping.is_set():
+        try:
+            executor.spin_once(timeout_sec=0.2)
+            on_turn()
+        except Exception:
+            if stopping.is_set():
+                return
+            log.exception("a callback failed; the node goes on")
+
+
+def serve_until(
+    executor: Any,
+    stopping: threading.Event,
+    *,
+    heartbeat: Heartbeat,
+    locators: Locators,
+    on_turn: Callable[[], None] = lambda: None,
+) -> None:
+    """Spin a service in this thread until ``stopping`` is set: watched, and no longer than it can be heard.
+
+    Raises
+    ------
+    LinkError
+        If another process would be heard over the link, and this one is not.
+    """
+
+    def look() -> None:
+        on_turn()
+        heartbeat.beat()
+        if locators.are_outdated():
+            stopping.set()
+
+    spin_until(executor, stopping, on_turn=look)
+    if locators.are_outdated():
+        raise locators.error()
 
 
 def stop_on_signals(stopping: threading.Event) -> None:
@@ -101,15 +139,3 @@ def stop_on_signals(stopping: threading.Event) -> None:
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-
-def _spin(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
-    # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
-    while not stopping.is_set():
-        try:
-            executor.spin_once(timeout_sec=0.2)
-            on_turn()
-        except Exception:
-            if stopping.is_set():
-                return
-            log.exception("a callback failed; the node goes on")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
+from arpd.web.families import counter_by
 from arpd.web.passwords import Verdict
 
 if TYPE_CHECKING:
@@ -70,32 +71,26 @@ class HttpCounts(Collector):
         for labels, count in requests:
             answered.add_metric(labels, count)
         yield answered
-        yield _counter("arpd_http_connections_refused", "Connections without an answer.", "reason", Refusal, refused)
-        yield _counter(
-            "arpd_http_authentications",
-            "Credentials of requests; cached is right and remembered.",
-            "result",
-            Verdict,
-            authentications,
-        )
-        yield _counter(
-            "arpd_http_config_reloads",
-            "Changes of http.web_config and the files it names.",
-            "result",
-            ("failed", "ok"),
-            reloads,
-        )
+        for name, text, label, known, counts in (
+            ("arpd_http_connections_refused", "Connections without an answer.", "reason", Refusal, refused),
+            (
+                "arpd_http_authentications",
+                "Credentials of requests; cached is right and remembered.",
+                "result",
+                Verdict,
+                authentications,
+            ),
+            (
+                "arpd_http_config_reloads",
+                "Changes of http.web_config and the files it names.",
+                "result",
+                ("failed", "ok"),
+                reloads,
+            ),
+        ):
+            yield counter_by(name, text, (label,), (((), known, counts),))
         yield GaugeMetricFamily(
             "arpd_http_config_last_reload_successful",
             "0 while http.web_config, as it is now, cannot be used and an older one is in force.",
             value=float(is_config_good),
         )
-
-
-def _counter(
-    name: str, text: str, label: str, values: type[StrEnum] | tuple[str, ...], counts: Counter[str]
-) -> CounterMetricFamily:
-    family = CounterMetricFamily(name, text, labels=(label,))
-    for value in sorted(values):
-        family.add_metric((value,), counts[value])
-    return family

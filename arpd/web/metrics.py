@@ -17,6 +17,7 @@ from arpd.refusal import RefusalReason
 from arpd.settings import Backend
 from arpd.swap import SwapResult
 from arpd.version import VERSION
+from arpd.web.families import counter_by
 from arpd.web.intake_metrics import intake_metrics
 from arpd.web.link_metrics import link_metrics
 from arpd.web.reader_metrics import reader_metrics
@@ -319,7 +320,7 @@ def _of_totals(totals: Totals) -> Iterator[Metric]:
     for name, text, read in _COUNTERS:
         yield CounterMetricFamily(name, text, value=read(totals))
     for name, text, label, known, read_by in _COUNTERS_BY:
-        yield _counter_by(name, text, (label,), (((), known, read_by(totals)),))
+        yield counter_by(name, text, (label,), (((), known, read_by(totals)),))
     solves = CounterMetricFamily("arpd_solves", "Solves of the program.", labels=("backend", "outcome"))
     for (backend, outcome), count in sorted(totals.solves_by_outcome.items()):
         solves.add_metric((backend, outcome), count)
@@ -347,7 +348,7 @@ def _of_topics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
             for binding in sorted(Binding):
                 family.add_metric((*labels, binding), binding is binding_of(allocation))
         yield family
-    yield _counter_by(
+    yield counter_by(
         "arpd_topic_swaps",
         "QoS swaps of the publisher.",
         (*_TOPIC_LABELS, "result"),
@@ -367,18 +368,4 @@ def _topic_gauge(name: str, text: str, series: Iterable[tuple[tuple[str, ...], f
     family = GaugeMetricFamily(name, text, labels=_TOPIC_LABELS)
     for labels, value in series:
         family.add_metric(labels, value)
-    return family
-
-
-def _counter_by(
-    name: str,
-    text: str,
-    labels: tuple[str, ...],
-    series: Iterable[tuple[tuple[str, ...], Iterable[str], Mapping[str, int]]],
-) -> CounterMetricFamily:
-    """Counter over (outer labels, known values of the last label, counts); known values without a count read 0."""
-    family = CounterMetricFamily(name, text, labels=labels)
-    for outer, known, counts in series:
-        for value in sorted({*known, *counts}):
-            family.add_metric((*outer, value), counts.get(value, 0))
     return family

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.core import GaugeMetricFamily
 
 from arpd.handover import HandoverResult
 from arpd.model import NANOSECONDS_PER_SECOND
+from arpd.web.families import counter_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -45,8 +46,9 @@ def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         for labels, reader in readers:
             gauge.add_metric(labels, float(read(reader)))
         yield gauge
-    handovers = CounterMetricFamily("arpd_reader_handovers", "Handovers of the reader.", labels=(*_LABELS, "result"))
-    for labels, reader in readers:
-        for result in sorted({*HandoverResult, *reader.handovers_by_result}):
-            handovers.add_metric((*labels, result), reader.handovers_by_result.get(result, 0))
-    yield handovers
+    yield counter_by(
+        "arpd_reader_handovers",
+        "Handovers of the reader.",
+        (*_LABELS, "result"),
+        ((labels, HandoverResult, reader.handovers_by_result) for labels, reader in readers),
+    )

@@ -6,9 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from chaos.world import World
-
-from arpd.ros.runtime import prepare_environment
+from chaos.world import World, this_host_only
 
 
 @pytest.fixture(scope="module")
@@ -17,10 +15,7 @@ def played(request, tmp_path_factory):
 
     A scenario serves many tests: starting processes and waiting for timeouts is what costs time, not looking.
     """
-    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(max_workers=3) as stages:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        prepare_environment()
+    with this_host_only(), ThreadPoolExecutor(max_workers=3) as stages:
 
         def play(scenario, workdir):
             with World(workdir) as world:

@@ -14,10 +14,11 @@ import threading
 import time
 import urllib.request
 from collections import defaultdict
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
 import rclpy
 from chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from diagnostic_msgs.msg import DiagnosticArray
@@ -30,7 +31,7 @@ from std_msgs.msg import String
 from arpd.ros.announce import from_status
 from arpd.ros.graph import deadline_ns_of
 from arpd.ros.names import PUBLISHERS_TOPIC, parameter_name
-from arpd.ros.runtime import FASTDDS_PROFILE, spinning
+from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from scripts.bench.child import number_of, sample_of
 
 REPO = Path(__file__).resolve().parents[2]
@@ -44,6 +45,16 @@ SHORT_LEASE = """
       </discovery_config></builtin></rtps>
     </participant>
 """
+
+
+@contextmanager
+def this_host_only():
+    """Keep what is started to UDP on this host, with arpd's profile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        prepare_environment()
+        yield
 
 
 def wait(condition, timeout_s=START_S):

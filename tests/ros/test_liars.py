@@ -13,9 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from chaos.world import Log, World, insist, status
-
-from arpd.ros.runtime import prepare_environment
+from chaos.world import Log, World, insist, status, this_host_only
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 HERE = Path(__file__).parent
@@ -56,12 +54,8 @@ class Effort:
 @pytest.fixture(scope="module")
 def story(tmp_path_factory):
     """Play a daemon at rest, then a flood; a publisher comes during it and is planned for, and the flood goes on."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        prepare_environment()
-        with World(tmp_path_factory.mktemp("liars")) as world:
-            yield play(world)
+    with this_host_only(), World(tmp_path_factory.mktemp("liars")) as world:
+        yield play(world)
 
 
 def play(world):

@@ -17,9 +17,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from chaos.nodes import BASELINE_DEPTH
-from chaos.world import World, free_port, insist
-
-from arpd.ros.runtime import prepare_environment
+from chaos.world import World, free_port, insist, this_host_only
 
 pytestmark = pytest.mark.ros
 REPO = Path(__file__).parents[2]
@@ -70,13 +68,9 @@ class Stage:
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
     """Start everything once: the tests follow each other on it, and the last one stops the daemon."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        prepare_environment()
-        folder = tmp_path_factory.mktemp("failures")
-        with World(folder) as world:
-            yield Stage(world, folder / "arpd.yaml")
+    folder = tmp_path_factory.mktemp("failures")
+    with this_host_only(), World(folder) as world:
+        yield Stage(world, folder / "arpd.yaml")
 
 
 def test_a_node_that_hangs_delays_nobodys_plan(stage):

@@ -3,21 +3,11 @@
 import pytest
 
 from arpd.governor import MOST_GENERATION, Governor
-from arpd.model import CapacityKind, LinkEstimate, LinkState
 from arpd.program import Program
 from arpd.settings import Settings
 from arpd.topics import topics_to_plan
+from tests.sample_link import LINK
 from tests.sample_publishers import publisher
-
-LINK = LinkEstimate(
-    capacity_bytes_per_second=1e6,
-    kind=CapacityKind.PEER,
-    state=LinkState.STEADY,
-    queue_delay_s=0.0,
-    delivery_rate_bytes_per_second=5e5,
-    age_s=0.0,
-    evidence="",
-)
 
 
 class Run:

@@ -9,22 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.governor import Governor
-from arpd.model import CapacityKind, Decision, LinkEstimate, LinkState, Topic
+from arpd.model import Decision, LinkState, Topic
 from arpd.program import Program
 from arpd.settings import Backend, GovernorSettings, ProgramSettings, Settings
+from tests.sample_link import LINK
 from tests.sample_publishers import publisher
 
 MEMORY = 64 * 2.0**20
 GOVERNOR = GovernorSettings()
-LINK = LinkEstimate(
-    capacity_bytes_per_second=1e6,
-    kind=CapacityKind.PEER,
-    state=LinkState.STEADY,
-    queue_delay_s=0.0,
-    delivery_rate_bytes_per_second=5e5,
-    age_s=0.0,
-    evidence="",
-)
 TOPICS = tuple(
     Topic(name=f"/t{i}", wire_bytes=1000.0 * (i + 1), packets=1, desired_rate_hz=400.0, min_rate_hz=1.0)
     for i in range(3)
