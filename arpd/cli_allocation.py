@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from arpd.model import PublisherState
     from arpd.offline import OfflinePlan, PlannedTopic
+    from arpd.publishers import PublisherState
     from arpd.settings import Settings
     from arpd.topics import Traffic
 

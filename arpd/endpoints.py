@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.model import PublisherState
+from arpd.publishers import PublisherState
 from arpd.readers import ReaderState
 
 if TYPE_CHECKING:

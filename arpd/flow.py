@@ -6,15 +6,19 @@ import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.model import FlowState, TopicPlan
-from arpd.pacing import Pacer
-from arpd.source_rate import SourceRate
-from arpd.swap import SwapResult, SwapTiming, Writer, WriterQos, WriterSwap
+from arpd.deadlines import DeadlineCount
+from arpd.model import TopicPlan
+from arpd.pacing import DropCause, Pacer
+from arpd.publishers import FlowState
+from arpd.sample_rate import SampleRate
+from arpd.swap import SwapResult, SwapTiming, WriterSwap
+from arpd.writer import Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.settings import Overflow
+    from arpd.writer import WriterQos
 
 # What a swap held leaves at twice the rate it came at: a burst would push samples out of a small history, the
 # writer's or a reader's, and crowd the link.
@@ -61,8 +65,9 @@ class Flow(Generic[W]):
         self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._gate = 1.0
-        self._source = SourceRate()
-        self._published = self._withheld = 0
+        self._source, self._departures = SampleRate(), SampleRate()
+        self._withheld: Counter[str] = Counter()  # by cause
+        self._deadlines = DeadlineCount(self._swap.current)
         self._blocked_s = 0.0
         self._payload_bytes = 0.0
         self._held: deque[bytes] = deque()  # through the pacing, but not through the swap
@@ -150,11 +155,12 @@ class Flow(Generic[W]):
         try:
             self._swap.current.publish(sample)
         except Exception:
-            self._withheld += 1  # it left the queue and reached nobody
+            self._on_withheld(1, DropCause.FAILED)  # it left the queue and reached nobody
             raise
-        took_s = self._clock() - before_s
+        after_s = self._clock()
+        took_s = after_s - before_s
         self._blocked_s += took_s
-        self._published += 1
+        self._departures.count(after_s)
         if self._swap.awaits_silence:
             self._swap.wrote(self._clock())
         if self._history is not None:
@@ -209,7 +215,10 @@ class Flow(Generic[W]):
             return
         before = self._swap.current
         self._swap.step(now_s)
-        if self._swap.current is not before and self._history is not None:
+        if self._swap.current is before:
+            return
+        self._deadlines.follow(self._swap.current)
+        if self._history is not None:
             self._replay = deque(self._history)
             self._history = deque(self._history, maxlen=self._swap.qos.depth)
 
@@ -223,26 +232,35 @@ class Flow(Generic[W]):
     def state(self) -> FlowState:
         """Return what is in force and counted; called about once a second."""
         now_s = self._clock()
-        rate_hz = self._source.rate_hz(now_s)
+        rate_hz, published_rate_hz = self._source.rate_hz(now_s), self._departures.rate_hz(now_s)
         self._source.mark(now_s)
+        self._departures.mark(now_s)
+        withheld, ledger = dict(self._withheld), self._swap.ledger
         return FlowState(
             payload_bytes=self._payload_bytes,
             source_rate_hz=rate_hz,
+            published_rate_hz=published_rate_hz,
             offered=self.offered,
-            published=self._published,
-            withheld=self._withheld,
+            published=self._departures.samples,
+            withheld=sum(withheld.values()),
+            withheld_by_cause=withheld,
             queued=len(self._pacer) + len(self._held),
             blocked_s=self._blocked_s,
             rate_hz=self._plan.rate_hz,
             depth=self.qos.depth,
             deadline_ns=self.qos.deadline_ns,
+            deadlines_missed=self._deadlines.missed,
             swaps_by_result=dict(self._swaps),
+            swaps_begun=ledger.begun,
+            swap_seconds_by_phase=dict(ledger.seconds_by_phase),
+            last_swap=ledger.last,
         )
 
     def close(self) -> None:
         """Give up what waits, and destroy every writer a swap may have in flight."""
         self._pacer.clear()
-        self._withheld += len(self._held)
+        if self._held:
+            self._on_withheld(len(self._held), DropCause.CLOSED)
         self._held.clear()
         self._replay.clear()
         self._swap.close()
@@ -268,10 +286,11 @@ class Flow(Generic[W]):
         rate_hz = self._plan.rate_hz
         if self._gate < 1.0:
             rate_hz = max(self._flowing_hz(now_s) * self._gate, min(self._plan.min_rate_hz, rate_hz))
-        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s)
+        limit = DropCause.GATE if rate_hz < self._plan.rate_hz else DropCause.RATE
+        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s, limit=limit)
 
-    def _on_withheld(self, samples: int) -> None:
-        self._withheld += samples
+    def _on_withheld(self, samples: int, cause: DropCause) -> None:
+        self._withheld[cause.value] += samples
 
     def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
         self._swaps[result.value] += 1

@@ -14,7 +14,8 @@ from arpd.planner import keeps_its_readers, make_plan, tightest_requests
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from arpd.model import Allocation, LinkEstimate, PublisherState, Topic
+    from arpd.model import Allocation, LinkEstimate, Topic
+    from arpd.publishers import PublisherState
     from arpd.settings import Settings
 
 _GATE_CLOSED = 0.01  # floors are all that flows

@@ -9,13 +9,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.admission import Taken
-from arpd.refusal import RefusalReason
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.interface import LinkCounters
     from arpd.probing import PeerReport
+    from arpd.publishers import PublisherState
     from arpd.readers import ReaderPlan, ReaderState
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
@@ -70,74 +70,6 @@ class MemoryState:
 
     total_bytes: int
     available_bytes: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FlowState:
-    """What one adaptive publisher counts and runs with.
-
-    Parameters
-    ----------
-    payload_bytes : mean serialized size of recent samples (bytes)
-    source_rate_hz : rate at which the application calls ``publish()`` (Hz)
-    offered : samples the application gave
-    published : samples written to the link
-    withheld : samples pacing chose not to send (conflated or dropped from the queue)
-    queued : samples waiting in the pacing queue now
-    blocked_s : time spent inside the middleware's ``publish()`` since start (s)
-    rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
-    swaps_by_result : QoS swaps since start, by result
-    """
-
-    payload_bytes: float
-    source_rate_hz: float
-    offered: int = 0
-    published: int = 0
-    withheld: int = 0
-    queued: int = 0
-    blocked_s: float = 0.0
-    rate_hz: float = math.inf
-    depth: int
-    deadline_ns: int = 0
-    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PublisherState(FlowState):
-    """What one AdaptivePublisher announced, joined with what the graph says of its readers.
-
-    Parameters
-    ----------
-    node : fully qualified node name; with ``topic`` the publisher's identity
-    baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
-    generation : generation of the plan these settings came from, 0 = the application's own
-    lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    refusal, refusal_reason : why the last request was refused, in words and by name; empty and ``none`` if it was not
-    keeps_all : whether its history is KEEP_ALL, so that a depth means nothing
-    remote_readers : off-host participants that read the topic
-    requested_deadline_ns : tightest deadline a reader requests that arpd does not drive, 0 when none does
-    age_s : time since the announcement (s)
-    """
-
-    node: str
-    topic: str
-    type_name: str
-    direction: Direction
-    baseline_depth: int
-    baseline_deadline_ns: int = 0
-    generation: int = 0
-    lease_s: float = 0.0
-    refusal: str = ""
-    refusal_reason: RefusalReason = RefusalReason.NONE
-    keeps_all: bool = False
-    remote_readers: int = 0
-    requested_deadline_ns: int = 0
-    age_s: float = 0.0
-
-    @property
-    def copies(self) -> int:
-        """Times each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
-        return max(1, self.remote_readers)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,6 +129,10 @@ class LinkEstimate:
     evidence : the last change, in words
     packet_overhead_s : t_ovh, link time each packet costs beyond its bytes (s)
     foreign_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
+    loss_ratio : share of the probe packets of late that never arrived, None while too few were sent to tell
+    return_delay_s : one-way delay of the peer's reports above its minimum of late: what a command to the robot waits,
+        None without a peer (s)
+    events_by_kind : how often each rule changed the estimate, or an outage began, since the start
     """
 
     capacity_bytes_per_second: float
@@ -209,6 +145,9 @@ class LinkEstimate:
     queue_allowance_s: float = 0.05
     foreign_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
+    loss_ratio: float | None = None
+    return_delay_s: float | None = None
+    events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def available_bytes_per_second(self) -> float:

@@ -15,7 +15,8 @@ from arpd.topics import rows_of_traffic
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model import Allocation, PublisherState, Topic, TopicAllocation, TopicPlan
+    from arpd.model import Allocation, Topic, TopicAllocation, TopicPlan
+    from arpd.publishers import PublisherState
     from arpd.settings import Backend, Settings
     from arpd.topics import Traffic
 

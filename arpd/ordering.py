@@ -13,7 +13,8 @@ from arpd.readers import ReaderPlan, is_reader_confirmed
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from arpd.model import PublisherState, QosPlan, TopicPlan
+    from arpd.model import QosPlan, TopicPlan
+    from arpd.publishers import PublisherState
     from arpd.readers import ReaderPlans, ReaderState
 
 PATIENCE_S = 10.0  # a handover that ends in nothing takes 7 s, and its answer another

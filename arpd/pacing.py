@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from arpd.settings import Overflow
@@ -17,6 +18,16 @@ _LEAST_BURST = 1.5
 _BURST_S = 0.05
 
 
+class DropCause(StrEnum):
+    """Why a sample of the application's was not published."""
+
+    RATE = "rate"  # the application was faster than the plan's rate
+    GATE = "gate"  # the same, while the gate kept the rate below the plan's
+    BLOCKED = "blocked"  # no rate kept it back, but the writer that blocked
+    FAILED = "failed"  # writing it raised
+    CLOSED = "closed"  # it still waited when the publisher was destroyed
+
+
 class Pacer:
     """A token bucket in front of a bounded queue.
 
@@ -27,18 +38,19 @@ class Pacer:
     ----------
     overflow : what gives way when samples come faster than they may leave
     depth : most samples the queue holds (samples); ``latest`` holds one
-    on_withheld : called with the number of samples given up, once per ``offer`` that gives any up
+    on_withheld : called with the number of samples given up and why, once per call that gives any up
 
     Notes
     -----
     Not thread-safe; the publisher's lock guards it. Times are seconds of one monotonic clock.
     """
 
-    def __init__(self, *, overflow: Overflow, depth: int, on_withheld: Callable[[int], None]) -> None:
+    def __init__(self, *, overflow: Overflow, depth: int, on_withheld: Callable[[int, DropCause], None]) -> None:
         self._overflow = overflow
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
+        self._limit = DropCause.RATE
         self._credit = _LEAST_BURST
         self._at_s = -math.inf
         self._queue: deque[bytes] = deque()
@@ -51,10 +63,16 @@ class Pacer:
         """Rate in force, ``inf`` = unpaced (Hz)."""
         return self._rate_hz
 
-    def retune(self, *, rate_hz: float, depth: int, now_s: float) -> None:
-        """Change rate and queue bound at once; credit earned so far stays."""
+    def retune(self, *, rate_hz: float, depth: int, now_s: float, limit: DropCause = DropCause.RATE) -> None:
+        """Change rate and queue bound at once; credit earned so far stays.
+
+        Parameters
+        ----------
+        limit : what the rate comes from, `rate` or `gate`: the cause of what it makes give way
+        """
         self._earn(now_s)
         self._rate_hz = rate_hz
+        self._limit = limit
         self._depth = depth
         self._shed()
 
@@ -95,15 +113,18 @@ class Pacer:
         withheld = len(self._queue)
         self._queue.clear()
         if withheld:
-            self._on_withheld(withheld)
+            self._on_withheld(withheld, DropCause.CLOSED)
 
     def _earn(self, now_s: float) -> None:
         if math.isinf(self._rate_hz):
             self._credit = _LEAST_BURST
         elif now_s > self._at_s:
-            most = max(_LEAST_BURST, _BURST_S * self._rate_hz)
-            self._credit = min(most, self._credit + self._rate_hz * (now_s - self._at_s))
+            self._credit = min(self._most_credit, self._credit + self._rate_hz * (now_s - self._at_s))
         self._at_s = max(self._at_s, now_s)
+
+    @property
+    def _most_credit(self) -> float:
+        return _LEAST_BURST if math.isinf(self._rate_hz) else max(_LEAST_BURST, _BURST_S * self._rate_hz)
 
     def _shed(self) -> None:
         # What may leave at once is not waiting for credit, only for the thread that writes it.
@@ -114,4 +135,6 @@ class Pacer:
         if excess > 0:
             for _ in range(excess):
                 self._queue.popleft()
-            self._on_withheld(excess)
+            # With all the credit there can be, what waits has been due for half a period at least.
+            is_due = self._rate_hz > 0 and self._credit >= self._most_credit
+            self._on_withheld(excess, DropCause.BLOCKED if is_due else self._limit)

@@ -11,7 +11,8 @@ from arpd.model import Binding, QosPlan, TopicPlan, Transition
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from arpd.model import Allocation, PublisherState, Topic, TopicAllocation
+    from arpd.model import Allocation, Topic, TopicAllocation
+    from arpd.publishers import PublisherState
     from arpd.readers import ReaderState
     from arpd.settings import Settings
 

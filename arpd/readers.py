@@ -35,6 +35,7 @@ class ReaderState:
     handovers_by_result : handovers since start, by result
     requests_ns : periods its node's readers of the topic request in the graph; two while one replaces the other
     offers_ns : periods the topic's writers offer in the graph, 0 = infinite
+    deadlines_missed : requested deadlines the middleware counted as missed, over all readers so far
     age_s : time since the announcement (s)
     """
 
@@ -52,6 +53,7 @@ class ReaderState:
     handovers_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     requests_ns: tuple[int, ...] = ()
     offers_ns: tuple[int, ...] = ()
+    deadlines_missed: int = 0
     age_s: float = 0.0
 
     @property

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config_source import printable
 from arpd.errors import ArpdError, UsageError
-from arpd.model import Direction, PublisherState
+from arpd.model import Direction
+from arpd.publishers import PublisherState
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,38 +6,15 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from arpd.swap_ledger import SwapLedger
+from arpd.writer import Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WriterQos:
-    """The two policies a swap changes: KEEP_LAST depth (samples) and offered deadline (ns, 0 = infinite)."""
-
-    depth: int
-    deadline_ns: int
-
-
-class Writer(Protocol):
-    """A DDS writer as the swap sees it."""
-
-    def publish(self, sample: bytes) -> None:
-        """Write one serialized sample."""
-
-    def matched(self) -> int:
-        """Count the matched readers."""
-
-    def is_acknowledged(self) -> bool:
-        """Whether every sample written was acknowledged; never blocks."""
-
-    def disconnects_readers(self) -> bool:
-        """Whether a reader that its predecessor serves was discovered and refuses this writer's QoS; never blocks."""
-
-    def destroy(self) -> None:
-        """Destroy the writer."""
-
+    from arpd.writer import WriterQos
 
 W = TypeVar("W", bound=Writer)
 
@@ -51,6 +28,17 @@ class SwapState(StrEnum):
     HOLDING = "holding"
     PROVING = "proving"
     DOUBTING = "doubting"
+
+
+class SwapPhase(StrEnum):
+    """What the time of a swap is spent on: the states of it, and draining the old writer once it is over."""
+
+    MATCHING = "matching"
+    WATCHING = "watching"
+    HOLDING = "holding"
+    PROVING = "proving"
+    DOUBTING = "doubting"
+    DRAINING = "draining"
 
 
 class SwapResult(StrEnum):
@@ -95,7 +83,7 @@ class SwapTiming:
 class _Draining:
     writer: Writer
     qos: WriterQos
-    until_s: float
+    since_s: float
 
 
 class WriterSwap(Generic[W]):
@@ -135,6 +123,8 @@ class WriterSwap(Generic[W]):
 
     Attributes
     ----------
+    ledger : what the swaps took; of those it calls begun all but the one under way have a result, and each one result
+        beside ``undelivered``
     needs_proof : whether a new writer must prove that its readers receive; not when it can serve late ones itself
     """
 
@@ -166,6 +156,7 @@ class WriterSwap(Generic[W]):
         self._is_doubted = False
         self._draining: list[_Draining] = []
         self._is_closed = False
+        self.ledger = SwapLedger()
         self.needs_proof = True
         self.state = SwapState.IDLE
 
@@ -263,15 +254,14 @@ class WriterSwap(Generic[W]):
     def _begin(self, qos: WriterQos, now_s: float) -> None:
         self._wanted = None
         if self._next is not None:
-            superseded = self._next_qos
-            self._abandon_next()
-            self._on_result(SwapResult.SUPERSEDED, superseded)
+            self._give_up(SwapResult.SUPERSEDED, now_s)
         if qos == self._qos:
             return
+        self.ledger.begin()
         try:
             self._next = self._create(qos)
         except Exception:  # noqa: BLE001 - whatever the middleware raises, the old writer stays
-            self._on_result(SwapResult.FAILED, qos)
+            self._finish(SwapResult.FAILED, qos, now_s)
             return
         self._next_qos = qos
         self._enter(SwapState.MATCHING, now_s)
@@ -284,11 +274,16 @@ class WriterSwap(Generic[W]):
 
     def _enter(self, state: SwapState, now_s: float) -> None:
         self.state, self._since_s = state, now_s
+        self.ledger.enter(SwapPhase(state.value), now_s)
+
+    def _finish(self, result: SwapResult, qos: WriterQos, now_s: float) -> None:
+        self.ledger.finish(result, qos, now_s)
+        self._on_result(result, qos)
 
     def _match(self, now_s: float) -> None:
         assert self._next is not None
         if self._next.disconnects_readers():
-            self._give_up(SwapResult.INCOMPATIBLE)
+            self._give_up(SwapResult.INCOMPATIBLE, now_s)
             return
         # The readers' side of a match follows this side's, so a reader that comes later is waited for as long.
         readers = (self._current.matched(), self._next.matched())
@@ -301,7 +296,7 @@ class WriterSwap(Generic[W]):
             if unchanged_s >= self._timing.settle_s or self._is_overdue(now_s):
                 self._enter(SwapState.WATCHING, now_s)
         elif unchanged_s > self._timing.match_timeout_s:
-            self._give_up(SwapResult.UNMATCHED)
+            self._give_up(SwapResult.UNMATCHED, now_s)
 
     def _watch(self, now_s: float) -> None:
         """Take the first instant at which nothing of the old writer's is under way; hold samples to make one."""
@@ -347,22 +342,24 @@ class WriterSwap(Generic[W]):
             self._enter(SwapState.MATCHING, now_s)
         elif now_s - self._since_s > self._timing.match_timeout_s:
             refused = self._next_qos
-            self._give_up(SwapResult.UNMATCHED)
+            self._give_up(SwapResult.UNMATCHED, now_s)
             self._on_result(SwapResult.UNDELIVERED, refused)
 
     def _take_over(self, now_s: float) -> None:
         assert self._next is not None
-        self._draining.append(_Draining(writer=self._current, qos=self._qos, until_s=now_s + self._timing.drain_s))
+        self._draining.append(_Draining(writer=self._current, qos=self._qos, since_s=now_s))
         self._current, self._qos = self._next, self._next_qos
         self._next, self.state = None, SwapState.IDLE
         is_ordered = not (self._is_late or self._is_doubted)
-        self._on_result(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos)
+        self._finish(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos, now_s)
 
     def _retire(self, now_s: float) -> None:
         for old in tuple(self._draining):
             is_served = _is_served(old.writer)
-            if is_served or now_s >= old.until_s:
+            drained_s = now_s - old.since_s
+            if is_served or drained_s >= self._timing.drain_s:
                 self._draining.remove(old)  # first: nothing that raises below may make it go twice
+                self.ledger.drain(SwapPhase.DRAINING, drained_s)
                 old.writer.destroy()
                 if not is_served:
                     self._on_result(SwapResult.UNDELIVERED, old.qos)
@@ -374,10 +371,10 @@ class WriterSwap(Generic[W]):
     def _is_overdue(self, now_s: float) -> bool:
         return now_s - self._created_s >= self._timing.match_timeout_s
 
-    def _give_up(self, result: SwapResult) -> None:
+    def _give_up(self, result: SwapResult, now_s: float) -> None:
         refused = self._next_qos
         self._abandon_next()
-        self._on_result(result, refused)
+        self._finish(result, refused, now_s)
 
     def _abandon_next(self) -> None:
         abandoned, self._next, self.state = self._next, None, SwapState.IDLE

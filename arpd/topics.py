@@ -11,7 +11,8 @@ from arpd.wire import wire_size
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model import MemoryState, PublisherState
+    from arpd.model import MemoryState
+    from arpd.publishers import PublisherState
     from arpd.settings import ProgramSettings, Settings
 
 _LEAST_BUDGET_BYTES = 2.0**20

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from arpd.model import Direction, PublisherState
+from arpd.model import Direction
 from arpd.ordering import Ordering
+from arpd.publishers import PublisherState
 from arpd.readers import ReaderState
 
 

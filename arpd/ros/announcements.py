@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 
 from arpd.admission import Reason, Turnstile
 from arpd.endpoints import MOST_OF_NODE, Endpoints
-from arpd.model import PublisherState
+from arpd.publishers import PublisherState
 from arpd.readers import ReaderState
 from arpd.ros.intake import Intake, Pause, peek
 from arpd.ros.names import is_full_name

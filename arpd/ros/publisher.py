@@ -7,6 +7,7 @@ import threading
 import time
 from copy import copy
 from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
@@ -14,8 +15,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
 from arpd.flow import Flow
-from arpd.model import Direction, FlowState, PublisherState
+from arpd.model import Direction
 from arpd.planner import keeps_its_readers
+from arpd.publishers import FlowState, PublisherState
 from arpd.refusal import NO_REFUSAL, Refusal, RefusalReason
 from arpd.ros.graph import deadline_ns_of, type_name_of
 from arpd.ros.requests import Requests
@@ -23,7 +25,8 @@ from arpd.ros.rmw import current_rmw, lasting_refusal
 from arpd.ros.tuning import QUICK_S, NodeTuning
 from arpd.ros.writer import RosWriter, without_ours
 from arpd.settings import Overflow
-from arpd.swap import SwapResult, WriterQos
+from arpd.swap import SwapResult
+from arpd.writer import WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,7 +114,6 @@ class AdaptivePublisher:
             self._flow.keep_history()
         self._refusal = self._clamp = NO_REFUSAL
         self._refusals = 0  # readers that refused, as far as the application was warned
-        self._type_name = type_name_of(msg_type)
         self._resolved = str(self._writer.publisher.topic_name)
         self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
@@ -277,7 +279,7 @@ class AdaptivePublisher:
         return PublisherState(
             node=self._node_name,
             topic=self._resolved,
-            type_name=self._type_name,
+            type_name=type_name_of(self.msg_type),
             direction=Direction.LOCAL,
             baseline_depth=self._baseline.depth,
             baseline_deadline_ns=self._baseline.deadline_ns,
@@ -353,17 +355,14 @@ class AdaptivePublisher:
         profile = copy(self.qos_profile)  # every other policy is the application's
         profile.depth = qos.depth
         profile.deadline = Duration(nanoseconds=qos.deadline_ns)
-
-        def create(callbacks: PublisherEventCallbacks) -> Any:
-            return self._node.create_publisher(
-                self.msg_type,
-                self.topic,
-                profile,
-                callback_group=self._callback_group,
-                event_callbacks=callbacks,
-                qos_overriding_options=self._overrides,
-            )
-
+        create = partial(
+            self._node.create_publisher,
+            self.msg_type,
+            self.topic,
+            profile,
+            callback_group=self._callback_group,
+            qos_overriding_options=self._overrides,
+        )
         writer = RosWriter(
             node=self._node,
             create=create,

@@ -17,6 +17,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
+from arpd.deadlines import DeadlineCount
 from arpd.handover import Handover, HandoverResult
 from arpd.planner import is_kept
 from arpd.readers import ReaderState
@@ -108,6 +109,7 @@ class AdaptiveSubscription:
         except Exception:
             self._undeclare()
             raise
+        self._deadlines = DeadlineCount(self._reader)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         self._listening = NodeListening.of(node)
@@ -189,6 +191,7 @@ class AdaptiveSubscription:
                 depth=qos.depth,
                 deadline_ns=qos.deadline_ns,
                 handovers_by_result=dict(self._results),
+                deadlines_missed=self._deadlines.missed,
                 refusal=refusal.words,
                 refusal_reason=refusal.reason,
             )
@@ -238,7 +241,7 @@ class AdaptiveSubscription:
             self._tap(reader),
             profile,
             callback_group=self.callback_group,
-            event_callbacks=self._event_callbacks,
+            event_callbacks=reader.listening_to(self._event_callbacks),
             raw=self.raw,
         )
         return reader
@@ -283,6 +286,7 @@ class AdaptiveSubscription:
         with self._lock:
             assert self._handover is not None
             samples = self._handover.step(self._clock())
+            self._deadlines.follow(self._reader)
             if not self._handover.is_busy:
                 self._stop_timer()
         return samples

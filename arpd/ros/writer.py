@@ -1,15 +1,15 @@
-"""One rclpy publisher behind the swap's `arpd.swap.Writer` protocol."""
+"""One rclpy publisher behind the `arpd.writer.Writer` protocol."""
 
 from __future__ import annotations
 
-import inspect
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType, UnsupportedEventTypeError
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
 from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from arpd.ros.events import MissedDeadlines, passing_on, status_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
-EventHandle = rclpy_implementation.EventHandle
 _FOREVER = Duration(seconds=-1)  # rclpy's default
 
 
@@ -26,7 +25,7 @@ class RosWriter:
 
     Parameters
     ----------
-    create : makes the rclpy publisher with the event callbacks it is given
+    create : makes the rclpy publisher, given its ``event_callbacks``
     event_callbacks : the application's own; they hear this writer only while it is the one samples leave by, so that
         the application never learns that there are two for a while
     is_current : whether samples leave by the given writer
@@ -37,7 +36,7 @@ class RosWriter:
         self,
         *,
         node: Node,
-        create: Callable[[PublisherEventCallbacks], Any],
+        create: Callable[..., Any],
         event_callbacks: PublisherEventCallbacks | None,
         is_current: Callable[[RosWriter], bool],
         disconnected: Callable[[], list[str]],
@@ -45,8 +44,9 @@ class RosWriter:
         self._node = node
         self._is_current = is_current
         self._disconnected = disconnected
+        self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
         self.refused_policy = ""  # what the reader that refused last did not accept
-        self.publisher = create(self._filtered(event_callbacks))
+        self.publisher = create(event_callbacks=self._filtered(event_callbacks))
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
@@ -73,21 +73,15 @@ class RosWriter:
 
     def refusals(self) -> int:
         """Count the readers that refused this writer's QoS since it was made, be they served by another or not."""
-        # Asked for at each look, 3 µs: a swap then needs no executor and adds no waitable for one to visit in
-        # every round, and no handle of ours keeps a writer alive whose node the application destroyed.
-        handle = self.publisher.handle
-        try:
-            with handle:
-                event_handle = EventHandle(handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
-        except UnsupportedEventTypeError:
+        status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
+        if status is None:
             return 0  # then a reader that does not match shows when matching times out
-        with event_handle:
-            event = event_handle.take_event()
-        event_handle.destroy_when_not_in_use()
-        if event is None:
-            return 0
-        self.refused_policy = str(qos_policy_name_from_kind(event.last_policy_kind))
-        return int(event.total_count)
+        self.refused_policy = str(qos_policy_name_from_kind(status.last_policy_kind))
+        return int(status.total_count)
+
+    def deadlines_missed(self) -> int:
+        """Count the offered deadlines missed since it was made; by a destroyed one, as far as known."""
+        return self._deadlines.count(self.publisher)
 
     def destroy(self) -> None:
         """Destroy the writer."""
@@ -100,19 +94,9 @@ class RosWriter:
         for event in _EVENTS:
             callback = getattr(callbacks, event, None)
             if callback is not None:
-                setattr(filtered, event, self._heard_when_current(callback))
+                heard = self._deadlines.told_by if event == "deadline" else passing_on
+                setattr(filtered, event, heard(callback, if_=lambda _event: self._is_current(self)))
         return filtered
-
-    def _heard_when_current(self, callback: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def hear(event: Any) -> None:
-            if self._is_current(self):
-                callback(event)
-
-        async def hear_later(event: Any) -> None:
-            if self._is_current(self):
-                await callback(event)
-
-        return hear_later if inspect.iscoroutinefunction(callback) else hear
 
 
 def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:

@@ -7,14 +7,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.flow import Flow
-from arpd.model import Direction, PublisherState
+from arpd.model import Direction
+from arpd.publishers import PublisherState
 from arpd.settings import Overflow
 from arpd.sim.arrivals import Arrivals
 from arpd.sim.result import TopicResult
 from arpd.sim.timeline import Alarm
 from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
-from arpd.swap import WriterQos
 from arpd.topics import assumed_traffic
+from arpd.writer import WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

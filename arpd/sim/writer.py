@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from arpd.sim.arrivals import Arrivals
     from arpd.sim.link import SimulatedLink
     from arpd.sim.timeline import Timeline
-    from arpd.swap import WriterQos
+    from arpd.writer import WriterQos
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
 # Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
@@ -86,11 +86,11 @@ class SimulatedWriter:
     """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
 
     As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic one serves the others.
-    It is a `arpd.swap.Writer`.
+    It is a `arpd.writer.Writer`.
 
     Parameters
     ----------
-    qos : depth (samples); the deadline is a contract and changes nothing here
+    qos : depth (samples) and deadline (ns), a contract that changes nothing but what counts as missed
     heartbeat_s : period of the heartbeat while something is unacknowledged (s)
     """
 
@@ -99,6 +99,9 @@ class SimulatedWriter:
     ) -> None:
         self._timeline, self._there, self._back = route.timeline, route.there, route.back
         self._depth = qos.depth
+        self._deadline_s = qos.deadline_ns / 1e9 or math.inf
+        self._published_s = math.inf  # when it last did
+        self._missed = 0
         self._heartbeat_s = heartbeat_s
         self._reader = _Reader(arrivals, route.timeline, payload_bytes)
         self._history: dict[int, bytes] = {}
@@ -111,6 +114,7 @@ class SimulatedWriter:
 
     def publish(self, sample: bytes) -> None:
         """Write one sample; the oldest leaves a full history, acknowledged or not."""
+        self._missed, self._published_s = self.deadlines_missed(), self._timeline.now_s
         self._last += 1
         self._history[self._last] = sample
         if len(self._history) > self._depth:
@@ -132,6 +136,10 @@ class SimulatedWriter:
     def is_acknowledged(self) -> bool:
         """Whether the reader has everything, in order."""
         return self._acknowledged >= self._last
+
+    def deadlines_missed(self) -> int:
+        """Count the periods that ended without a sample since the one before; from the first on, as in Fast DDS."""
+        return self._missed + int(max(0.0, self._timeline.now_s - self._published_s) / self._deadline_s)
 
     def destroy(self) -> None:
         """Stop resending; what is on the link still arrives."""

@@ -206,7 +206,8 @@ def _lines(status: Any) -> bytes:
 
 
 def _publisher() -> Any:
-    from arpd.model import Direction, PublisherState
+    from arpd.model import Direction
+    from arpd.publishers import PublisherState
 
     return PublisherState(
         node="/lidar",

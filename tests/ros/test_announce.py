@@ -10,8 +10,11 @@ from diagnostic_msgs.msg import KeyValue
 from rclpy.serialization import serialize_message
 
 from arpd.model import Direction
+from arpd.pacing import DropCause
+from arpd.publishers import SwapRecord
 from arpd.refusal import RefusalReason
 from arpd.ros.announce import from_status, reader_from_status, reader_to_status, to_status
+from arpd.swap import SwapPhase, SwapResult
 from tests.sample_publishers import publisher, reader
 
 pytestmark = pytest.mark.ros
@@ -24,6 +27,26 @@ LATCHED = publisher(
     refusal_reason=RefusalReason.TRANSIENT_LOCAL,
     keeps_all=True,
 )
+SWAPPED = publisher(
+    "/n",
+    "/t",
+    direction=Direction.LOCAL,
+    published_rate_hz=7.25,
+    withheld=1300,
+    withheld_by_cause={cause.value: 100 * number for number, cause in enumerate(DropCause, start=1)},
+    deadlines_missed=4,
+    swaps_begun=3,
+    swaps_by_result={"ok": 2},
+    swap_seconds_by_phase={phase.value: 12.5 for phase in SwapPhase},
+    last_swap=SwapRecord(
+        number=2,
+        result=SwapResult.OK,
+        depth=365,
+        deadline_ns=178_571_429,
+        seconds_by_phase={SwapPhase.MATCHING: 3.00125, SwapPhase.PROVING: 0.0325},
+    ),
+)
+NEW_KEYS = ("published_rate_hz", "withheld_", "deadlines_missed", "begun_swaps", "swap_seconds", "last_swap")
 
 
 DRIVEN = reader(
@@ -36,7 +59,12 @@ DRIVEN = reader(
     handovers_by_result={"ok": 2},
 )
 REFUSING = replace(
-    DRIVEN, refusal="not in time", refusal_reason=RefusalReason.UNMATCHED, keeps_all=True, handovers_by_result={}
+    DRIVEN,
+    refusal="not in time",
+    refusal_reason=RefusalReason.UNMATCHED,
+    keeps_all=True,
+    handovers_by_result={},
+    deadlines_missed=12,
 )
 
 
@@ -45,7 +73,7 @@ def ros_reader(request):
     return request.param
 
 
-@pytest.mark.parametrize("state", [PLAIN, LATCHED], ids=["plain", "refused"])
+@pytest.mark.parametrize("state", [PLAIN, LATCHED, SWAPPED], ids=["plain", "refused", "swapped"])
 def test_a_publisher_is_read_as_it_was_announced(state):
     """Encoding and decoding an announcement changes nothing."""
     assert from_status(to_status(state)) == state
@@ -72,6 +100,7 @@ def test_a_readers_announcement_is_small():
         ("lease_s", "inf"),
         ("generation", "many"),
         ("baseline_depth", None),
+        ("deadlines_missed", "-1"),
     ],
 )
 def test_nonsense_about_a_reader_is_refused(key, value):
@@ -101,6 +130,41 @@ def test_an_older_announcer_is_understood():
     assert not state.keeps_all
 
 
+def test_an_announcer_of_before_the_accounts_is_understood():
+    """What it does not tell is nothing: no cause, no phase, no swap that went before."""
+    status = to_status(SWAPPED)
+    status.values = [pair for pair in status.values if not pair.key.startswith(NEW_KEYS)]
+    state = from_status(status)
+    assert (state.withheld, dict(state.withheld_by_cause), state.deadlines_missed) == (1300, {}, 0)
+    assert (state.published_rate_hz, state.swaps_begun, state.last_swap) == (0.0, 0, None)
+    assert not state.swap_seconds_by_phase
+
+
+def test_what_never_happened_is_not_announced():
+    """A publisher that nobody retuned says no more than one did before there were accounts."""
+    assert not [pair.key for pair in to_status(PLAIN).values if pair.key.startswith(NEW_KEYS)]
+    idle_reader = reader_to_status(DRIVEN)
+    assert "deadlines_missed" not in [pair.key for pair in idle_reader.values]
+
+
+def test_causes_and_phases_nobody_knows_make_no_labels():
+    """Of what a newer announcer, or a liar, calls a cause or a phase only the known ones are kept."""
+    status = to_status(SWAPPED)
+    told = {
+        "withheld_by_cause": "moon=1 gate=2 =3 x",
+        "swap_seconds_by_phase": "moon=1 holding=0.5",
+        "last_swap": "7 moon 1 0 moon=1 proving=2 =3 x",
+    }
+    status.values = [pair for pair in status.values if pair.key not in told]
+    status.values += [KeyValue(key=key, value=value) for key, value in told.items()]
+    state = from_status(status)
+    assert state.withheld_by_cause == {DropCause.GATE: 2}
+    assert state.swap_seconds_by_phase == {SwapPhase.HOLDING: 0.5}
+    assert state.last_swap == SwapRecord(
+        number=7, result="moon", depth=1, deadline_ns=0, seconds_by_phase={SwapPhase.PROVING: 2.0}
+    )
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -114,13 +178,25 @@ def test_an_older_announcer_is_understood():
         ("generation", str(2**63 - 1)),
         ("queued", "9" * 5000),
         ("node", "/n/" + "é"),
+        ("published_rate_hz", "1e9"),
+        ("withheld_by_cause", "rate=1 gate=-1"),
+        ("withheld_by_cause", "gate"),
+        ("deadlines_missed", "some"),
+        ("begun_swaps", "1.5"),
+        ("swap_seconds_by_phase", "holding=inf"),
+        ("swap_seconds_by_phase", "holding=long"),
+        ("last_swap", ""),
+        ("last_swap", "1 ok"),
+        ("last_swap", "1 ok -3 0"),
+        ("last_swap", "1 ok 3 0 holding=nan"),
+        ("last_swap", "1 ok 3 0 holding"),
     ],
 )
 def test_what_no_publisher_is_like_is_refused(key, value):
     """Values that are numbers but absurd make an announcement that nobody believes."""
-    status = to_status(PLAIN)
+    status = to_status(SWAPPED)
     status.values = [pair for pair in status.values if pair.key != key] + [KeyValue(key=key, value=value)]
-    with pytest.raises(ValueError, match="announcement"):
+    with pytest.raises(ValueError, match=f"announcement.*{key if value.isascii() else 'name'}"):
         from_status(status)
 
 
@@ -132,6 +208,10 @@ def test_a_reader_cannot_ask_a_writer_for_a_nanosecond():
 
 def test_words_of_others_do_nothing_to_a_terminal():
     """Whatever is shown of an announcement as text is printable."""
-    status = to_status(replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07", swaps_by_result={"\x1b": 1}))
+    lurid = replace(SWAPPED.last_swap, result="\x1b[2J")
+    status = to_status(
+        replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07", swaps_by_result={"\x1b": 1}, last_swap=lurid)
+    )
     state = from_status(status)
+    assert state.last_swap.result == "?[2J"
     assert (state.refusal, state.type_name, dict(state.swaps_by_result)) == ("?[2J?no", "a?", {"?": 1})

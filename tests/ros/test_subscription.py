@@ -10,6 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
@@ -281,3 +282,27 @@ def test_destroy_in_the_middle_of_a_handover_leaves_nothing(ros, talker, hear, e
     eventually(lambda: len(node.get_subscriptions_info_by_topic(TOPIC)) == 2)
     subscription.destroy()
     eventually(lambda: not node.get_subscriptions_info_by_topic(TOPIC))
+
+
+@pytest.mark.parametrize("is_listening", [False, True], ids=["silent", "listening"])
+def test_missed_deadlines_are_counted(ros, hear, eventually, is_listening):
+    """A writer that falls silent shows at the reader, whether the application listens or not; a handover keeps it."""
+    heard = []
+    options = {"event_callbacks": SubscriptionEventCallbacks(deadline=heard.append)} if is_listening else {}
+    talker = Talker(ros.node("talker"), QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000)))
+    subscription, received = hear(QoSProfile(depth=10, deadline=Duration(nanoseconds=60_000_000)), **options)
+    eventually(lambda: talker.publisher.get_subscription_count() == 1)
+    assert subscription.state().deadlines_missed == 0
+    talker.say()
+    eventually(lambda: received)
+    eventually(lambda: subscription.state().deadlines_missed >= 3)
+    assert bool(heard) == is_listening
+    missed = subscription.state().deadlines_missed
+    subscription.renew(replace(subscription.qos, depth=20, deadline_ns=0))
+    eventually(lambda: done(subscription) == 1)
+    counted = subscription.announced(generation=0, lease_s=0.0).deadlines_missed
+    assert counted >= missed
+    talker.say()
+    eventually(lambda: len(received) == 2)
+    assert subscription.state().deadlines_missed == counted
+    assert not is_listening or heard[-1].total_count >= counted

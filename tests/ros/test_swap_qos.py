@@ -1,8 +1,10 @@
 """What a swap keeps of the application's QoS, and what the application hears of it: real rclpy and Fast DDS."""
 
+import os
 import time
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -22,6 +24,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
+from arpd.swap import SwapTiming
 
 pytestmark = pytest.mark.ros
 TOPIC = "/kept"
@@ -39,6 +42,10 @@ def retune(publisher, **changes):
 def swaps(publisher):
     done = state(publisher).swaps_by_result
     return done.get("ok", 0) + done.get("reorder_possible", 0)
+
+
+def resident_bytes():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def offered_qos(ros_node):
@@ -150,17 +157,54 @@ def test_a_retired_writer_misses_no_deadlines(ros, monkeypatch, eventually):
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
     eventually(lambda: state(publisher).depth == 20)
     time.sleep(0.1)  # an event that was under way at the switch
-    missed = len(events.missed)
+    missed, counted = len(events.missed), state(publisher).deadlines_missed
+    assert counted >= missed  # the application hears of several in one event where the machine is busy
     heard = []
     # The old writer's deadline goes on running out, five times a second: its callbacks are called, and stay silent.
     monkeypatch.setattr(publisher, "_is_current", lambda writer: heard.append(writer) or publisher._writer is writer)
     old._is_current = publisher._is_current
     eventually(lambda: heard.count(old) >= 2)
     assert len(events.missed) == missed
+    assert state(publisher).deadlines_missed == counted
     retune(publisher, deadline_ns=100_000_000)
     eventually(lambda: state(publisher).deadline_ns == 100_000_000)
     publisher.publish(String(data="1"))
     eventually(lambda: len(events.missed) > missed)
+    assert state(publisher).deadlines_missed > counted
+
+
+def test_missed_deadlines_are_counted_without_anybody_listening(ros, background, eventually):
+    """A publisher that falls silent misses deadlines, one that goes on misses none, and a swap keeps the count."""
+    timing = SwapTiming(settle_s=0.1)
+    node = ros.node("talker")
+    silent, steady = (
+        AdaptivePublisher(
+            node, String, topic, QoSProfile(depth=10, deadline=Duration(nanoseconds=deadline_ns)), swap_timing=timing
+        )
+        for topic, deadline_ns in ((TOPIC, 50_000_000), ("/steady", 20_000_000_000))
+    )
+    time.sleep(0.2)
+    assert state(silent).deadlines_missed == 0, "the first sample has all the time it needs"
+    silent.publish(String(data="0"))
+
+    def go_on(stopping):
+        while not stopping.wait(0.02):
+            steady.publish(String(data="x"))
+
+    background(go_on)
+    eventually(lambda: state(silent).deadlines_missed >= 3)
+    missed = state(silent).deadlines_missed
+    retune(silent, depth=20, deadline_ns=60_000_000_000)
+    eventually(lambda: state(silent).depth == 20)
+    assert (counted := state(silent).deadlines_missed) >= missed
+    eventually(lambda: swaps(silent) == 1)
+    silent.publish(String(data="1"))
+    assert state(silent).deadlines_missed == counted
+    before_bytes = resident_bytes()
+    for _ in range(20_000):
+        silent._writer.deadlines_missed()
+    assert resident_bytes() - before_bytes < 20_000 * 64, "a look leaves something behind"
+    assert state(steady).deadlines_missed == 0
 
 
 def test_a_coroutine_hears_events_too(ros, eventually):

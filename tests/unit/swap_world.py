@@ -1,6 +1,7 @@
 """A middleware for the swap's tests: it makes writers that do as they are told, and remembers them all."""
 
-from arpd.swap import WriterQos, WriterSwap
+from arpd.swap import WriterSwap
+from arpd.writer import WriterQos
 
 FIRST = WriterQos(depth=10, deadline_ns=0)
 
@@ -14,6 +15,7 @@ class Writer:
         self.acknowledges = True
         self.readers = world.readers
         self.loses_readers = False
+        self.missed = 0
 
     def publish(self, sample):
         assert self.is_alive, "wrote to a destroyed writer"
@@ -30,6 +32,9 @@ class Writer:
 
     def disconnects_readers(self):
         return self.loses_readers
+
+    def deadlines_missed(self):
+        return self.missed
 
     def destroy(self):
         assert self.is_alive, "destroyed twice"

@@ -1,5 +1,8 @@
 """The flow: pacing and swap together, in virtual time."""
 
+import math
+from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -7,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.flow import Flow
+from arpd.pacing import DropCause
 from arpd.settings import Overflow
-from arpd.swap import SwapTiming, WriterQos
+from arpd.swap import SwapTiming
+from arpd.writer import WriterQos
 
 STEP_S = 0.005
 
@@ -22,9 +27,13 @@ class Writer:
         self.written = []
         self.is_acknowledging = False
         self.is_alive = True
+        self.missed = 0
+        self.is_broken = False
 
     def publish(self, sample):
         assert self.is_alive
+        if self.is_broken:
+            raise RuntimeError("no room")
         self.written.append(sample)
         self.log.append(sample)
 
@@ -37,6 +46,9 @@ class Writer:
     def disconnects_readers(self):
         return False
 
+    def deadlines_missed(self):
+        return self.missed
+
     def destroy(self):
         self.is_alive = False
 
@@ -45,6 +57,7 @@ class World:
     def __init__(self, *, depth=10, overflow=Overflow.LATEST):
         self.now_s = 100.0
         self.writers = []
+        self.gate = 1.0
         self.log = []  # what was written, by whichever writer
         self.flow = Flow(
             create=self.create,
@@ -60,6 +73,10 @@ class World:
     def retune(self, **changes):
         plan = replace(self.flow.plan, **changes)
         self.flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+
+    def set_gate(self, gate):
+        self.gate = gate
+        self.flow.set_gate(gate)
 
     def give(self, sample, *, by):
         if by == "publish":
@@ -139,6 +156,7 @@ def test_a_hold_conflates_nothing_that_pacing_lets_through():
             st.tuples(st.just("gate"), st.sampled_from([0.1, 0.5, 1.0])),
             st.tuples(st.just("wait"), st.sampled_from([0.005, 0.1, 0.5, 2.0])),
             st.tuples(st.just("acknowledge"), st.booleans()),
+            st.tuples(st.just("break"), st.booleans()),
         ),
         max_size=40,
     ),
@@ -148,27 +166,48 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
     """Through any sequence of swaps, rates and gates each sample is accounted for, and none leaves twice."""
     world = World(overflow=overflow)
     offered = 0
+    is_broken = False
     for what, value in steps:
+        before = Counter(world.flow.state().withheld_by_cause)
+        for writer in world.writers:
+            writer.is_broken = is_broken
         if what in {"publish", "admit"}:
             for number in range(offered, offered + value):
-                world.give(name(number), by=what)
+                with suppress(RuntimeError):
+                    world.give(name(number), by=what)
             offered += value
         elif what == "depth":
             world.retune(depth=value)
         elif what == "rate":
             world.retune(rate_hz=value)
         elif what == "gate":
-            world.flow.set_gate(value)
+            world.set_gate(value)
         elif what == "wait":
-            world.wait(value)
+            with suppress(RuntimeError):
+                world.wait(value)
+        elif what == "break":
+            is_broken = value
         else:
             world.writers[-1].is_acknowledging = value
+        now = world.flow.state()
+        assert sum(now.withheld_by_cause.values()) == now.withheld
+        assert set(Counter(now.withheld_by_cause) - before) <= possible_causes(world, is_broken=is_broken)
     state = world.flow.state()
     assert len(set(world.log)) == len(world.log) == state.published
     assert world.log == sorted(world.log)
     assert offered == state.offered == state.published + state.withheld + state.queued
     world.flow.close()
     assert not any(writer.is_alive for writer in world.writers)
+    closed = world.flow.state()
+    assert closed.withheld == sum(closed.withheld_by_cause.values()) == offered - closed.published
+    assert closed.withheld_by_cause.get(DropCause.CLOSED, 0) == state.queued
+
+
+def possible_causes(world, *, is_broken):
+    """Return what may make a sample give way just now."""
+    gated = {DropCause.GATE} if world.gate < 1.0 and world.flow._pacer.rate_hz < world.flow.plan.rate_hz else set()
+    paced = {DropCause.RATE} if not gated and world.flow.plan.rate_hz < math.inf else set()
+    return {DropCause.BLOCKED} | gated | paced | ({DropCause.FAILED} if is_broken else set())
 
 
 def test_a_latched_writer_first_gets_what_the_old_one_held():
@@ -192,3 +231,82 @@ def test_a_latched_writer_first_gets_what_the_old_one_held():
     world.writers[2].is_acknowledging = True
     world.wait(2 * SwapTiming().settle_s)
     assert world.writers[3].written == [name(5), name(6)], "a writer of depth 2 held no more"
+
+
+def run(world, *, rate_hz, seconds):
+    """Let an application publish at a rate; return what was withheld meanwhile, by cause."""
+    before = Counter(world.flow.state().withheld_by_cause)
+    for number in range(round(rate_hz * seconds)):
+        world.flow.publish(name(number))
+        world.wait(1.0 / rate_hz)
+        if number % round(rate_hz) == 0:
+            world.flow.state()  # as the announcement does
+    return dict(Counter(world.flow.state().withheld_by_cause) - before)
+
+
+def test_what_gives_way_to_the_plan_is_told_from_what_gives_way_to_the_gate():
+    """The gate is the cause while it makes the rate lower than the plan's, and only then."""
+    world = World()
+    world.retune(rate_hz=20.0, min_rate_hz=20.0)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
+    world.set_gate(0.5)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}, "the gate lowers nothing below the floor"
+    world.retune(rate_hz=40.0, min_rate_hz=1.0)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.GATE}
+    world.set_gate(1.0)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
+
+
+@pytest.mark.parametrize("overflow", Overflow)
+def test_a_paused_topic_gives_way_to_the_plan(overflow):
+    """However much it might have sent before, no writer is blamed."""
+    world = World(overflow=overflow)
+    world.retune(rate_hz=0.0)
+    assert run(world, rate_hz=100.0, seconds=1.0).keys() == {DropCause.RATE}
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, math.inf])
+def test_what_a_writer_that_blocks_kept_back_is_told_from_what_pacing_did(rate_hz):
+    """Samples that nothing but the thread that writes keeps waiting give way to it, paced or not."""
+    world = World(depth=4)
+    world.retune(rate_hz=rate_hz)
+    for number in range(100):
+        world.flow.offer(name(number))  # and nobody comes to write it
+        world.now_s += 0.1
+    assert world.flow.state().withheld_by_cause.keys() == {DropCause.BLOCKED}
+
+
+def test_the_rate_at_which_samples_leave_is_measured():
+    """A topic paced to a fifth of its source leaves at a fifth of its rate, and at none once it ceases."""
+    world = World()
+    world.retune(rate_hz=20.0)
+    run(world, rate_hz=100.0, seconds=4.0)
+    state = world.flow.state()
+    assert state.source_rate_hz == pytest.approx(100.0, rel=0.02)
+    assert state.published_rate_hz == pytest.approx(20.0, rel=0.02)
+    world.retune(rate_hz=50.0)
+    run(world, rate_hz=100.0, seconds=8.0)
+    assert world.flow.state().published_rate_hz == pytest.approx(50.0, rel=0.02)
+    world.wait(2.0)
+    assert world.flow.state().published_rate_hz == 0.0
+
+
+def test_only_the_writer_in_force_misses_deadlines():
+    """What an old writer counts once it gets no samples is nobody's miss; what it missed before stays counted."""
+    world = World()
+    first = world.writers[0]
+    first.missed, first.is_acknowledging = 3, True
+    assert world.flow.state().deadlines_missed == 3
+    world.retune(depth=2)
+    first.missed = 5
+    world.wait(1.01 * SwapTiming().settle_s)
+    world.flow.publish(name(0))
+    assert world.flow.writer is world.writers[1]
+    first.missed += 100
+    assert world.flow.state().deadlines_missed == 5
+    world.writers[1].missed = 2
+    assert world.flow.state().deadlines_missed == 7
+    world.writers[1].is_acknowledging = True
+    world.wait(10.0)
+    assert not first.is_alive
+    assert world.flow.state().deadlines_missed == 7

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from arpd.interface import InterfaceState, LinkCounters
 from arpd.local_queue import LocalQueue
-from arpd.model import Direction, MemoryState, Observation, PublisherState
+from arpd.model import Direction, MemoryState, Observation
+from arpd.publishers import PublisherState
 
 TICK_S = 0.1
 WINDOW_S = 1.0

@@ -17,7 +17,7 @@ OVERFLOWS = st.sampled_from(Overflow)
 
 def make(overflow=Overflow.LATEST, depth=10):
     withheld: list[int] = []
-    return Pacer(overflow=overflow, depth=depth, on_withheld=withheld.append), withheld
+    return Pacer(overflow=overflow, depth=depth, on_withheld=lambda samples, _cause: withheld.append(samples)), withheld
 
 
 def name(number):

@@ -14,8 +14,8 @@ from arpd.sim.link import LinkModel, SimulatedLink
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.timeline import Timeline
 from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
-from arpd.swap import WriterQos
 from arpd.wire import HEARTBEAT_BYTES, wire_size
+from arpd.writer import WriterQos
 
 ORIGIN_S = 1000.0
 

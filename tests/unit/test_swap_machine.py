@@ -1,10 +1,13 @@
 """The swap as a state machine: whatever happens, in whatever order, its invariants hold."""
 
+from collections import defaultdict
+
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from arpd.swap import SwapResult, SwapState, WriterQos, WriterSwap
+from arpd.swap import SwapResult, SwapState, WriterSwap
 from tests.unit.swap_world import FIRST, World, qos
 
 
@@ -14,8 +17,8 @@ class SwapMachine(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.world = World()
-        self.events: list[tuple[SwapResult, WriterQos]] = []
-        self.swap = WriterSwap(create=self.world.create, on_result=lambda *event: self.events.append(event), qos=FIRST)
+        self.events: list[tuple[SwapResult, object]] = []
+        self.swap = WriterSwap(create=self.world.create, on_result=self.note, qos=FIRST)
         self.now_s = 0.0
         self.held = []
         self.samples = 0
@@ -23,10 +26,25 @@ class SwapMachine(RuleBasedStateMachine):
         self.told_before = 0  # events before the newest request
         self.in_force = 0  # the newest of the requests for what is in force
         self.is_closed = False
+        self.began_s: dict[int, float] = {}  # by number of the swap
+        self.recorded: defaultdict[str, float] = defaultdict(float)  # seconds by phase, in all records
+
+    def note(self, result, about):
+        self.events.append((result, about))
+        if result is SwapResult.UNDELIVERED:
+            return  # beside the result of its own
+        record = self.swap.ledger.last
+        assert record is not None
+        assert (record.result, record.depth, record.deadline_ns) == (result, about.depth, about.deadline_ns)
+        lasted_s = self.now_s - self.began_s.setdefault(record.number, self.now_s)
+        assert sum(record.seconds_by_phase.values()) == pytest.approx(lasted_s)
+        for phase, seconds in record.seconds_by_phase.items():
+            self.recorded[phase] += seconds
 
     def step(self):
         events_before = len(self.events)
         self.swap.step(self.now_s)
+        self.began_s.setdefault(self.swap.ledger.begun, self.now_s)
         self.release()
         for result, about in self.events[events_before:]:
             if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
@@ -123,6 +141,18 @@ class SwapMachine(RuleBasedStateMachine):
         known = [self.swap._current, self.swap._next, *(old.writer for old in self.swap._draining)]
         assert sorted(map(id, self.world.live)) == sorted(id(writer) for writer in known if writer is not None)
         assert (self.swap._next is not None) == (self.swap.state is not SwapState.IDLE)
+
+    @invariant()
+    def every_swap_that_began_has_one_result_or_is_under_way(self):
+        results = sum(result is not SwapResult.UNDELIVERED for result, _ in self.events)
+        if not self.is_closed:
+            assert self.swap.ledger.begun == results + (self.swap.state is not SwapState.IDLE)
+
+    @invariant()
+    def no_record_has_time_that_is_missing_in_all(self):
+        seconds = self.swap.ledger.seconds_by_phase
+        assert all(seconds[phase] >= recorded - 1e-9 for phase, recorded in self.recorded.items())
+        assert all(value >= 0 for value in seconds.values())
 
     @invariant()
     def every_sample_was_written_once_and_in_order(self):

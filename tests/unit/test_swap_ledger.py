@@ -1,0 +1,78 @@
+"""What a swap took, phase by phase."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.swap import SwapPhase, SwapResult, SwapState, SwapTiming
+from arpd.swap_ledger import SwapLedger
+from tests.unit.swap_world import make, qos
+
+TIMING = SwapTiming()
+STEP_S = 0.01
+
+
+def run(swap, start_s, seconds):
+    for step in range(round(seconds / STEP_S)):
+        swap.step(start_s + step * STEP_S)
+    return start_s + seconds
+
+
+def test_a_swap_that_waits_for_acknowledgements_says_for_how_long():
+    """Each phase has its time, the watching before and after the holding together; draining comes after the record."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(4))
+    now_s = run(swap, 100.0, TIMING.settle_s + TIMING.patience_s + STEP_S)
+    assert swap.state is SwapState.PROVING
+    assert swap.ledger.begun == 1
+    assert not world.results
+    now_s = run(swap, now_s, 0.5)
+    swap.current.publish("sample")
+    swap.wrote(now_s)
+    now_s = run(swap, now_s, STEP_S)
+    record = swap.ledger.last
+    assert record is not None
+    assert (record.number, record.result, record.depth) == (1, SwapResult.REORDER_POSSIBLE, 4)
+    expected = {
+        SwapPhase.MATCHING: TIMING.settle_s,
+        SwapPhase.WATCHING: TIMING.patience_s - TIMING.hold_s,
+        SwapPhase.HOLDING: TIMING.hold_s,
+        SwapPhase.PROVING: 0.5,
+    }
+    assert record.seconds_by_phase == pytest.approx(expected, abs=4 * STEP_S)
+    run(swap, now_s, TIMING.drain_s + STEP_S)
+    assert world.results[-1] is SwapResult.UNDELIVERED
+    assert swap.ledger.last is record
+    drained = {SwapPhase.DRAINING: TIMING.drain_s}
+    assert swap.ledger.seconds_by_phase == pytest.approx(expected | drained, abs=4 * STEP_S)
+
+
+def test_a_writer_that_is_refused_is_a_swap_that_took_no_time():
+    """It began, it failed, and its record is empty."""
+    world, swap = make()
+    world.refuses = True
+    swap.request(qos(4))
+    swap.step(5.0)
+    assert swap.ledger.begun == 1
+    record = swap.ledger.last
+    assert record is not None
+    assert (record.result, record.seconds_by_phase) == (SwapResult.FAILED, {})
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(SwapPhase), st.floats(0.0, 100.0)), min_size=1, max_size=10), st.floats(0, 100)
+)
+def test_two_threads_that_look_at_the_clock_in_another_order_take_no_time_back(phases, result_s):
+    """A phase that seems to end before it began took no time, and the whole is the time to the latest look."""
+    ledger = SwapLedger()
+    ledger.begin()
+    for phase, now_s in phases:
+        ledger.enter(phase, now_s)
+    ledger.finish(SwapResult.OK, qos(4), result_s)
+    assert ledger.last is not None
+    seconds = ledger.last.seconds_by_phase
+    assert all(value > 0 for value in seconds.values())
+    times_s = [now_s for _, now_s in phases]
+    assert sum(seconds.values()) == pytest.approx(max([*times_s, result_s]) - times_s[0])
+    assert ledger.seconds_by_phase == seconds
