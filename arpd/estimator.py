@@ -6,13 +6,16 @@ import math
 from statistics import median
 from typing import TYPE_CHECKING
 
+from arpd.estimator_belief import Belief, EstimatorEvent
+from arpd.estimator_peers import PeerGauges
 from arpd.estimator_tuning import EstimatorTuning
 from arpd.foreign import ForeignTraffic
 from arpd.hearing import Hearing
 from arpd.local_queue import LocalQueue
 from arpd.model import CapacityKind, LinkEstimate, LinkState
+from arpd.probe_loss import ProbeLoss
 from arpd.probe_schedule import ProbeSchedule
-from arpd.queue_gauge import QueueGauge, SentProbe
+from arpd.queue_gauge import SentProbe
 from arpd.trains import TrainLog
 from arpd.wire import probe_wire_bytes, wire_size
 
@@ -51,17 +54,15 @@ class Estimator:
         self._settings = settings
         self._tuning = tuning or EstimatorTuning()
         self._schedule = ProbeSchedule(probing)
-        self._capacity = settings.initial_capacity_bytes_per_second
+        self._belief = Belief(settings.initial_capacity_bytes_per_second)
         self._before_down: float | None = None
         self._down_at_s = -math.inf
-        self._changed_at_s = -math.inf
-        self._evidence = "no evidence yet"
-        self._kind = CapacityKind.CONFIGURED
         self._state = LinkState.APP_LIMITED
         self._started_at_s: float | None = None
         self._last_s = -math.inf
         self._reported_s = -math.inf
-        self._peers: dict[str, QueueGauge] = {}  # by name, the one heard for the longest first
+        self._peers = PeerGauges(self._tuning)
+        self._loss = ProbeLoss()
         self._copies = 1
         self._first_wait_s = self._tuning.first_wait_s
         self._trains = TrainLog(self._tuning.train_memory_s)
@@ -81,7 +82,7 @@ class Estimator:
     def has_evidence(self) -> bool:
         """Whether the first plan may be made: capacity measured, pinned, or nobody there to measure it with."""
         return (
-            self._kind in (CapacityKind.PEER, CapacityKind.LOCAL)
+            self._belief.kind in (CapacityKind.PEER, CapacityKind.LOCAL)
             or self._settings.capacity_bytes_per_second is not None
             or (self._started_at_s is not None and self._last_s - self._started_at_s > self._first_wait_s)
         )
@@ -89,14 +90,14 @@ class Estimator:
     def reconfigure(self, settings: LinkSettings) -> None:
         """Take new settings; what was measured stays."""
         self._settings = settings
-        if self._kind is CapacityKind.CONFIGURED:
-            self._capacity = settings.initial_capacity_bytes_per_second
+        if self._belief.kind is CapacityKind.CONFIGURED:
+            self._belief.capacity = settings.initial_capacity_bytes_per_second
         if settings.capacity_bytes_per_second is not None:
             self._forget_queue()
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return what is believed now."""
-        now_s = observation.now_s
+        now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         if self._started_at_s is None:
             self._started_at_s = now_s
         elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
@@ -114,11 +115,15 @@ class Estimator:
         self._hearing.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
         if silence_s <= self._outage_s:
             self._state = self._judge(now_s, elapsed_s)
-        elif silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered:
+        elif self._hearing.is_deaf or (
+            silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered
+        ):
             self._state = LinkState.OUTAGE
         else:
             self._forget_queue()
             self._state = self._judge_alone(observation)
+        if self._state is LinkState.OUTAGE and not was_out:
+            self._belief.note(EstimatorEvent.OUTAGE)
         return self._estimate(observation)
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
@@ -129,7 +134,7 @@ class Estimator:
             self._schedule.wanted(
                 now_s,
                 capacity_bytes_per_second=self._capacity,
-                is_measured=self._kind is CapacityKind.PEER,
+                is_measured=self._belief.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
                 is_urgent=self._before_down is not None and now_s - self._down_at_s < self._tuning.undo_window_s,
@@ -148,8 +153,8 @@ class Estimator:
                 handed_bytes=self._local.handed_bytes,
                 is_ping=request.packets == 1,
             )
-            for peer in self._peers.values():
-                peer.note_sent(probe)
+            self._peers.note_sent(probe)
+            self._loss.note_sent(request)
         return requests
 
     # -- evidence
@@ -172,58 +177,43 @@ class Estimator:
         if t.outage_forget_s < silent_s < math.inf:
             self._resume(now_s, silent_s)
         self._reported_s = now_s
-        self._peers = {
-            name: peer
-            for name, peer in self._peers.items()
-            if now_s - peer.reported_s <= t.outage_forget_s or name == report.peer
-        }
-        if report.peer not in self._peers:
-            self._peers[report.peer] = QueueGauge(t)
-        peer = self._peers[report.peer]
-        # With several, the bytes that one did not receive may be another's.
-        peer.digest(report, handed_bytes=self._local.handed_bytes if len(self._peers) == 1 else None)
+        self._loss.digest(report)
+        peer = self._peers.digest(report, handed_bytes=self._local.handed_bytes)
         if report.delays_s:
             self._high_reports = self._high_reports + 1 if peer.delay_s > self._queue_high_s else 0
-        if peer is next(iter(self._peers.values())):
+        if self._peers.is_first(report.peer):
             for train in report.trains:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
         was_quiet = self._queue_delay_s <= self._queue_high_s
-        ledgers = (
-            peer.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity)
-            for peer in self._peers.values()
+        backlog_s = self._peers.backlog_s(
+            now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity
         )
         # While nothing arrives, what is lost looks like what waits.
         is_out = now_s - self._reported_s > self._outage_s
-        self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, *ledgers, 0.0)
-        delay_s = max((max(peer.delay_s, peer.overdue_s(now_s)) for peer in self._peers.values()), default=0.0)
-        self._queue_delay_s = max(0.0, delay_s, self._alarm_s)
+        self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
+        self._queue_delay_s = max(0.0, self._peers.delay_s(now_s), self._alarm_s)
         if was_quiet and self._queue_delay_s > self._queue_high_s:
-            self._onset_s = now_s  # what was delivered before is demand, not capacity
+            self._onset_s = max(self._onset_s, now_s)  # what was delivered before is demand, not capacity
 
     def _forget_queue(self) -> None:
         """Nobody measures the queue any more; its last length must not hold the gate."""
-        for peer in self._peers.values():
-            peer.forget()
+        self._peers.forget()
         self._queue_delay_s = self._alarm_s = self._local.backlog_s
         self._high_reports = 0
 
     def _resume(self, now_s: float, silent_s: float) -> None:
         self._forget_queue()
         self._trains.clear()
-        self._onset_s = now_s  # reports that waited tell of the outage
+        # Reports that waited tell of the outage, and the first of what is delivered then is what the gate let pass.
+        self._onset_s = now_s + self._tuning.resume_patience_s
         self._foreign.note_outage(now_s - silent_s, now_s)
-        if self._kind is CapacityKind.PEER:
+        if self._belief.kind is CapacityKind.PEER:
             self._before_down, self._down_at_s = self._capacity, now_s
-            self._change(
-                self._tuning.resume_ratio * self._capacity, now_s, f"reports resumed after {silent_s:.1f} s of silence"
-            )
-
-    def _delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
-        """Return what all peers received lately, or lately and since then: bytes/s and packets/s."""
-        each = [peer.delivery(since_s) for peer in self._peers.values()]
-        return sum(size for size, _ in each), sum(packets for _, packets in each)
+            resumed = self._tuning.resume_ratio * self._capacity
+            why = f"reports resumed after {silent_s:.1f} s of silence"
+            self._belief.change(EstimatorEvent.RESUME, now_s, resumed, why)
 
     # -- the rules
 
@@ -235,16 +225,16 @@ class Estimator:
         if self._queue_delay_s > self._queue_low_s:
             return self._congested(now_s)
         recent = self._capacities(now_s - t.train_window_s)
-        if self._kind is not CapacityKind.PEER:
+        if self._belief.kind is not CapacityKind.PEER:
             if len(recent) >= _ENOUGH_TRAINS:
-                self._kind = CapacityKind.PEER
-                self._change(median(recent), now_s, f"first {len(recent)} trains")
+                self._belief.kind = CapacityKind.PEER
+                self._belief.change(EstimatorEvent.FIRST, now_s, median(recent), f"first {len(recent)} trains")
             return LinkState.APP_LIMITED
         if not (self._undo(now_s) or self._agree(now_s) or self._carried(now_s)):
             trains = recent if len(recent) >= _ENOUGH_TRAINS else self._capacities(-math.inf)[-_ENOUGH_TRAINS:]
             if len(trains) >= _ENOUGH_TRAINS and now_s - self._down_at_s >= t.up_after_down_s:
                 self._follow(trains, now_s, elapsed_s)
-        busy = self._delivery()[0] > 0.8 * self._settings.headroom * self._capacity
+        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
     def _is_certain(self) -> bool:
@@ -253,8 +243,7 @@ class Estimator:
             return True
         if self._alarm_s <= self._queue_high_s:
             return False
-        is_steady = any(peer.is_steady(self._onset_s) for peer in self._peers.values())
-        return self._high_reports == 1 or self._local.stands or is_steady
+        return self._high_reports == 1 or self._local.stands or self._peers.is_steady(self._onset_s)
 
     def _congested(self, now_s: float) -> LinkState:
         is_draining = now_s - self._down_at_s < self._tuning.undo_window_s
@@ -263,20 +252,20 @@ class Estimator:
     def _queue_stands(self, now_s: float) -> LinkState:
         """Believe what is delivered while the link is never idle, the time its packets cost taken out."""
         t = self._tuning
-        rate, packet_rate = self._delivery(self._onset_s)
+        rate, packet_rate = self._peers.delivery(self._onset_s)
         rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)
         if rate > 0 and now_s - self._down_at_s >= t.down_interval_s:
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
             if rate < t.down_margin * self._capacity:
                 if now_s - self._down_at_s > t.undo_window_s or self._before_down is None:
                     self._before_down = self._capacity
-                self._kind = CapacityKind.PEER
+                self._belief.kind = CapacityKind.PEER
                 self._down_at_s = now_s
-                self._change(rate, now_s, why)
+                self._belief.change(EstimatorEvent.DOWN, now_s, rate, why)
                 # Trains from before say nothing of the link that is now.
                 self._trains.clear()
             elif rate * t.down_margin > self._capacity:
-                self._change(rate, now_s, why)
+                self._belief.change(EstimatorEvent.CARRIED, now_s, rate, why)
         return self._congested(now_s)
 
     def _undo(self, now_s: float) -> bool:
@@ -287,7 +276,7 @@ class Estimator:
         later = self._capacities(self._down_at_s)[-2:]
         if len(later) < 2 or min(later) < t.undo_ratio * self._before_down or min(later) < self._capacity:
             return False
-        self._change(min(later), now_s, "trains contradict the last fall")
+        self._belief.change(EstimatorEvent.UNDO, now_s, min(later), "trains contradict the last fall")
         self._before_down = None
         return True
 
@@ -298,16 +287,18 @@ class Estimator:
         if len(last) < 2 or t.caution * min(last) <= t.clearly_more * self._capacity:
             return False
         self._before_down = None
-        self._change(t.caution * min(last), now_s, f"two trains see {min(last) * 8e-6:.1f} Mbit/s")
+        self._belief.change(
+            EstimatorEvent.AGREE, now_s, t.caution * min(last), f"two trains see {min(last) * 8e-6:.1f} Mbit/s"
+        )
         return True
 
     def _carried(self, now_s: float) -> bool:
         """Believe at least what was sent and arrived; what a peer receives from others is no evidence."""
         t = self._tuning
-        rate = t.caution * min(self._delivery()[0], self._local.sent_bytes_per_second)
+        rate = t.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
         if rate <= t.clearly_more * self._capacity:
             return False
-        self._change(rate, now_s, "more than what was believed arrived")
+        self._belief.change(EstimatorEvent.CARRIED, now_s, rate, "more than what was believed arrived")
         return True
 
     def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
@@ -319,9 +310,12 @@ class Estimator:
         step = self._tuning.climb_per_second * elapsed_s
         middle, best = median(trains), max(trains[-_ENOUGH_TRAINS:])
         if middle > self._capacity:
-            self._change(min(middle, self._capacity * (1 + step)), now_s, f"trains see {middle * 8e-6:.1f} Mbit/s")
+            seen, moved = middle, min(middle, self._capacity * (1 + step))
         elif best < self._tuning.fall_ratio * self._capacity:
-            self._change(max(best, self._capacity * (1 - step)), now_s, f"trains see {best * 8e-6:.1f} Mbit/s")
+            seen, moved = best, max(best, self._capacity * (1 - step))
+        else:
+            return
+        self._belief.change(EstimatorEvent.FOLLOW, now_s, moved, f"trains see {seen * 8e-6:.1f} Mbit/s")
 
     def _judge_alone(self, observation: Observation) -> LinkState:
         """Without a peer: what leaves while the local queue pushes back is the capacity; else nothing is learnt."""
@@ -332,14 +326,16 @@ class Estimator:
             return LinkState.CONGESTED if self._local.stands else LinkState.APP_LIMITED
         pushes_back, sent = told
         if pushes_back and sent > 0:
-            self._kind = CapacityKind.LOCAL
-            self._change(sent, now_s, "local queue pushed back at this send rate")
+            self._belief.kind = CapacityKind.LOCAL
+            self._belief.change(EstimatorEvent.LOCAL, now_s, sent, "local queue pushed back at this send rate")
             return LinkState.CONGESTED
-        if self._kind is not CapacityKind.CONFIGURED:
-            self._kind = CapacityKind.LOCAL
+        if self._belief.kind is not CapacityKind.CONFIGURED:
+            self._belief.kind = CapacityKind.LOCAL
             ceiling = max(self._settings.initial_capacity_bytes_per_second, self._capacity)
             grown = self._capacity * (1 + self._tuning.alone_climb_per_second * self._tuning.local_window_s)
-            self._change(min(ceiling, grown), now_s, "no peer reports; probing upwards slowly")
+            self._belief.change(
+                EstimatorEvent.LOCAL, now_s, min(ceiling, grown), "no peer reports; probing upwards slowly"
+            )
         return LinkState.APP_LIMITED
 
     @property
@@ -358,17 +354,16 @@ class Estimator:
     # -- results
 
     @property
+    def _capacity(self) -> float:
+        return self._belief.capacity
+
+    @property
     def _overhead_s(self) -> float:
         pinned = self._settings.packet_overhead_s
         return self._trains.packet_overhead_s if pinned is None else pinned
 
     def _capacities(self, since_s: float) -> list[float]:
         return self._trains.capacities(since_s, packet_overhead_s=self._overhead_s)
-
-    def _change(self, capacity: float, now_s: float, why: str) -> None:
-        self._capacity = max(capacity, 1.0)
-        self._changed_at_s = now_s
-        self._evidence = f"{self._capacity * 8e-6:.2f} Mbit/s: {why}"
 
     def _surprise(self, now_s: float) -> float | None:
         """Return what the last train saw, if that is far from what is believed (bytes/s)."""
@@ -378,23 +373,28 @@ class Estimator:
     def _estimate(self, observation: Observation) -> LinkEstimate:
         assert self._started_at_s is not None
         now_s = observation.now_s
-        capacity, kind, evidence = self._capacity, self._kind, self._evidence
-        radio = observation.radio_bytes_per_second
-        if radio is not None and kind is not CapacityKind.PEER and self._tuning.radio_share * radio < capacity:
-            capacity, kind = self._tuning.radio_share * radio, CapacityKind.RADIO
-            evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
-        age_s = now_s - max(self._changed_at_s, self._trains.newest_s or -math.inf, self._started_at_s)
-        if (pinned := self._settings.capacity_bytes_per_second) is not None:
-            capacity, kind, evidence, age_s = pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0
+        since_s = max(self._trains.newest_s or -math.inf, self._started_at_s)
+        capacity, kind, evidence, age_s = self._belief.stated(
+            now_s,
+            since_s=since_s,
+            pinned=self._settings.capacity_bytes_per_second,
+            radio=observation.radio_bytes_per_second,
+            radio_share=self._tuning.radio_share,
+        )
+        is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
             kind=kind,
             state=self._state,
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
-            delivery_rate_bytes_per_second=0.0 if self._state is LinkState.OUTAGE else self._delivery()[0],
+            delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,
             foreign_bytes_per_second=self._foreign_rate,
             packet_overhead_s=self._overhead_s,
+            # What is not answered in an outage is not known to be lost.
+            loss_ratio=None if is_out else self._loss.ratio(now_s),
+            return_delay_s=None if is_out else self._peers.return_delay_s,
+            events_by_kind=self._belief.events_by_kind,
         )

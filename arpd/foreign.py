@@ -6,15 +6,19 @@ import math
 from bisect import bisect_right
 from collections import deque
 from itertools import pairwise
+from operator import add
 from typing import TYPE_CHECKING
 
 from arpd.model import Direction
 from arpd.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from arpd.interface import LinkCounters
-    from arpd.model import Observation, PublisherState
+    from arpd.model import Observation
     from arpd.probing import ProbeRequest
+    from arpd.publishers import PublisherState
 
 _WINDOW_S = 3.0  # announcements come once a second: three of them, so that one that is lost does not matter
 _STEP_S = 0.5
@@ -66,24 +70,32 @@ class ForeignTraffic:
 
     def note_outage(self, start_s: float, end_s: float) -> None:
         """Note that nothing arrived in a span of time: what was sent in it is sent again now."""
-        self._extra.jump(end_s, self._sent_by(end_s) - self._sent_by(start_s))
+        before, after = self._sent_by([start_s, end_s])
+        self._extra.jump(end_s, after - before)
 
     def _measure(self, carried: _Curve, end_s: float) -> float:
         """Return what is left of the window when topics, debts and allowances are taken out (bytes/s)."""
         steps = int(min(_MEMORY_S, end_s - carried.oldest_s) / _STEP_S + 1e-6)
         moments = [end_s - step * _STEP_S for step in range(steps, -1, -1)]
-        surplus = [carried.at(t_s) - self._sent_by(t_s) - self._extra.at(t_s) for t_s in moments]
-        owed, unexplained = 0.0, []
+        sent = self._sent_by(moments)
+        everything = zip(carried.each_at(moments), sent, self._extra.each_at(moments), strict=True)
+        surplus = [seen - topics - others for seen, topics, others in everything]
+        owed, unexplained = 0.0, list[float]()
         for before, after in pairwise(surplus):
             balance = after - before - owed
             owed = max(0.0, -balance)
             unexplained.append(max(0.0, balance))
         in_window = sum(unexplained[-round(_WINDOW_S / _STEP_S) :])
-        allowed = _TOPICS_ALLOWANCE * (self._sent_by(end_s) - self._sent_by(end_s - _WINDOW_S))
+        before, now = self._sent_by([end_s - _WINDOW_S, end_s])
+        allowed = _TOPICS_ALLOWANCE * (now - before)
         return max(0.0, (in_window - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
 
-    def _sent_by(self, t_s: float) -> float:
-        return sum(topic.sent_by(t_s) for topic in self._topics.values())
+    def _sent_by(self, moments: Sequence[float]) -> list[float]:
+        """Return what all topics have put on the link by each of ascending moments (bytes)."""
+        sent = [0.0] * len(moments)
+        for topic in self._topics.values():
+            sent = list(map(add, sent, topic.sent_by(moments)))
+        return sent
 
     def _note_interface(self, counters: LinkCounters | None, now_s: float) -> None:
         if counters is None:
@@ -153,9 +165,10 @@ class _TopicTraffic:
         self._costs.append(_wire_bytes(publisher, samples / (at_s - self.told_s)))
         self._samples.grow(at_s, samples)
 
-    def sent_by(self, t_s: float) -> float:
-        """Return what it has put on the link by a moment (bytes); differences count, not the sum."""
-        return self._samples.at(t_s) * max(self._costs)
+    def sent_by(self, moments: Sequence[float]) -> list[float]:
+        """Return what it has put on the link by each of ascending moments (bytes); differences count, not the sum."""
+        cost = max(self._costs)
+        return [samples * cost for samples in self._samples.each_at(moments)]
 
     def forget(self, before_s: float) -> None:
         """Keep what is needed from ``before_s`` on."""
@@ -192,16 +205,19 @@ class _Curve:
         self.grow(at_s, 0.0)
         self.grow(at_s, amount)
 
-    def at(self, t_s: float) -> float:
-        """Return the sum at a moment; before and after what is known it stands still."""
-        i = bisect_right(self._times, t_s)
-        if i == 0:
-            return self._sums[0]
-        if i == len(self._times):
-            return self._sums[-1]
-        since_s, until_s = self._times[i - 1 : i + 1]
-        before, after = self._sums[i - 1 : i + 1]
-        return before + (after - before) * (t_s - since_s) / (until_s - since_s)
+    def each_at(self, moments: Sequence[float]) -> list[float]:
+        """Return the sum at each of ascending moments; before and after what is known it stands still."""
+        times, sums = self._times, self._sums
+        i, end, found = bisect_right(times, moments[0]), len(times), []
+        for t_s in moments:
+            while i < end and times[i] <= t_s:
+                i += 1
+            if i in {0, end}:
+                found.append(sums[0 if i == 0 else -1])
+            else:
+                since_s, before = times[i - 1], sums[i - 1]
+                found.append(before + (sums[i] - before) * (t_s - since_s) / (times[i] - since_s))
+        return found
 
     def forget(self, before_s: float) -> None:
         """Keep what is needed from ``before_s`` on."""

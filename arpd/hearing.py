@@ -13,18 +13,24 @@ _LATELY_S = 0.3
 _USUAL_S = 5.0  # time constant of what is usual
 _LEAST_HZ = 30.0  # packets; fewer tell nothing within `_LATELY_S`, and some are the peer's own reports
 _PART = 0.5  # of the usual
+_UNDER_WAY_S = 1.0  # what was on its way when the peer fell silent has arrived by then
+_LONG_S = 5.0
+_BROADCAST_HZ = 0.5  # packets; a host that reads anything acknowledges more often, and its DDS announces itself beside
 
 
 class Hearing:
     """Tells a peer that has died from a link that carries nothing: over one that works, readers go on to acknowledge.
 
     What counts is packets that the interface receives, beside how many it received while the peer was heard. Too few
-    of them tell nothing, and the link is then taken for silent.
+    of them tell nothing, and the link is then taken for silent; for good only where next to none arrive.
     """
 
     def __init__(self) -> None:
         self._looks: deque[tuple[float, int]] = deque()  # when s, packets received
         self._usual_hz = 0.0
+        self._was_heard = False  # a peer, ever
+        self._unheard_s: float | None = None  # since when none is
+        self._quiet: tuple[float, int] | None = None  # from then on, s and packets, everything that arrives counts
 
     def note(self, now_s: float, counters: LinkCounters | None, *, is_usual: bool) -> None:
         """Look at the interface.
@@ -35,7 +41,9 @@ class Hearing:
         """
         if counters is None or not counters.is_up:
             self._looks.clear()
+            self._unheard_s = self._quiet = None
             return
+        self._follow_silence(now_s, counters.rx_packets, is_usual=is_usual)
         if is_usual and self._looks and (elapsed_s := now_s - self._looks[-1][0]) > 0:
             rate_hz = (counters.rx_packets - self._looks[-1][1]) / elapsed_s
             self._usual_hz += (1.0 - math.exp(-elapsed_s / _USUAL_S)) * (rate_hz - self._usual_hz)
@@ -50,3 +58,20 @@ class Hearing:
             return False
         lately_hz = (self._looks[-1][1] - self._looks[0][1]) / span_s
         return self._usual_hz >= _LEAST_HZ and lately_hz >= _PART * self._usual_hz
+
+    @property
+    def is_deaf(self) -> bool:
+        """Whether next to nothing has arrived since a peer was heard: then there is no link, or nobody behind it."""
+        if self._quiet is None or not self._looks:
+            return False
+        (since_s, before), (now_s, packets) = self._quiet, self._looks[-1]
+        return now_s - since_s >= _LONG_S and packets - before < _BROADCAST_HZ * (now_s - since_s)
+
+    def _follow_silence(self, now_s: float, packets: int, *, is_usual: bool) -> None:
+        self._was_heard |= is_usual
+        if is_usual or not self._was_heard:
+            self._unheard_s = self._quiet = None
+        elif self._unheard_s is None:
+            self._unheard_s = now_s
+        elif self._quiet is None and now_s - self._unheard_s >= _UNDER_WAY_S:
+            self._quiet = now_s, packets

@@ -42,6 +42,9 @@ class PeerReport:
     delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
     trains : bursts completed in that time
     last_probe : highest number of a probe whose first packet has arrived, 0 = none or not told
+    probe_packets : packets of all probes before that one which have arrived since the peer started, modulo 2^32;
+        None = not told, by a peer of an older version
+    return_delay_s : the report's own one-way delay, offset like ``delays_s``; None = not told (s)
     """
 
     peer: str
@@ -52,6 +55,8 @@ class PeerReport:
     delays_s: tuple[float, ...] = ()
     trains: tuple[Train, ...] = ()
     last_probe: int = 0
+    probe_packets: int | None = None
+    return_delay_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -20,6 +20,8 @@ _MISSING_PINGS = 5
 _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
 _LEAST_INTERVAL_S = 0.05  # a shorter one counts too few packets
 _STEADY_INTERVALS = 2
+_WAITED_S = 0.3  # longer than this a report did not wait for others of its kind
+_RESUMING_S = 3.0
 _STEADY_RATIO = 0.85
 
 
@@ -44,6 +46,8 @@ class SentProbe:
 class QueueGauge:
     """Three witnesses of the queue between this host and one peer, none of which needs the two clocks to agree.
 
+    And of the way back: a report's own one-way delay above its least of the last 10 s, which is what commands wait.
+
     - *Delay*: the one-way delay of a ping above its least of the last 10 s. Exact, and late by the queue itself.
     - *Overdue*: a ping that is under way for longer than usual; the queue is at least as long.
     - *Bytes*: what the interface was handed since the last ping that arrived was sent, less what the peer received
@@ -59,7 +63,11 @@ class QueueGauge:
         self._tuning = tuning
         self.reported_s = -math.inf
         self.delay_s = 0.0
+        self.return_delay_s: float | None = None
         self._delays: deque[tuple[float, float]] = deque()
+        self._return_delays: deque[tuple[float, float]] = deque()
+        self._usual_return_s = math.inf  # least return delay before what was measured was forgotten
+        self._resumed_s: float | None = -math.inf  # first report since then; None = it has yet to come
         self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
         self._under_way: deque[SentProbe] = deque(maxlen=100)
         self._round_trips: deque[tuple[float, float]] = deque()  # when reported s, how long after sending s
@@ -75,8 +83,12 @@ class QueueGauge:
 
     def forget(self) -> None:
         """Start anew: what was measured was of another link, or of another queue."""
+        self._usual_return_s = min((delay for _, delay in self._return_delays), default=self._usual_return_s)
+        self._resumed_s = None
         self.delay_s = 0.0
+        self.return_delay_s = None
         self._delays.clear()
+        self._return_delays.clear()
         self._deliveries.clear()
         self._under_way.clear()
         self._round_trips.clear()
@@ -93,7 +105,8 @@ class QueueGauge:
         handed_bytes : what this host's interface has been handed by now (bytes), None = not known
         """
         now_s = self.reported_s = report.received_at_s
-        self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
+        if not self._waited_out(report):
+            self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
         while (
             len(self._deliveries) > 1
             and now_s - self._deliveries[0][0] > self._tuning.delivery_window_s - report.interval_s / 2
@@ -104,15 +117,13 @@ class QueueGauge:
         round_trip_s = self._arrived(report.last_probe, now_s)
         # What no probe of ours that is under way explains says nothing: a second peer of the same name, say.
         if report.delays_s and round_trip_s < math.inf:
-            # The smallest of a report: a late wake-up of the receiver can only add delay.
-            delay_s = min(report.delays_s)
-            self._delays.append((now_s, delay_s))
-            while now_s - self._delays[0][0] > self._tuning.delay_window_s:
-                self._delays.popleft()
             # Round trips are on our own clock: what a step of the peer's clock adds to the delay is no queue. The least
             # one waited for the report at most `PROMPT_S` longer than this one did.
-            excess_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips)
-            self.delay_s = min(delay_s - min(delay for _, delay in self._delays), excess_s + PROMPT_S)
+            most_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips) + PROMPT_S
+            # The smallest of a report: a late wake-up of the receiver can only add delay.
+            self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
+            if report.return_delay_s is not None:
+                self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
         is_good = bool(report.delays_s) and self.delay_s < self._tuning.queue_low_s
         if is_good:
             self._good_s = now_s
@@ -127,6 +138,24 @@ class QueueGauge:
         # Without a queue, too, something is on the way, and what came since the ping did is not all counted yet.
         backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes)
+
+    def _waited_out(self, report: PeerReport) -> bool:
+        """Whether a report waited for the end of an outage on its way: what it counts is not of the link that is now.
+
+        Only soon after the outage, for by then the peer's clock may have been set.
+        """
+        if self._resumed_s is None:
+            self._resumed_s = report.received_at_s
+        if report.return_delay_s is None or report.received_at_s - self._resumed_s > _RESUMING_S:
+            return False
+        return report.return_delay_s - self._usual_return_s > _WAITED_S
+
+    def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
+        """Note a one-way delay, offset as it is, and return by how much it exceeds the least of late (s)."""
+        delays.append((now_s, delay_s))
+        while now_s - delays[0][0] > self._tuning.delay_window_s:
+            delays.popleft()
+        return delay_s - min(delay for _, delay in delays)
 
     def _arrived(self, last_probe: int, now_s: float) -> float:
         """Settle every probe up to a number, and return the last one's round trip (s)."""

@@ -169,6 +169,8 @@ class Receiver:
     delays_s: list[float] = field(default_factory=list)
     trains: list[Train] = field(default_factory=list)
     last_probe: int = 0
+    packets_before: int = 0  # that arrived of the probes before the last one
+    _received: int = 0  # packets of all probes
     _number: int = -1  # of the train whose packets arrive now
     _packets: int = 0
     _arrivals: list[Arrival] = field(default_factory=list)
@@ -180,7 +182,8 @@ class Receiver:
         if index == 0:
             del self.delays_s[:-_MOST_KEPT]
             self.delays_s.append((received_ns - sent_ns) / 1e9)
-            self.last_probe = train
+            self.last_probe, self.packets_before = train, self._received
+        self._received += 1
         if packets == 1:
             if len(self._arrivals) >= (1.0 - _MOST_LOST) * self._packets:
                 self._close()

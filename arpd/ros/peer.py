@@ -138,6 +138,7 @@ class Peer:
                         delays_s=delays_s,
                         trains=trains,
                         last_probe=self._receiver.last_probe,
+                        probe_packets=self._receiver.packets_before,
                     )
                 )
             )
@@ -197,7 +198,7 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     LinkError
         If another process would be heard over the link, and this one is not.
     """
-    configure_logging(log_level)
+    configure_logging(log_level, name="arpd-peer")
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()

@@ -14,10 +14,12 @@ from arpd.probing import PeerReport, Train
 _PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
 # Version, number of delays and of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
 _REPORT = struct.Struct("<BBBBfIII")
+_PACKETS = struct.Struct("<I")  # of probes before the last one; since version 3
 _DELAY = struct.Struct("<d")
 _TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
 _PROBE_VERSION = 1
-_REPORT_VERSION = 2
+_REPORT_VERSION = 3
+_REPORT_WITHOUT_PACKETS = 2  # the version before
 _MOST = 32  # delays or trains in one report
 _MOST_NAME = 64  # bytes
 _MOST_INTERVAL_S = 60.0  # longer is no interval that one report covers
@@ -62,7 +64,7 @@ def decode_probe(data: bytes) -> ProbeHeader:
 
 
 def encode_report(report: PeerReport) -> Any:
-    """Make the message of one receiver report: 28 bytes and the name, with one delay; 14 more with a train."""
+    """Make the message of one receiver report: 32 bytes and the name, with one delay; 14 more with a train."""
     delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
     # Cut like this, a name of more bytes keeps its whole characters.
     name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
@@ -76,26 +78,36 @@ def encode_report(report: PeerReport) -> Any:
         min(report.rx_packets, 2**32 - 1),
         report.last_probe & 0xFFFFFFFF,
     )
+    packets = _PACKETS.pack((report.probe_packets or 0) & 0xFFFFFFFF)
     body = b"".join(_DELAY.pack(delay) for delay in delays)
     body += b"".join(
         _TRAIN.pack(min(train.payload_bytes, 2**32 - 1), train.duration_s, train.sent_s, min(train.packets, 65535))
         for train in trains
     )
-    return UInt8MultiArray(data=array("B", head + name + body))
+    return UInt8MultiArray(data=array("B", head + packets + name + body))
 
 
-def decode_report(data: bytes, *, received_at_s: float) -> PeerReport:
-    """Read a receiver report from the bytes of its message.
+def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | None = None) -> PeerReport:
+    """Read a receiver report from the bytes of its message, of this version or of the one before.
+
+    Parameters
+    ----------
+    received_at_s : daemon's monotonic clock (s)
+    return_delay_s : received minus sent, by the time stamps of its MessageInfo, from two different clocks (s)
 
     Raises
     ------
     ValueError
         If it is malformed or says something impossible.
     """
-    if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
-        raise ValueError("not a peer report of this version")
+    if not data or data[0] not in (_REPORT_WITHOUT_PACKETS, _REPORT_VERSION):
+        raise ValueError("not a peer report of a version known here")
+    has_packets = data[0] == _REPORT_VERSION
+    name_at = _REPORT.size + (_PACKETS.size if has_packets else 0)
+    if len(data) < name_at:
+        raise ValueError("peer report of the wrong length")
     _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)
-    delays_at = _REPORT.size + name_size
+    delays_at = name_at + name_size
     trains_at = delays_at + delay_count * _DELAY.size
     if len(data) != trains_at + train_count * _TRAIN.size:
         raise ValueError("peer report of the wrong length")
@@ -104,7 +116,7 @@ def decode_report(data: bytes, *, received_at_s: float) -> PeerReport:
         Train(payload_bytes=size, duration_s=duration_s, sent_s=sent_s, packets=packets)
         for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
     )
-    peer = data[_REPORT.size : delays_at].decode(errors="replace")
+    peer = data[name_at:delays_at].decode(errors="replace")
     # Written so that what is no number fails, too.
     is_possible = (
         0 < interval_s < _MOST_INTERVAL_S
@@ -121,6 +133,8 @@ def decode_report(data: bytes, *, received_at_s: float) -> PeerReport:
         rx_packets=rx_packets,
         last_probe=last_probe,
         delays_s=delays,
+        probe_packets=_PACKETS.unpack_from(data, _REPORT.size)[0] if has_packets else None,
+        return_delay_s=return_delay_s,
         trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
     )
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import Direction, MemoryState, Observation, PublisherState
+from arpd.model import Direction, MemoryState, Observation
 from arpd.probing import PeerReport
 from arpd.receiver import Receiver, ReportSchedule
 from arpd.sim.timeline import Alarm
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from arpd.model import Transition
     from arpd.probing import ProbeRequest
+    from arpd.publishers import PublisherState
     from arpd.settings import GraphSettings
     from arpd.sim.link import SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
@@ -276,12 +277,14 @@ class SimulatedWorld:
             delays_s=delays_s,
             trains=trains,
             last_probe=peer.receiver.last_probe,
+            probe_packets=peer.receiver.packets_before,
         )
         peer.rx_bytes, peer.rx_packets = rx_bytes, up.received_packets
         peer.schedule.note_sent(self._timeline.now_s)
         self._report_bytes += _REPORT_BYTES
-        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report))
+        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
 
-    def _on_report(self, report: PeerReport) -> None:
-        self._reports.append(replace(report, received_at_s=self._timeline.now_s))
+    def _on_report(self, report: PeerReport, sent_s: float) -> None:
+        now_s = self._timeline.now_s
+        self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
         self._on_report_arrived()

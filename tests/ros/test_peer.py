@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.interface import InterfaceState, LinkCounters
+from arpd.probe_loss import ProbeLoss
+from arpd.probing import ProbeRequest
 from arpd.receiver import PROMPT_S, WORTH_BYTES
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import Peer, default_name
@@ -58,9 +60,9 @@ class Daemon:
     def is_matched(self):
         return self._probes.get_subscription_count() > 0 and bool(self.reports)
 
-    def probe(self, packets, *, every_s=0.0, quiet_s=0.0):
+    def probe(self, packets, *, every_s=0.0, quiet_s=0.0, lost=()):
         number = next(self._numbers)
-        for index in range(packets):
+        for index in sorted({*range(packets)} - {*lost}):
             header = ProbeHeader(train=number, index=index, packets=packets, quiet_s=quiet_s)
             self._probes.publish(encode_probe(header, payload_bytes=SIZE))
             time.sleep(every_s)
@@ -113,6 +115,46 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, eventually):
     print(f"ping to report (s): {sorted(waits)}")
     assert sorted(waits)[5] < 0.1  # 20 ms here, the step in which the test looks
     assert all(abs(delay) < 1.0 for report in daemon.reports for delay in report.delays_s)
+
+
+def test_what_never_arrives_is_known_to_the_packet(daemon, eventually):
+    """Of twenty trains of four, half of which lose a packet, be it the first, the loss is an eighth."""
+    loss = ProbeLoss()
+
+    def probe(packets, **lost):
+        number = daemon.probe(packets, **lost)
+        loss.note_sent(ProbeRequest(packets=packets, packet_bytes=SIZE, number=number))
+        return number
+
+    first = probe(1)
+    eventually(lambda: daemon.reports[-1].last_probe == first)
+    for turn in range(20):
+        probe(4, lost=() if turn % 2 else (0,) if turn == 4 else (3,))
+    last = probe(1)
+    eventually(lambda: daemon.reports[-1].last_probe == last)
+    for report in daemon.reports:
+        loss.digest(report)
+    assert loss.ratio(daemon.reports[-1].received_at_s) == pytest.approx(10 / 81)
+
+
+def test_the_daemon_hears_what_was_lost_and_how_long_the_way_back_was(ros, interface, eventually):
+    """A report that reaches the daemon has the count, and the time it took between the two hosts' clocks."""
+    from arpd.ros.control import RosControl
+    from arpd.settings import GraphSettings
+
+    Peer(ros.node("peer"), reader=interface, name="ceddp-3f2a")
+    world = RosControl(ros.node("arpd"), interface="lo", graph=GraphSettings(), on_report=lambda: None)
+    reports, numbers = [], count(1)
+
+    def answered():
+        world.probe(ProbeRequest(packets=3, packet_bytes=200, number=next(numbers)))
+        reports.extend(world.observe(time.monotonic()).reports)
+        return len(reports) > 5 and reports[-1].probe_packets > 6
+
+    eventually(answered)
+    assert all(0.0 <= report.return_delay_s < 5.0 for report in reports)  # here both clocks are one
+    counts = [report.probe_packets for report in reports]
+    assert counts == sorted(counts)
 
 
 def test_pings_set_the_pace_of_reports(daemon):

@@ -155,22 +155,25 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force(play):
     assert settled(result)
 
 
-def test_a_peer_whose_silence_nobody_breaks_is_an_outage_at_first(play):
-    """When nothing arrives any more the gate closes, and after ten seconds the link is used again without a peer."""
+@pytest.mark.parametrize(("others_hz", "is_over"), [(0.2, False), (1.0, True)])
+def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(play, others_hz, is_over):
+    """The gate closes at once; ten seconds on, it opens again only if somebody else is there on the other side."""
     heard = []
 
     def see(t_s, seen):
-        if not 8.0 <= t_s < 22.0:
+        if not 8.0 <= t_s < 24.0:
             return seen
         heard.append(seen.counters.rx_packets)
-        return replace(seen, reports=(), counters=replace(seen.counters, rx_packets=heard[0]))
+        counters = replace(seen.counters, rx_packets=heard[0] + int(others_hz * (t_s - 8.0)))
+        return replace(seen, reports=(), counters=counters)
 
-    result, daemon = play(see=see, duration_s=28.0)
+    result, daemon = play(see=see, duration_s=30.0)
     states = {round(moment.t_s, 1): (moment.state, moment.gate) for moment in result.moments}
     assert states[10.0] == (LinkState.OUTAGE, pytest.approx(0.01))
-    assert states[21.0][0] is not LinkState.OUTAGE
-    assert states[21.0][1] == 1.0
-    assert len(plans(daemon, 8.0, 28.0)) <= 1
+    assert (states[23.0][0] is not LinkState.OUTAGE) is is_over
+    assert states[23.0][1] == (1.0 if is_over else pytest.approx(0.01))
+    assert states[26.0][0] is not LinkState.OUTAGE
+    assert len(plans(daemon, 8.0, 30.0)) <= 1
     assert settled(result)
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimator import Estimator
+from arpd.estimator_belief import EstimatorEvent
 from arpd.estimator_tuning import EstimatorTuning
 from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import MOST_YIELDED, CapacityKind, LinkState, MemoryState, Observation
@@ -53,6 +54,7 @@ class Link:
         radio=None,
         publishers=(),
         interval_s=0.1,
+        return_delay_s=None,
     ):
         observation = Observation(
             now_s=self.now_s + 0.09,
@@ -81,6 +83,8 @@ class Link:
             delays_s=(delay_s + clock_s,) if self.arrived > before else (),
             trains=tuple(train if isinstance(train, Train) else seen(train) for train in trains),
             last_probe=self.arrived,
+            probe_packets=sum(each.packets for _, each in self.probes if each.number < self.arrived),
+            return_delay_s=return_delay_s,
         )
         return self.estimator.update(replace(observation, now_s=self.now_s, reports=() if silent else (report,)))
 
@@ -635,3 +639,38 @@ def test_a_peer_that_leaves_after_a_long_time_is_no_fall():
     for _ in range(30):
         estimate = link.tick(silent=True, counters=counters(1), peers=0)
         assert estimate.capacity_bytes_per_second >= FIRST
+
+
+# -- what it says beside the capacity
+
+
+def test_every_rule_that_speaks_is_counted():
+    """First trains, a fall, what contradicts it, an outage and its end; a rule that changes nothing is silent."""
+    link = Link().measured()
+    assert link.ticks(3).events_by_kind == {"first": 1}
+    fallen = link.ticks(8, rate=0.4 * FIRST, delay_s=0.4)
+    assert fallen.events_by_kind["down"] >= 1
+    assert link.ticks(12, silent=True).events_by_kind["outage"] == 1
+    resumed = link.ticks(5, delay_s=0.02)
+    assert (resumed.events_by_kind["outage"], resumed.events_by_kind["resume"]) == (1, 1)
+    assert set(resumed.events_by_kind) <= {*map(str, EstimatorEvent)}
+
+
+def test_events_of_an_estimate_never_change():
+    """An estimate is a value: what comes later is not in it."""
+    link = Link()
+    before = link.tick()
+    link.measured()
+    assert (dict(before.events_by_kind), link.tick().events_by_kind["first"]) == ({}, 1)
+
+
+def test_who_is_alone_has_no_peer_to_tell_of_loss_and_of_the_way_back():
+    """Without a report both are unknown; and in an outage nobody knows what becomes of what is under way."""
+    link = Link()
+    alone = link.ticks(30, silent=True)
+    assert (alone.loss_ratio, alone.return_delay_s) == (None, None)
+    heard = link.ticks(40, return_delay_s=7.0)
+    assert (heard.loss_ratio, heard.return_delay_s) == (0.0, 0.0)
+    out = link.ticks(6, silent=True)
+    assert out.state is LinkState.OUTAGE
+    assert (out.loss_ratio, out.return_delay_s) == (None, None)

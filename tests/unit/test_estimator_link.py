@@ -15,6 +15,7 @@ from arpd.model import CapacityKind, LinkState
 from arpd.settings import GraphSettings, LinkSettings
 from arpd.sim.foreign import ForeignFlow
 from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.loss import GilbertElliott
 from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import SimulatedWorld
@@ -59,6 +60,7 @@ class Run:
         for start_s, end_s, mbit in loads:
             flow = ForeignFlow(start_s=start_s, end_s=end_s, rate_bytes_per_second=mbit * MBIT)
             flow.play(self.timeline, up, origin_s=START_S)
+        self.up = up
         self.peers = peers or [Peer()]
         self.worlds = [
             SimulatedWorld(
@@ -362,3 +364,41 @@ def test_a_fall_does_not_forget_what_a_packet_costs():
     assert known == pytest.approx(200e-6, rel=0.5)
     assert LinkState.DRAINING in run.states(20.0)
     assert all(estimate.packet_overhead_s > 0.5 * known for estimate in run.estimates(20.0))
+
+
+# -- what is lost
+
+BURSTS = GilbertElliott(good_s=2.0, bad_s=0.2)
+
+
+@pytest.mark.parametrize(
+    "model", [LinkModel(), LinkModel(loss=0.1), LinkModel(bursts=BURSTS)], ids=["none", "random", "bursts"]
+)
+def test_the_loss_is_that_of_the_link(model):
+    """Of two peers, too: what is told agrees with what the link lost of the same probes, on average and in the end."""
+    run = Run(steps((0, 5)), model=model, peers=[Peer("a"), Peer("b")], seed=3)
+    lost = []
+    for end_s in range(10, 41):
+        estimate = run.until(float(end_s))
+        lost.append((run.up.sent_packets, run.up.received_packets, estimate.loss_ratio))
+    told = [ratio for *_, ratio in lost[20:] if ratio is not None]
+    true = [
+        1.0 - (received - received_then) / (sent - sent_then)
+        for (sent_then, received_then, _), (sent, received, ratio) in zip(lost, lost[20:], strict=False)
+        if ratio is not None
+    ]
+    assert len(told) >= 5
+    assert sum(told) / len(told) == pytest.approx(sum(true) / len(true), abs=0.02)
+    assert min(told) >= 0.0
+    if model == LinkModel():
+        assert max(told) == 0.0
+    else:
+        assert min(told) > 0.0
+
+
+def test_a_queue_is_no_loss():
+    """While probes wait behind others' traffic for half a second, none of them is called lost."""
+    run = Run(steps((0, 5)), loads=((12, 14, 6),))
+    run.until(20.0)
+    assert max(estimate.queue_delay_s for estimate in run.estimates(12.0)) > 0.2
+    assert {estimate.loss_ratio for estimate in run.estimates(5.0)} == {0.0}

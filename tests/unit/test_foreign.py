@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from arpd.foreign import ForeignTraffic
 from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import Direction, MemoryState, Observation, PublisherState
+from arpd.model import Direction, MemoryState, Observation
 from arpd.probing import ProbeRequest
+from arpd.publishers import PublisherState
 from arpd.wire import probe_wire_bytes, wire_size
 
 TICK_S = 0.1

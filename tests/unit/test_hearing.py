@@ -67,3 +67,31 @@ def test_an_interface_that_is_down_or_gone_answers_nothing():
     assert not interface.receive(200, 0.1, is_usual=False)
     assert interface.receive(200, 1.0, is_usual=False)
     assert not interface.receive(200, 0.1, is_usual=False, state=InterfaceState.DOWN)
+
+
+@pytest.mark.parametrize(("lately_hz", "is_deaf"), [(0.0, True), (0.3, True), (0.8, False), (40.0, False)])
+def test_a_link_is_deaf_where_nobody_sends_anything(lately_hz, is_deaf):
+    """A broadcast now and then is nobody; whoever reads sends more."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    assert not interface.hearing.is_deaf
+    interface.receive(200, 0.6, is_usual=False)  # was under way
+    interface.receive(lately_hz, 20.0, is_usual=False)
+    assert interface.hearing.is_deaf is is_deaf
+
+
+def test_a_link_is_deaf_until_the_peer_is_heard():
+    """However long the silence, and at once when it ends."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    interface.receive(0, 300.0, is_usual=False)
+    assert interface.hearing.is_deaf
+    interface.receive(200, 0.1)
+    assert not interface.hearing.is_deaf
+
+
+def test_a_robot_that_never_heard_a_peer_is_not_deaf():
+    """Without one, silence says nothing."""
+    interface = Interface()
+    interface.receive(0, 60.0, is_usual=False)
+    assert not interface.hearing.is_deaf

@@ -1,5 +1,7 @@
 """The queue as one peer's reports show it: exact where it can be, and quiet where it cannot."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -348,3 +350,79 @@ def test_what_goes_elsewhere_is_no_queue(elsewhere):
         fifo.run(0.05)
         fifo.report()
     assert fifo.backlog_s() == 0.0
+
+
+# -- the way back
+
+
+def answer(gauge, number, *, way_back_s, clock_s):
+    """Send a ping each tenth of a second; its report takes that long to come back."""
+    sent_s = 0.1 * number
+    gauge.note_sent(SentProbe(number=number, sent_s=sent_s, handed_bytes=None))
+    gauge.digest(
+        replace(
+            steadily(1e5, sent_s + 0.01 + way_back_s, 0.1),
+            delays_s=(0.01 - clock_s,),
+            last_probe=number,
+            return_delay_s=way_back_s + clock_s,
+        ),
+        handed_bytes=None,
+    )
+    return gauge.return_delay_s
+
+
+@given(ways_back_s=st.lists(st.floats(0.001, 0.05), min_size=1, max_size=90), clock_s=CLOCKS)
+def test_the_way_back_is_measured_above_its_least(ways_back_s, clock_s):
+    """A queue on the way back shows whatever the clocks say, and none on the way there is seen."""
+    gauge = QueueGauge(TUNING)
+    for number, way_back_s in enumerate(ways_back_s, 1):
+        told = answer(gauge, number, way_back_s=way_back_s, clock_s=clock_s)
+    assert told == pytest.approx(ways_back_s[-1] - min(ways_back_s), abs=2e-6)
+    assert gauge.delay_s == pytest.approx(0.0, abs=2e-6)
+
+
+@pytest.mark.parametrize("step_s", [-300.0, 300.0])
+def test_a_step_of_a_clock_is_no_queue_on_the_way_back(step_s):
+    """Round trips, on one clock, bound what the other clock may claim."""
+    gauge = QueueGauge(TUNING)
+    for number in range(1, 60):
+        told = answer(gauge, number, way_back_s=0.004, clock_s=0.0 if number < 30 else step_s)
+        assert 0.0 <= told <= 0.021
+
+
+def test_a_peer_that_does_not_tell_leaves_the_way_back_unknown():
+    """And so does one that was forgotten."""
+    gauge = QueueGauge(TUNING)
+    gauge.digest(steadily(1e5, 1.0, 0.1), handed_bytes=None)
+    assert gauge.return_delay_s is None
+    assert answer(gauge, 20, way_back_s=0.004, clock_s=0.0) == 0.0
+    gauge.forget()
+    assert gauge.return_delay_s is None
+
+
+@pytest.mark.parametrize(("waited_s", "after_s", "counts"), [(2.0, 0.2, False), (0.1, 0.2, True), (2.0, 5.0, True)])
+def test_a_report_that_waited_out_an_outage_delivers_nothing(waited_s, after_s, counts):
+    """What it counted was before; later on, such a delay may be a clock that was set."""
+    gauge = QueueGauge(TUNING)
+
+    def report(number, now_s, return_delay_s):
+        gauge.note_sent(SentProbe(number=number, sent_s=now_s - 0.01, handed_bytes=None))
+        gauge.digest(
+            PeerReport(
+                peer="p",
+                received_at_s=now_s,
+                interval_s=0.1,
+                rx_bytes=10_000,
+                rx_packets=10,
+                delays_s=(0.005,),
+                last_probe=number,
+                return_delay_s=return_delay_s,
+            ),
+            handed_bytes=None,
+        )
+
+    report(1, 100.0, 7.0)
+    gauge.forget()
+    report(2, 110.0, 7.0)
+    report(3, 110.0 + after_s, 7.0 + waited_s)
+    assert (gauge.delivery(110.05)[0] > 0) is counts

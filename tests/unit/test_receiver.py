@@ -213,6 +213,20 @@ def test_a_ping_between_the_packets_of_a_long_train_does_not_end_it():
     assert (train.packets, receiver.last_probe) == (37, 4)
 
 
+def test_packets_of_the_probes_before_the_last_one_are_counted():
+    """What is lost is not counted, what belongs to the last probe not yet; a train without its first packet is."""
+    receiver = Receiver()
+    assert receiver.packets_before == 0
+    send(receiver, 1, 20, indices=range(12))
+    assert receiver.packets_before == 0
+    send(receiver, 2, 1)
+    assert (receiver.last_probe, receiver.packets_before) == (2, 12)
+    send(receiver, 3, 10, indices=range(1, 10))
+    assert (receiver.last_probe, receiver.packets_before) == (2, 12)
+    send(receiver, 4, 1)
+    assert (receiver.last_probe, receiver.packets_before) == (4, 22)
+
+
 def test_a_restarted_daemon_is_measured_from_its_first_train_on():
     """Numbers that start anew are new trains."""
     receiver = Receiver()

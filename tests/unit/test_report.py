@@ -21,6 +21,7 @@ REPORT = PeerReport(
     delays_s=(-1.7e9 + 0.001234567, 3.217),
     trains=(Train(payload_bytes=15_400, duration_s=0.0078125, sent_s=0.0009765625, packets=11),),
     last_probe=4711,
+    probe_packets=12_345,
 )
 
 
@@ -33,6 +34,21 @@ def test_a_report_comes_back_as_it_was():
     assert told(encode_report(REPORT), received_at_s=12.5) == REPORT
 
 
+def test_a_report_of_the_version_before_is_understood():
+    """A peer that was not updated with the daemon says all but how many probe packets it has."""
+    message = bytes(encode_report(REPORT).data)
+    older = b"\x02" + message[1:20] + message[24:]
+    assert decode_report(older, received_at_s=12.5) == replace(REPORT, probe_packets=None)
+    for size in (0, 1, 19, 20, 23, len(older) - 1):
+        with pytest.raises(ValueError, match="peer report"):
+            decode_report(older[:size], received_at_s=0.0)
+
+
+def test_a_count_of_packets_goes_round():
+    """It is counted modulo 2^32, as long as the peer runs."""
+    assert told(encode_report(replace(REPORT, probe_packets=2**32 + 5))).probe_packets == 5
+
+
 def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
     """Clocks half a century apart leave a delay as precise as any."""
     reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
@@ -40,9 +56,9 @@ def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
     assert late - early == pytest.approx(1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize(("name", "size"), [("ceddp", 33), ("x", 29), ("ceddp-3f2a", 38)])
+@pytest.mark.parametrize(("name", "size"), [("ceddp", 37), ("x", 33), ("ceddp-3f2a", 42)])
 def test_a_report_is_as_short_as_its_name(name, size):
-    """With one delay a report has 28 bytes and the name; ten a second and a train are far below 1 kB/s."""
+    """With one delay a report has 32 bytes and the name; ten a second and a train are far below 1 kB/s."""
     report = replace(REPORT, peer=name, delays_s=(0.1,), trains=())
     assert len(encode_report(report).data) == size
     assert 10 * size + 14 < 1000
