@@ -132,6 +132,7 @@ class InterfaceReader:
     name : the interface, as configured
     read, index_of, name_of : the kernel's answers, for tests to give others
     choose : what ``auto`` stands for now, None = nothing yet
+    note : told of a change of its state or its name, with a logging level; it is logged by default
     """
 
     def __init__(
@@ -142,12 +143,14 @@ class InterfaceReader:
         index_of: Callable[[str], int | None] = index_of,
         name_of: Callable[[int], str | None] = name_of,
         choose: Callable[[], str | None] = likeliest_interface,
+        note: Callable[[int, str], None] = log.log,
     ) -> None:
         self._configured = self._name = name
         self._read = read
         self._index_of = index_of
         self._name_of = name_of
         self._choose = choose
+        self._note = note
         self._is_open = name == AUTO  # to another choice
         self._index: int | None = None
         self._raw: LinkCounters | None = None
@@ -191,7 +194,7 @@ class InterfaceReader:
             name, self._index = next(((name, index) for name, index in found if index is not None), (None, None))
             self._raw = None
         elif name != self._name:
-            log.warning("the link interface %s is now called %s, and is followed", self._name, name)
+            self._note(logging.WARNING, f"the link interface {self._name} is now called {name}, and is followed")
         self._name = name or self._name
         return name
 
@@ -201,11 +204,12 @@ class InterfaceReader:
             return
         if self._total is not None:
             level = logging.WARNING if state.fault else logging.INFO
-            log.log(level, "the link interface %s %s", self._name, state.fault or "is up again")
+            self._note(level, f"the link interface {self._name} {state.fault or 'is up again'}")
         elif self._name == AUTO:
-            log.warning("link.interface is auto, and no interface looks like the link yet; it is taken when it comes")
+            yet = "link.interface is auto, and no interface looks like the link yet; it is taken when it comes"
+            self._note(logging.WARNING, yet)
         else:
-            log.warning("the link interface %s is not there yet; it is taken when it comes", self._name)
+            self._note(logging.WARNING, f"the link interface {self._name} is not there yet; it is taken when it comes")
 
 
 class MemoryReader:

@@ -36,8 +36,9 @@ from arpd.wire import probe_wire_bytes
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from arpd.model import PublisherState, Transition
+    from arpd.model import Transition
     from arpd.probing import ProbeRequest
+    from arpd.publishers import PublisherState
     from arpd.readers import ReaderState
     from arpd.ros.graph import Crossing
     from arpd.ros.rmw import Rmw
@@ -85,7 +86,8 @@ class RosControl:
         self._rmw = rmw or current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
-        self._reader = InterfaceReader(interface)
+        # At debug level: the decision log tells it.
+        self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
         self._radio = Radio()
         self._memory = MemoryReader()
         self._radio_rate: float | None = None
@@ -216,10 +218,11 @@ class RosControl:
 
     # -- what arrives
 
-    def _on_report(self, data: bytes, _info: Any) -> None:
+    def _on_report(self, data: bytes, info: Any) -> None:
         now_s = self._clock()
+        return_delay_s = (info["received_timestamp"] - info["source_timestamp"]) / 1e9
         try:
-            report = decode_report(octets(data), received_at_s=now_s)
+            report = decode_report(octets(data), received_at_s=now_s, return_delay_s=return_delay_s)
         except ValueError as fault:
             self._refuse_report(Reason.MALFORMED, "", str(fault))
             return

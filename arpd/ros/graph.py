@@ -153,7 +153,7 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
 
 
 def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mapping[str, Crossing]:
-    """Return how every topic of the graph crosses the link, ROS's and arpd's own left out.
+    """Return how every topic of the graph crosses the link; what belongs to ROS or to arpd itself is left out.
 
     Fast DDS GUIDs carry the host in bytes 2-3 (DESIGN §2); the robot's own host is that of this node's writer.
 
@@ -166,7 +166,8 @@ def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mappi
     tell = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
     topics = [topic for topic, _ in node.get_topic_names_and_types() if not is_internal(topic) and is_full_name(topic)]
     topics.sort(key=lambda topic: topic not in first)
-    found = {topic: _read(node, topic, tell) for topic in topics[:_MOST_TOPICS]}
+    own_name = node.get_fully_qualified_name()
+    found = {topic: _read(node, topic, tell, own_name) for topic in topics[:_MOST_TOPICS]}
     return {topic: crossed for topic, crossed in found.items() if crossed is not None}
 
 
@@ -180,11 +181,15 @@ def read_graph(node: Any, rmw: Rmw, *, first: Collection[str]) -> Graph:
     )
 
 
-def _read(node: Any, topic: str, tell: Callable[..., Crossing]) -> Crossing | None:
-    """Return how one topic crosses, None where the graph has a name or a QoS in it that ROS cannot express."""
+def _read(node: Any, topic: str, tell: Callable[..., Crossing], own_name: str) -> Crossing | None:
+    """Return how one topic crosses, None where the graph has a name or a QoS in it that ROS cannot express.
+
+    What daemons write to a topic that is everybody's, /diagnostics, is no traffic of the robot's.
+    """
     try:
+        written = node.get_publishers_info_by_topic(topic)
         return tell(
-            writers=map(_endpoint, node.get_publishers_info_by_topic(topic)),
+            writers=[_endpoint(info) for info in written if node_name_of(info) != own_name],
             readers=map(_endpoint, node.get_subscriptions_info_by_topic(topic)),
         )
     except (ValueError, NameValidationException) as fault:

@@ -343,7 +343,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     LinkError
         If another process would be heard over the link, and this one is not.
     """
-    configure_logging(log_level)
+    configure_logging(log_level, name="arpd-relay")
     settings = load_settings(config_path, interfaces=None)
     stopping = threading.Event()
     stop_on_signals(stopping)

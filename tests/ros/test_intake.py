@@ -191,6 +191,7 @@ def test_one_impossible_topic_hides_no_other():
     names = ["/good", "/odd", "/worse", "/no name", "/" + "x" * 300]
     node = SimpleNamespace(
         get_name=lambda: "arpd",
+        get_fully_qualified_name=lambda: "/arpd",
         get_topic_names_and_types=lambda: [(name, []) for name in names],
         get_publishers_info_by_topic=info,
         get_subscriptions_info_by_topic=info,

@@ -23,6 +23,8 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install p
 import machine
 import numbered
 
+from arpd.event import EventKind
+from arpd.journal import MESSAGE_IDS
 from arpd.ros.runtime import FASTDDS_PROFILE
 from arpd.sim import simlink
 from arpd.sim.namespaces import NETNS_DIR
@@ -55,6 +57,7 @@ def installed_files(domain_id):
         **units,
         "/usr/local/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
         "/usr/local/lib/sysusers.d/arpd.conf": REPO / "systemd/arpd.sysusers",
+        "/usr/local/lib/systemd/catalog/arpd.catalog": REPO / "systemd/arpd.catalog",
         "/opt/arpd/bin/arpd": Path(__file__).with_name("arpd-from-checkout"),
         "/opt/arpd/bin/python": machine.PYTHON / "bin" / Path(sys.executable).resolve().name,
         "/opt/arpd/pyvenv.cfg": f"home = {machine.PYTHON}/bin\ninclude-system-site-packages = false\n",
@@ -143,6 +146,11 @@ class Deployment:
         """Return how many of the application's samples are gone without pacing having withheld them."""
         return self.reader.since(report)[numbered.OWN]["lost"] - (self.withheld() - withheld)
 
+    def entries(self, host, *matches):
+        """Return the journal's entries of a computer that match, as programs read them."""
+        listed = host.call("journalctl", "--output=json", "--all", "--no-pager", *matches)
+        return [json.loads(line) for line in listed.stdout.splitlines()]
+
     def journal_of_this_start(self):
         return self.robot.journal("arpd").rpartition("Starting arpd.service")[2]
 
@@ -192,6 +200,8 @@ def deployment(tmp_path_factory):
             for host in link.hosts
         )
         for host, units in ((robot, ("arpd-relay", "arpd")), (ceddp, ("arpd-peer",))):
+            updated = host.call("journalctl", "--update-catalog")
+            assert updated.returncode == 0, updated.stderr
             enabled = host.call("systemctl", "enable", "--now", *units)
             assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
         url = stack.enter_context(window(link.robot, HTTP_PORT))
@@ -326,6 +336,27 @@ def test_status_says_what_the_link_carries(running):
         eventually(lambda: host.show(unit, "WatchdogTimestampMonotonic") != pinged, 10.0)  # noqa: B023 - not kept
 
 
+def test_the_journal_has_the_decision_log_as_fields(running):
+    """`journalctl ARPD_EVENT=plan` finds every plan with its cause, and -x explains it; all three units use fields."""
+    plans = running.entries(running.robot, "ARPD_EVENT=plan", "_SYSTEMD_UNIT=arpd.service")
+    assert plans
+    assert {entry["MESSAGE_ID"] for entry in plans} == {MESSAGE_IDS[EventKind.PLAN]}
+    assert {entry["_TRANSPORT"] for entry in plans} == {"journal"}
+    for entry in plans:
+        assert entry["SYSLOG_IDENTIFIER"] == "arpd"
+        assert entry["PRIORITY"] in {"4", "6"}
+        assert float(entry["ARPD_CAPACITY_BYTES_PER_SECOND"]) > 0
+        assert entry["ARPD_CAUSE"]
+        assert int(entry["ARPD_GENERATION"]) > 0
+    explained = running.robot.call("journalctl", "--no-pager", "-x", "-n", "1", "ARPD_EVENT=plan").stdout
+    assert "There is a new plan" in explained
+    assert f"Cause: {plans[-1]['ARPD_CAUSE']}." in explained
+    for unit, host in running.hosts():
+        entries = running.entries(host, f"_SYSTEMD_UNIT={unit}.service", "_TRANSPORT=journal")
+        assert {entry["SYSLOG_IDENTIFIER"] for entry in entries} == {unit}
+        assert all(entry["CODE_FILE"].endswith(".py") for entry in entries)
+
+
 @pytest.mark.parametrize("unit", ["arpd", "arpd-relay", "arpd-peer"])
 def test_the_sandbox_is_in_force_while_data_flows(running, unit):
     """No capability, no privilege, filtered system calls, a read-only system; DDS works, and complains of nothing."""
@@ -381,7 +412,7 @@ def test_a_killed_daemon_comes_back_to_its_plan(running):
         f"ready {ready_s - killed_s:.1f} s after the kill, plan confirmed {confirmed_s - ready_s:.1f} s after that, "
         f"{running.swaps() - swaps:.0f} swaps"
     )
-    print("\n".join(line for line in running.robot.journal("arpd").splitlines() if ": plan " in line))
+    print("\n".join(entry["MESSAGE"] for entry in running.entries(running.robot, "ARPD_EVENT=plan")))
     assert running.state("MainPID")["MainPID"] != before["MainPID"]
 
 

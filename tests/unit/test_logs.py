@@ -1,11 +1,80 @@
-"""Logging under systemd."""
+"""Where the log of a process goes."""
+
+from __future__ import annotations
 
 import logging
+import os
+import socket
 
-from arpd.logs import _JournalFormatter
+import pytest
+
+from arpd.journal import JournalHandler
+from arpd.logs import configure_logging
 
 
-def test_every_line_carries_its_priority():
-    """Under systemd a warning is a warning in the journal too, on each of its lines."""
-    record = logging.LogRecord("arpd", logging.WARNING, "x.py", 1, "first\nsecond", None, None)
-    assert _JournalFormatter("%(message)s").format(record) == "<4>first\n<4>second"
+@pytest.fixture(autouse=True)
+def root():
+    """Give logging back as it was."""
+    logger = logging.getLogger()
+    handlers, level = logger.handlers[:], logger.level
+    yield logger
+    for handler in set(logger.handlers) - set(handlers):
+        handler.close()
+    logger.handlers[:] = handlers
+    logger.setLevel(level)
+
+
+@pytest.fixture
+def stderr(tmp_path):
+    with (tmp_path / "stderr").open("w+") as stream:
+        yield stream
+
+
+def stream_of(file):
+    """Name a file as JOURNAL_STREAM does."""
+    status = os.fstat(file.fileno())
+    return {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+
+
+def configure(**options):
+    """Configure a process that has no logging yet: pytest has put handlers of its own there."""
+    logging.getLogger().handlers.clear()
+    configure_logging("info", **options)
+
+
+def logged(stderr, text):
+    logging.getLogger("arpd.daemon").warning(text)
+    stderr.seek(0)
+    return stderr.read()
+
+
+def test_a_terminal_gets_plain_lines(stderr, tmp_path):
+    """Outside systemd a line has its level and its logger, and no number before it."""
+    configure(environ={}, stderr=stderr, journal=tmp_path / "none")
+    assert logged(stderr, "first\nsecond") == "WARNING arpd.daemon: first\nsecond\n"
+
+
+def test_every_line_carries_its_priority(stderr, tmp_path):
+    """Where stderr is the journal's and its socket is out of reach, a warning is a warning on each of its lines."""
+    configure(environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "none")
+    assert logged(stderr, "first\nsecond") == "<4>WARNING arpd.daemon: first\n<4>second\n"
+
+
+def test_under_systemd_entries_go_to_the_journal(stderr, tmp_path, root):
+    """Where stderr is the journal's, records go to its socket by the process's name, and none to stderr."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
+        journal.bind(str(tmp_path / "socket"))
+        configure(name="arpd-relay", environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "socket")
+        assert isinstance(root.handlers[0], JournalHandler)
+        assert logged(stderr, "hello") == ""
+        entry = journal.recv(10_000)
+    assert entry.startswith(b"MESSAGE=hello\nPRIORITY=4\nSYSLOG_IDENTIFIER=arpd-relay\n")
+
+
+@pytest.mark.parametrize("stream", ["1:2", "", "nonsense"])
+def test_a_stderr_that_was_redirected_is_written_to(stderr, tmp_path, stream):
+    """A JOURNAL_STREAM that names another file than stderr was inherited, and means nothing."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
+        journal.bind(str(tmp_path / "socket"))
+        configure(environ={"JOURNAL_STREAM": stream}, stderr=stderr, journal=tmp_path / "socket")
+        assert logged(stderr, "hello") == "WARNING arpd.daemon: hello\n"

@@ -1,0 +1,69 @@
+"""What happened, as the decision log tells it: one plain sentence, and what a program needs to find it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class Severity(StrEnum):
+    """How much an event matters to whoever runs the robot."""
+
+    INFO = "info"
+    WARNING = "warning"  # something is worse than it should be, and arpd goes on
+    ERROR = "error"  # somebody has to do something
+
+
+class EventKind(StrEnum):
+    """What an event is about; each is a label of ``arpd_events_total`` and ``ARPD_EVENT`` in the journal."""
+
+    STARTED = "started"
+    OUTAGE = "outage"  # the link carries nothing
+    RECOVERED = "recovered"
+    INTERFACE = "interface"  # the link interface changed its state
+    PEER_FOUND = "peer_found"
+    PEER_LOST = "peer_lost"
+    PLAN = "plan"  # a new plan
+    CONFIRMED = "confirmed"  # every publisher announces it
+    PLAN_REFUSED = "plan_refused"  # a plan was wanted, and dwell or budget stood against it
+    INFEASIBLE = "infeasible"  # not everything asked for fits
+    FEASIBLE = "feasible"  # it does again
+    MEMORY = "memory"  # depths follow memory
+    SWAP = "swap"  # the writer of a topic was replaced
+    SWAP_FAILED = "swap_failed"  # it was not
+    REFUSED = "refused"  # a publisher or reader refuses what it was asked for
+    TOPIC_FOUND = "topic_found"
+    TOPIC_LOST = "topic_lost"
+    RELOADED = "reloaded"
+    RELOAD_FAILED = "reload_failed"
+    STANDING_BY = "standing_by"
+    IN_CHARGE = "in_charge"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Event:
+    """One line of the decision log.
+
+    Parameters
+    ----------
+    number : counts up from 1 since the daemon started
+    unix_time_s : wall clock when it happened (s)
+    kind, severity : what it is about, and how much it matters
+    text : a plain sentence without a full stop: "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"
+    topic, node : the topic and the node it is about, empty when it is about more than one
+    details : further facts by lower-case name, for programs
+    """
+
+    number: int
+    unix_time_s: float
+    kind: EventKind
+    severity: Severity
+    text: str
+    topic: str = ""
+    node: str = ""
+    details: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))

@@ -1,0 +1,165 @@
+"""The daemon's statuses on /diagnostics, as a monitor on another node receives them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Float64
+
+from arpd.chronicle import Chronicle
+from arpd.model import LinkState
+from arpd.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
+from arpd.ros.graph import read_crossings
+from arpd.ros.names import GATE_TOPIC
+from arpd.ros.rmw import current_rmw
+from tests.golden.sample import make_snapshot
+
+pytestmark = pytest.mark.ros
+
+NAMES = ["arpd: link", "arpd: plan", "arpd: configuration", "arpd: events"]
+
+
+class Daemon:
+    """A daemon whose pictures the test makes."""
+
+    def __init__(self):
+        self._chronicle = Chronicle()
+        self.snapshot = None
+
+    def tick(self, **changed):
+        """Take the sample picture, with another link where the test says so."""
+        # Of the future: however slow the machine is, it does not grow stale before it is looked at.
+        picture = replace(make_snapshot(), finished_at_s=time.monotonic() + 1000.0, unix_time_s=time.time())
+        picture = replace(picture, link=replace(picture.link, **changed))
+        self._chronicle.follow(picture)
+        self.snapshot = replace(picture, events=self._chronicle.events)
+
+
+class Monitor:
+    """What rqt_robot_monitor's side sees: arrays, and when they arrived."""
+
+    def __init__(self, node):
+        self.arrays = []
+        # diagnostic_aggregator subscribes with ROS's defaults: reliable, volatile.
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_array, 10)
+
+    def _on_array(self, array):
+        self.arrays.append((time.monotonic(), array))
+
+    def statuses(self):
+        return {status.name: status for status in self.arrays[-1][1].status} if self.arrays else {}
+
+    def message(self, name):
+        return self.statuses()[name].message if name in self.statuses() else ""
+
+    def events(self):
+        return [value.value for value in self.statuses()["arpd: events"].values]
+
+
+@pytest.fixture
+def daemon():
+    return Daemon()
+
+
+class Clock:
+    """A clock that can be stopped, so that nothing is due by it any more."""
+
+    def __init__(self):
+        self._stopped_s = None
+
+    def stop(self):
+        self._stopped_s = time.monotonic()
+
+    def __call__(self):
+        return self._stopped_s or time.monotonic()
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def monitor(ros, daemon, clock):
+    Diagnostics(ros.node("arpd"), lambda: daemon.snapshot, clock=clock, host="robot-1")
+    return Monitor(ros.node("monitor"))
+
+
+def test_a_monitor_sees_every_status(monitor, daemon, eventually):
+    """Four statuses with names an aggregator sorts by, levels as bytes, host, values and a stamp."""
+    eventually(monitor.statuses)
+    assert {status.level for status in monitor.statuses().values()} == {DiagnosticStatus.STALE}
+    daemon.tick()
+    eventually(lambda: monitor.message("arpd: link") == "4 Mbit/s, steady")
+    array = monitor.arrays[-1][1]
+    assert [status.name for status in array.status] == NAMES
+    assert {status.hardware_id for status in array.status} == {"robot-1"}
+    assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.OK
+    assert all(value.key and value.value for status in array.status[:2] for value in status.values)
+    assert abs(array.header.stamp.sec - time.time()) < 60
+
+
+def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
+    """An outage is told when it happens, though nothing else is due."""
+    daemon.tick()
+    eventually(lambda: monitor.message("arpd: events"))
+    clock.stop()
+    daemon.tick(state=LinkState.OUTAGE)
+    told_s = time.monotonic()
+    eventually(lambda: "the link carries nothing since 62.5 ms ago: floors only" in monitor.events())
+    assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.ERROR
+    print(f"seen after {monitor.arrays[-1][0] - told_s:.2f} s")
+
+
+def test_nothing_is_made_while_nobody_listens(ros, daemon, eventually, monkeypatch):
+    """Without a subscriber no array is published; the first one is, once somebody is there."""
+    published = []
+    node = ros.node("arpd")
+    real = node.create_publisher
+
+    def watched(*arguments, **options):
+        publisher = real(*arguments, **options)
+        monkeypatch.setattr(publisher, "publish", published.append, raising=False)
+        return publisher
+
+    monkeypatch.setattr(node, "create_publisher", watched)
+    looks = []
+    Diagnostics(node, lambda: looks.append(1) or daemon.snapshot)
+    eventually(lambda: len(looks) > 8)
+    assert not published
+    Monitor(ros.node("monitor"))
+    eventually(lambda: published)
+
+
+def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, caplog):
+    """The node goes on spinning, and so does the daemon."""
+    calls = []
+
+    def broken():
+        calls.append(1)
+        raise RuntimeError("no picture")
+
+    node = ros.node("arpd")
+    Diagnostics(node, broken)
+    eventually(lambda: len(calls) > 3)
+    assert sum("/diagnostics is not told" in record.message for record in caplog.records) == 1
+
+
+def test_what_the_daemon_says_there_is_no_traffic_of_the_robot(ros, daemon, eventually):
+    """The graph shows the robot's own writers of /diagnostics, and the daemon's not among them."""
+    node = ros.node("arpd")
+    node.create_publisher(Float64, GATE_TOPIC, 1)  # by which the daemon knows its host
+    Diagnostics(node, lambda: daemon.snapshot)
+    Monitor(ros.node("monitor"))
+    rmw = current_rmw()
+    eventually(lambda: read_crossings(node, rmw).get(DIAGNOSTICS_TOPIC))
+    assert read_crossings(node, rmw)[DIAGNOSTICS_TOPIC].writers == frozenset()
+    battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
+    eventually(lambda: read_crossings(node, rmw)[DIAGNOSTICS_TOPIC].writers == {"/battery"})
+    battery.destroy()

@@ -1,0 +1,233 @@
+"""The journal's native protocol, spoken to a socket of the test's own."""
+
+from __future__ import annotations
+
+import array
+import logging
+import os
+import socket
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from arpd.event import Event, EventKind, Severity
+from arpd.journal import MESSAGE_IDS, JournalHandler
+from arpd.logs import log_event
+
+CATALOG = Path(__file__).parents[2] / "systemd/arpd.catalog"
+
+
+def fields(data):
+    """Read one entry as journald does: `KEY=value`, or `KEY`, a length of 64 bits and the value."""
+    found = {}
+    while data:
+        line, _, rest = data.partition(b"\n")
+        if b"=" in line:
+            name, _, value = line.partition(b"=")
+            data = rest
+        else:
+            name, (length,) = line, struct.unpack("<Q", rest[:8])
+            value, data = rest[8 : 8 + length], rest[9 + length :]
+        assert name not in found
+        found[name.decode()] = value.decode()
+    return found
+
+
+class Journal:
+    """A journald that takes what it is sent when it is asked to."""
+
+    def __init__(self, path):
+        self.path = path
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(path))
+        self.socket.settimeout(2.0)
+
+    def entry(self):
+        """Take one entry, be it in the datagram or in a file sent along."""
+        data, ancillary, _, _ = self.socket.recvmsg(1 << 18, socket.CMSG_SPACE(4))
+        if not ancillary:
+            return fields(data)
+        assert data == b""
+        (number,) = array.array("i", ancillary[0][2])
+        with os.fdopen(number, "rb") as file:
+            file.seek(0)
+            return fields(file.read())
+
+    def is_empty(self):
+        self.socket.settimeout(0.0)
+        try:
+            self.socket.recv(1)
+        except BlockingIOError:
+            return True
+        return False
+
+
+@pytest.fixture
+def journal(tmp_path):
+    journal = Journal(tmp_path / "socket")
+    yield journal
+    journal.socket.close()
+
+
+@pytest.fixture
+def pipe():
+    """Return both ends of a stderr that somebody may read, or not."""
+    reader, writer = os.pipe()
+    with os.fdopen(reader, "rb", buffering=0) as at, os.fdopen(writer, "w") as stream:
+        yield at, stream
+
+
+@pytest.fixture
+def logger(journal, pipe):
+    handler = JournalHandler("arpd-test", stderr=pipe[1], path=journal.path)
+    log = logging.getLogger("arpd.events")
+    log.addHandler(handler)
+    log.setLevel("DEBUG")
+    log.propagate = False
+    yield log
+    log.removeHandler(handler)
+    log.propagate = True
+    handler.close()
+
+
+def event(**more):
+    return Event(
+        **{
+            "number": 7,
+            "unix_time_s": 1.7e9,
+            "kind": EventKind.PLAN,
+            "severity": Severity.WARNING,
+            "text": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+            "details": {"cause": "down", "level_bytes_per_second": "540000"},
+            **more,
+        }
+    )
+
+
+def test_an_event_is_an_entry_with_its_fields(journal, logger):
+    """`journalctl ARPD_EVENT=plan` finds it: name, severity, number and every detail are fields."""
+    log_event(event())
+    entry = journal.entry()
+    assert {name: text for name, text in entry.items() if name.startswith(("ARPD_", "MESSAGE", "PRIO", "SYSLOG"))} == {
+        "MESSAGE": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+        "PRIORITY": "4",
+        "SYSLOG_IDENTIFIER": "arpd-test",
+        "SYSLOG_FACILITY": "3",
+        "MESSAGE_ID": MESSAGE_IDS[EventKind.PLAN],
+        "ARPD_EVENT": "plan",
+        "ARPD_SEVERITY": "warning",
+        "ARPD_NUMBER": "7",
+        "ARPD_CAUSE": "down",
+        "ARPD_LEVEL_BYTES_PER_SECOND": "540000",
+    }
+
+
+def test_a_topic_and_a_node_are_fields_where_there_is_one(journal, logger):
+    """An event of one publisher is found by its topic and by its node."""
+    log_event(event(kind=EventKind.SWAP, topic="/scan", node="/lidar"))
+    entry = journal.entry()
+    assert (entry["ARPD_TOPIC"], entry["ARPD_NODE"], entry["ARPD_EVENT"]) == ("/scan", "/lidar", "swap")
+
+
+def test_a_plain_record_says_where_it_comes_from(journal, logger):
+    """Any other log line has its priority, its logger and its place in the code, and no field of an event."""
+    logger.error("no")
+    entry = journal.entry()
+    assert (entry["PRIORITY"], entry["LOGGER"], entry["CODE_FILE"]) == ("3", "arpd.events", __file__)
+    assert entry["CODE_FUNC"] == "test_a_plain_record_says_where_it_comes_from"
+    assert int(entry["CODE_LINE"]) > 0
+    assert not any(name.startswith(("ARPD_", "MESSAGE_ID")) for name in entry)
+
+
+def test_a_message_of_several_lines_is_one_entry(journal, logger):
+    """A traceback stays in one piece, and no line of it can pass for a field."""
+    logger.warning("first\nPRIORITY=0\nlast")
+    entry = journal.entry()
+    assert entry["MESSAGE"] == "first\nPRIORITY=0\nlast"
+    assert entry["PRIORITY"] == "4"
+
+
+def test_a_message_too_large_for_a_datagram_arrives_whole(journal, logger):
+    """Half a megabyte travels in a sealed file, as sd_journal_send sends it."""
+    logger.info("x" * 500_000)
+    assert journal.entry()["MESSAGE"] == "x" * 500_000
+
+
+def test_text_that_is_no_utf8_is_logged_all_the_same(journal, logger):
+    """A name with a byte that has no character loses that, and nothing else."""
+    apart = logging.Logger("apart")  # noqa: LOG001 - pytest would keep the line, and xdist could not send it
+    apart.addHandler(logger.handlers[0])
+    apart.info("/scan\udcff is odd")
+    assert journal.entry()["MESSAGE"] == "/scan? is odd"
+
+
+def test_a_journal_that_comes_back_is_found(journal, logger, pipe, tmp_path):
+    """While there is no journal lines go to stderr with their priority; a new one at the same place gets the next."""
+    journal.socket.close()
+    journal.path.unlink()
+    logger.warning("one\ntwo")
+    assert pipe[0].read(100) == b"<4>one\n<4>two\n"
+    again = Journal(journal.path)
+    logger.warning("three")
+    assert again.entry()["MESSAGE"] == "three"
+    again.socket.close()
+
+
+def test_a_journal_that_hangs_stops_nobody(journal, logger, pipe):
+    """When neither journal nor stderr take any more, logging returns, counts what is lost, and says so later."""
+    for number in range(20_000):
+        logger.warning("line %05d %s", number, "x" * 200)
+    taken = 0
+    while not journal.is_empty():
+        taken += 1
+    written = 0
+    os.set_blocking(pipe[0].fileno(), False)
+    while some := pipe[0].read(1 << 20):
+        written += some.count(b"\n")
+    assert taken > 0
+    assert written > 0
+    assert taken + written < 20_000
+    journal.socket.settimeout(2.0)
+    logger.warning("again")
+    assert journal.entry()["MESSAGE"] == "again"
+    lost = 20_000 - taken - written
+    assert journal.entry()["MESSAGE"] == f"messages that the journal did not take and that are lost: {lost}"
+
+
+def test_every_kind_of_event_has_an_id_of_its_own():
+    """128 bits in hexadecimal, each once, none missing."""
+    assert set(MESSAGE_IDS) == set(EventKind)
+    assert len({*MESSAGE_IDS.values()}) == len(EventKind)
+    assert all(len(number) == 32 and int(number, 16) for number in MESSAGE_IDS.values())
+
+
+def catalog():
+    """Read the catalog: message id → its headers and its words."""
+    entries = [entry.split("\n\n", 1) for entry in CATALOG.read_text().split("\n-- ")[1:]]
+    return {head.split("\n")[0]: (head, words) for head, words in entries}
+
+
+def test_the_catalog_explains_every_event():
+    """`journalctl -x` has a subject and an explanation for each kind, and for nothing else."""
+    assert set(catalog()) == set(MESSAGE_IDS.values())
+    for head, words in catalog().values():
+        assert "\nSubject: " in head
+        assert len(words.strip()) > 20
+
+
+def test_the_catalog_compiles(tmp_path):
+    """The command `journalctl --update-catalog` reads the file without a complaint."""
+    root = tmp_path / "usr/lib/systemd/catalog"
+    root.mkdir(parents=True)
+    (root / "arpd.catalog").write_text(CATALOG.read_text())
+    (tmp_path / "var/lib/systemd/catalog").mkdir(parents=True)
+    try:
+        updated = subprocess.run(
+            ["journalctl", f"--root={tmp_path}", "--update-catalog"], capture_output=True, text=True, check=False
+        )
+    except FileNotFoundError:
+        pytest.skip("no journalctl")
+    assert (updated.returncode, updated.stderr) == (0, "")
+    assert (tmp_path / "var/lib/systemd/catalog/database").stat().st_size > 0
