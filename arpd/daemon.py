@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections import Counter
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.chronicle import Chronicle
 from arpd.config import describe_change, in_force, restart_only_changes
+from arpd.durations import SwapWatch
 from arpd.errors import ConfigError
 from arpd.estimator import Estimator
 from arpd.governor import Governor
+from arpd.history import History
 from arpd.interface import state_of
 from arpd.ordering import Ordering
 from arpd.planner import paced_restore_plan, restore_plan
@@ -27,7 +29,8 @@ from arpd.version import VERSION
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.model import Decision, Observation, QosPlan
+    from arpd.event import Event
+    from arpd.model import Allocation, Decision, Observation
     from arpd.settings import Settings
     from arpd.world import CapacityEstimator, World
 
@@ -52,6 +55,7 @@ class Daemon:
     config_path : the file the settings came from, for the snapshot
     clock, wall_clock : monotonic and Unix time (s)
     estimator : what tells the capacity; `arpd.estimator.Estimator` by default, another to compare it with
+    tell : told of every event of the decision log
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class Daemon:
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
         estimator: CapacityEstimator | None = None,
+        tell: Callable[[Event], None] = lambda _event: None,
     ) -> None:
         self._world = world
         self._settings = settings
@@ -83,9 +88,13 @@ class Daemon:
         self._disagreements = 0
         self._ordering = Ordering()
         self._totals = Totals()
+        self._swaps = SwapWatch()
         self._reloads: Counter[str] = Counter()
         self._changed_keys: Counter[str] = Counter()
-        self._others: tuple[tuple[str, ...], str] = ((), "")  # daemons heard last, and which of them was in charge
+        self._tell = tell
+        self._chronicle = Chronicle()
+        self._is_untold = False  # whether the decision log failed
+        self.history = History()
         self.snapshot: Snapshot | None = None
 
     @property
@@ -107,7 +116,6 @@ class Daemon:
         allocation = self._program.solve(
             link.available_bytes_per_second, topics, memory, packet_overhead_s=link.available_packet_overhead_s
         )
-        self._note_others(observation)
         if observation.superior:
             decision = self._governor.stand_by()
         else:
@@ -134,11 +142,9 @@ class Daemon:
             self._world.apply(steps.transitions, now_s=now_s)
             for request in self._estimator.wanted_probes(now_s):
                 self._world.probe(request)
-        if decision.level_changed:
-            log.info("plan %d (%s): %s", decision.plan.generation, decision.reason, _describe(decision.plan))
-        self._totals = self._count(observation)
         finished_s = self._clock()
-        self.snapshot = Snapshot(
+        self._totals = self._count(observation, allocation, tick_s=finished_s - now_s)
+        picture = Snapshot(
             version=VERSION,
             interface=self._interface,
             finished_at_s=finished_s,
@@ -158,7 +164,22 @@ class Daemon:
             config_loaded_at_s=self._config_loaded_at_s,
             keys_awaiting_restart=self._awaiting_restart,
         )
+        self._publish(picture)
         return decision
+
+    def _publish(self, picture: Snapshot) -> None:
+        """Write what happened into the decision log, and let everybody see the snapshot with it."""
+        try:
+            for event in self._chronicle.follow(picture):
+                self._tell(event)
+        except Exception:
+            # What cannot be told must not keep the robot from being governed.
+            if not self._is_untold:
+                log.exception("the decision log misses what happened; said once")
+            self._is_untold = True
+        totals = replace(picture.totals, events_by_kind=self._chronicle.counts_by_kind)
+        self.snapshot = replace(picture, totals=totals, events=self._chronicle.events)
+        self.history.note(self.snapshot)
 
     def _observe(self, now_s: float) -> Observation:
         observation = self._world.observe(now_s)
@@ -168,25 +189,20 @@ class Daemon:
             self._interface, self._has_interface = observation.counters.interface, True
         return observation
 
-    def _note_others(self, observation: Observation) -> None:
-        """Say it when another daemon comes, goes, or takes the lead: two of them are rarely meant."""
-        if (others := (observation.other_daemons, observation.superior)) == self._others:
-            return
-        self._others = others
-        if observation.superior:
-            log.warning("another arpd daemon, on %s, has run for longer: standing by", observation.superior)
-        elif observation.other_daemons:
-            log.warning("another arpd daemon stands by, on %s", ", ".join(observation.other_daemons))
-        else:
-            log.info("no other arpd daemon is left: in charge")
-
     def note_failed_tick(self) -> None:
-        """Count a tick that raised."""
+        """Count a tick that raised, and show it: there may be no other for a while."""
         self._totals = replace(self._totals, ticks_failed=self._totals.ticks_failed + 1)
+        if self.snapshot is not None:
+            totals = replace(self.snapshot.totals, ticks_failed=self._totals.ticks_failed)
+            self.snapshot = replace(self.snapshot, totals=totals)
 
-    def note_late_tick(self) -> None:
-        """Count a tick that started more than half a period late."""
-        self._totals = replace(self._totals, ticks_late=self._totals.ticks_late + 1)
+    def note_lateness(self, late_s: float) -> None:
+        """Count how late a tick begins; more than half a period is late (s)."""
+        self._totals = replace(
+            self._totals,
+            ticks_late=self._totals.ticks_late + (late_s > TICK_S / 2),
+            durations=self._totals.durations.with_lateness(late_s),
+        )
 
     def note_failed_reload(self, why: str) -> None:
         """Count a reload that was refused; ``why`` shows in the status until one succeeds."""
@@ -211,7 +227,8 @@ class Daemon:
         except ConfigError as error:
             for fault in error.faults[:_MOST_FAULTS]:
                 log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
-            log.error("reload refused, faults: %d; the configuration in force stays", len(error.faults))  # noqa: TRY400
+            if (more := len(error.faults) - _MOST_FAULTS) > 0:
+                log.error("further faults: %d", more)  # noqa: TRY400 - the same
             self.note_failed_reload(error.faults[0])
             return False
         before, fresh = self._settings, in_force(self._settings, wanted)
@@ -222,8 +239,6 @@ class Daemon:
             log.info("reloaded: %s", change)
         for change in describe_change(fresh, wanted):
             log.warning("%s; takes effect after a restart", change)
-        if not changes and not awaiting:
-            log.info("reloaded: nothing changed")
         self._changed_keys.update(in_force=len(changes), awaiting_restart=len({*awaiting} - {*self._awaiting_restart}))
         self._awaiting_restart = tuple(awaiting)
         self._config_error = ""
@@ -340,8 +355,9 @@ class Daemon:
         planned = self.snapshot.decision.plan.topics
         return sum(publisher.topic in planned for publisher in self.snapshot.observation.publishers)
 
-    def _count(self, observation: Observation) -> Totals:
+    def _count(self, observation: Observation, allocation: Allocation, *, tick_s: float) -> Totals:
         probes, probe_bytes = self._world.probes_sent()
+        is_solved = self.snapshot is None or allocation is not self.snapshot.allocation
         return replace(
             self._totals,
             ticks=self._totals.ticks + 1,
@@ -355,12 +371,9 @@ class Daemon:
             reports=self._totals.reports + len(observation.reports),
             reloads_by_result=MappingProxyType(dict(self._reloads)),
             changed_keys_by_effect=MappingProxyType(dict(self._changed_keys)),
+            durations=self._totals.durations.with_tick(
+                tick_s,
+                solve_s=allocation.solve_s if is_solved else None,
+                phases=self._swaps.look(observation.publishers),
+            ),
         )
-
-
-def _describe(plan: QosPlan) -> str:
-    rows = (
-        f"{topic} {'unpaced' if math.isinf(row.rate_hz) else f'{row.rate_hz:.3g} Hz'} depth {row.depth}"
-        for topic, row in plan.topics.items()
-    )
-    return ", ".join(rows)

@@ -6,9 +6,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.durations import Durations
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from arpd.event import Event
     from arpd.model import Allocation, Decision, LinkEstimate, Observation
     from arpd.readers import ReaderPlan
 
@@ -29,6 +32,8 @@ class Totals:
     reports : peer reports received
     reloads_by_result : configuration reloads (``ok``, ``failed``)
     changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
+    events_by_kind : lines of the decision log, by `arpd.event.EventKind`
+    durations : what took how long
     """
 
     ticks: int = 0
@@ -44,6 +49,8 @@ class Totals:
     reports: int = 0
     reloads_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     changed_keys_by_effect: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    durations: Durations = field(default_factory=Durations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,6 +74,7 @@ class Snapshot:
     reader_plans : what the plan wants of the readers of its topics, by node and topic
     readers_confirmed : number of those whose announcement matches it
     lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
+    events : the last of the decision log, oldest first
     """
 
     version: str
@@ -87,3 +95,4 @@ class Snapshot:
     reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
     readers_confirmed: int = 0
     lease_s: float = 0.0
+    events: tuple[Event, ...] = ()

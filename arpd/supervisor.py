@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.daemon import TICK_S, Daemon
+from arpd.garbage import Garbage
 from arpd.host.locators import Locators
-from arpd.logs import configure_logging
+from arpd.logs import configure_logging, log_event
 from arpd.settings import OnStop
 from arpd.systemd import Heartbeat, Notifier
-from arpd.version import VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,6 +90,8 @@ class Supervisor:
     load : reads and checks the configuration
     fault : says what is wrong around the daemon, empty when nothing is
     is_cut_off : whether a new process would reach somebody whom this one does not
+    resting : set while no tick runs, so that others may know when they are in nobody's way
+    tidy : called after every tick, for what had better not begin in the middle of one
     """
 
     def __init__(
@@ -101,6 +103,8 @@ class Supervisor:
         load: Callable[[], Settings],
         fault: Callable[[], str] = lambda: "",
         is_cut_off: Callable[[], bool] = lambda: False,
+        resting: threading.Event | None = None,
+        tidy: Callable[[], None] = lambda: None,
     ) -> None:
         self._daemon = daemon
         self._signals = signals
@@ -108,6 +112,9 @@ class Supervisor:
         self._load = load
         self._fault = fault
         self._is_cut_off = is_cut_off
+        self._resting = resting or threading.Event()
+        self._resting.set()
+        self._tidy = tidy
         self._heartbeat = Heartbeat(notifier)
         self._reading: Future[Settings] | None = None
         self._is_ready = False
@@ -120,14 +127,16 @@ class Supervisor:
         while not self._signals.stop and not self._is_cut_off():
             self._follow_reloads()
             now_s = time.monotonic()
-            if now_s - next_s > TICK_S / 2:
-                self._daemon.note_late_tick()
+            self._daemon.note_lateness(max(0.0, now_s - next_s))
+            self._resting.clear()
             try:
                 self._daemon.tick(now_s)
             except Exception as error:  # noqa: BLE001 - logged there, though not ten times a second
                 self._note_failure(error)
             else:
                 self._note_success()
+            self._tidy()
+            self._resting.set()
             next_s = now_s + TICK_S
             time.sleep(_LEAST_PAUSE_S)
             self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
@@ -202,21 +211,39 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 
         from arpd.ros.control import RosControl  # noqa: PLC0415
+        from arpd.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.web.patient import PatientServer  # noqa: PLC0415
         from arpd.web.service import serving  # noqa: PLC0415
 
         link = settings.link.interface
         world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
-        daemon = Daemon(world, settings, interface=link, config_path=str(config_path))
+        daemon = Daemon(world, settings, interface=link, config_path=str(config_path), tell=log_event)
+        Diagnostics(node, lambda: daemon.snapshot)
         signals.is_looping = True
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        web = PatientServer(lambda: serving(settings.http, lambda: daemon.snapshot, directory=config_path.parent))
-        supervisor = Supervisor(
-            daemon, signals, notifier, load=load, fault=lambda: web.fault, is_cut_off=locators.are_outdated
+        resting, garbage = threading.Event(), Garbage()
+        web = PatientServer(
+            lambda: serving(
+                settings.http,
+                lambda: daemon.snapshot,
+                directory=config_path.parent,
+                history=daemon.history,
+                resting=resting,
+            )
         )
+        supervisor = Supervisor(
+            daemon,
+            signals,
+            notifier,
+            load=load,
+            fault=lambda: web.fault,
+            is_cut_off=locators.are_outdated,
+            resting=resting,
+            tidy=garbage.collect_if_due,
+        )
+        garbage.take_over()
         with web.up(), spinning(executor):
-            log.info("arpd %s, link.interface %s", VERSION, link)
             supervisor.run()
             if not signals.stop:
                 raise locators.error()

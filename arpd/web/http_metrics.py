@@ -88,7 +88,7 @@ class HttpCounts(Collector):
                 reloads,
             ),
         ):
-            yield counter_by(name, text, (label,), (((), known, counts),))
+            yield counter_by(name, text, label, known, (({}, counts),))
         yield GaugeMetricFamily(
             "arpd_http_config_last_reload_successful",
             "0 while http.web_config, as it is now, cannot be used and an older one is in force.",

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
+from arpd.estimator_belief import EstimatorEvent
 from arpd.interface import InterfaceState, state_of
+from arpd.web.families import counter_by, gauge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
     from arpd.interface import LinkCounters
+    from arpd.model import LinkEstimate
     from arpd.snapshot import Snapshot
 
 _INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
@@ -50,6 +53,7 @@ def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         radio.add_metric((interface,), rate)
         yield radio
     yield from _of_peers(snapshot.observation.peer_ages_s)
+    yield from _of_probes(snapshot.link)
     if counters is None:
         return
     if counters.backlog_bytes is not None:
@@ -70,3 +74,24 @@ def _of_peers(ages_s: Mapping[str, float]) -> Iterator[Metric]:
     for peer, age_s in sorted(ages_s.items()):
         family.add_metric((peer,), age_s)
     yield family
+
+
+def _of_probes(link: LinkEstimate) -> Iterator[Metric]:
+    """Yield what probes and reports say beside the capacity; what is not known has no series."""
+    if link.loss_ratio is not None:
+        yield gauge(
+            "arpd_link_loss_ratio", "Share of the probe packets of late that never reached a peer.", link.loss_ratio
+        )
+    if link.return_delay_s is not None:
+        yield gauge(
+            "arpd_link_return_delay_seconds",
+            "One-way delay of the peer's reports above its minimum of the last 10 seconds: what commands wait.",
+            link.return_delay_s,
+        )
+    yield counter_by(
+        "arpd_estimator_events",
+        "Times each rule changed the capacity estimate, and outages that began.",
+        "event",
+        EstimatorEvent,
+        (({}, link.events_by_kind),),
+    )

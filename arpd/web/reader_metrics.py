@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from prometheus_client.core import GaugeMetricFamily
-
 from arpd.handover import HandoverResult
 from arpd.model import NANOSECONDS_PER_SECOND
-from arpd.web.families import counter_by
+from arpd.web.families import counter_by, counter_of, gauge, gauge_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,8 +16,6 @@ if TYPE_CHECKING:
 
     from arpd.readers import ReaderState
     from arpd.snapshot import Snapshot
-
-_LABELS = ("topic", "node")
 
 _GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (
     ("arpd_reader_depth_samples", "DEPTH the reader announces.", lambda r: r.depth),
@@ -35,20 +31,24 @@ _GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (
 
 def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
     """Yield the families in a fixed order, their series sorted by topic and node."""
-    readers = [((r.topic, r.node), r) for r in sorted(snapshot.observation.readers, key=lambda r: (r.topic, r.node))]
+    ordered = sorted(snapshot.observation.readers, key=lambda r: (r.topic, r.node))
+    readers = [({"topic": reader.topic, "node": reader.node}, reader) for reader in ordered]
     for name, text, value in (
         ("arpd_readers_managed", "Live readers the plan in force covers.", len(snapshot.reader_plans)),
         ("arpd_readers_confirmed", "Managed readers that announce the plan in force.", snapshot.readers_confirmed),
     ):
-        yield GaugeMetricFamily(name, text, value=float(value))
+        yield gauge(name, text, value)
     for name, text, read in _GAUGES:
-        gauge = GaugeMetricFamily(name, text, labels=_LABELS)
-        for labels, reader in readers:
-            gauge.add_metric(labels, float(read(reader)))
-        yield gauge
+        yield gauge_of(name, text, ((labels, float(read(reader))) for labels, reader in readers))
+    yield counter_of(
+        "arpd_reader_deadlines_missed",
+        "Requested DEADLINE periods that passed without a message.",
+        ((labels, reader.deadlines_missed) for labels, reader in readers),
+    )
     yield counter_by(
         "arpd_reader_handovers",
         "Handovers of the reader.",
-        (*_LABELS, "result"),
-        ((labels, HandoverResult, reader.handovers_by_result) for labels, reader in readers),
+        "result",
+        HandoverResult,
+        ((labels, reader.handovers_by_result) for labels, reader in readers),
     )

@@ -6,6 +6,7 @@ import math
 from types import MappingProxyType
 
 from arpd.admission import Kind, Reason, Taken
+from arpd.durations import Durations
 from arpd.interface import InterfaceState, LinkCounters
 from arpd.model import (
     Allocation,
@@ -23,6 +24,7 @@ from arpd.model import (
     TopicPlan,
 )
 from arpd.probing import PeerReport
+from arpd.publishers import SwapRecord
 from arpd.readers import ReaderPlan
 from arpd.refusal import RefusalReason
 from arpd.snapshot import Snapshot, Totals
@@ -44,7 +46,19 @@ _IMAGE = publisher(
     rate_hz=12.5,
     deadline_ns=100_000_000,
     generation=3,
+    published_rate_hz=11.5,
+    withheld_by_cause=MappingProxyType({"rate": 1700, "gate": 99}),
+    deadlines_missed=4,
+    swaps_begun=4,
     swaps_by_result=MappingProxyType({"ok": 2, "reorder_possible": 1}),
+    swap_seconds_by_phase=MappingProxyType({"matching": 9.25, "watching": 0.5, "proving": 0.125, "draining": 1.5}),
+    last_swap=SwapRecord(
+        number=3,
+        result="reorder_possible",
+        depth=10,
+        deadline_ns=100_000_000,
+        seconds_by_phase=MappingProxyType({"matching": 3.0625, "watching": 0.25, "proving": 0.0625}),
+    ),
     remote_readers=1,
     requested_deadline_ns=200_000_000,
     age_s=0.5,
@@ -55,6 +69,7 @@ _IMU = publisher(
     type_name="sensor_msgs/msg/Imu",
     payload_bytes=328.0,
     source_rate_hz=100.0,
+    published_rate_hz=100.0,
     offered=10000,
     published=10000,
     blocked_s=0.0625,
@@ -74,7 +89,9 @@ _COMMAND = publisher(
     published=2000,
     depth=1,
     baseline_depth=1,
+    swaps_begun=1,
     swaps_by_result=MappingProxyType({"unmatched": 1}),
+    swap_seconds_by_phase=MappingProxyType({"matching": 10.25}),
     refusal="depth 16: /robot/base did not match the new writer in 5 s",
     refusal_reason=RefusalReason.UNMATCHED,
     remote_readers=1,
@@ -98,6 +115,7 @@ _PLANNER = reader(
     baseline_deadline_ns=100_000_000,
     generation=3,
     handovers_by_result=MappingProxyType({"ok": 1}),
+    deadlines_missed=6,
     age_s=0.25,
 )
 _LOGGER = reader(
@@ -205,6 +223,9 @@ def make_snapshot() -> Snapshot:
             evidence="3 trains, median 500 kB/s",
             foreign_bytes_per_second=62_500.0,
             packet_overhead_s=0.00025,
+            loss_ratio=0.015625,
+            return_delay_s=0.0078125,
+            events_by_kind=MappingProxyType({"first": 1, "down": 1, "follow": 12}),
         ),
         allocation=_ALLOCATION,
         decision=Decision(gate=0.75, plan=_PLAN, level_changed=False, reason="", refusals=("dwell",)),
@@ -222,7 +243,13 @@ def make_snapshot() -> Snapshot:
             probes=120,
             probe_bytes=1_440_000,
             reports=8900,
-            reloads_by_result=MappingProxyType({"ok": 2}),
+            reloads_by_result=MappingProxyType({"ok": 2, "failed": 1}),
+            events_by_kind=MappingProxyType({"started": 1, "plan": 3}),
+            durations=Durations()
+            .with_lateness(0.0)
+            .with_lateness(0.0625)
+            .with_tick(0.0078125, solve_s=0.000125, phases={"matching": [3.0625], "proving": [0.0625]})
+            .with_tick(3.0, solve_s=None, phases={}),
         ),
         config_path="/etc/arpd/arpd.yaml",
         config_error="",

@@ -136,10 +136,11 @@ def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
     assert (world.writer.depth, world.writer.deadline_ns) == (10, 85 * MS)
 
 
-def test_a_daemon_that_stands_by_only_watches(caplog):
+def test_a_daemon_that_stands_by_only_watches():
     """While another one drives it sets nothing, probes nothing and restores nothing, and says why; then it drives."""
     world = World()
-    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    told: list[Any] = []
+    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=told.append)
     world.superior = "robot-2"
     for _ in range(100):
         world.now_s += 0.1
@@ -148,7 +149,7 @@ def test_a_daemon_that_stands_by_only_watches(caplog):
     assert daemon.restore(wait=world.wait) == 0
     assert not world.told
     assert daemon.status_line() == "standing by: another arpd daemon, on robot-2, drives this robot"
-    assert [record.message for record in caplog.records if "another arpd daemon" in record.message] == [
+    assert [event.text for event in told if event.kind == "standing_by"] == [
         "another arpd daemon, on robot-2, has run for longer: standing by"
     ]
     world.superior = ""
@@ -198,7 +199,8 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
             with pytest.raises(ArithmeticError):
                 daemon.tick(0.1 * tick)
             daemon.note_failed_tick()
-    assert (daemon.snapshot, len(world.gates)) == (before, gates)
+    assert daemon.snapshot.totals.ticks_failed == 10
+    assert (replace(daemon.snapshot, totals=before.totals), len(world.gates)) == (before, gates)
     daemon.tick(4.0)
     assert daemon.snapshot.decision.plan == before.decision.plan
     assert daemon.snapshot.totals.ticks_failed == 10
@@ -220,3 +222,14 @@ def test_an_interface_that_is_not_there_yet_is_named():
     assert (daemon.interface, daemon.snapshot.interface) == ("wlan1", "wlan1")
     daemon.tick(0.2)
     assert daemon.status_line().startswith("wlan1 is gone; ")
+
+
+def test_a_decision_log_that_fails_stops_nothing(monkeypatch, caplog):
+    """The robot is governed all the same, and what is wrong is said once."""
+    daemon = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0)
+    monkeypatch.setattr(daemon._chronicle, "follow", lambda _picture: 1 / 0)
+    for tick in range(3):
+        daemon.tick(tick / 10)
+    assert daemon.snapshot is not None
+    assert daemon.snapshot.totals.ticks == 3
+    assert [record.message for record in caplog.records] == ["the decision log misses what happened; said once"]

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from arpd.daemon import TICK_S
 from arpd.host.locators import Locators
 from arpd.settings import OnStop, Settings
 from arpd.supervisor import Signals, Supervisor, stop
@@ -69,6 +70,7 @@ class Daemon:
         self.refused = []
         self.failed = 0
         self.ticked = 0
+        self.late_s = []
 
     def tick(self, _now_s):
         self._signals.wakeup.set()  # the next one at once
@@ -88,8 +90,8 @@ class Daemon:
     def note_failed_tick(self):
         self.failed += 1
 
-    def note_late_tick(self):
-        pass
+    def note_lateness(self, late_s):
+        self.late_s.append(late_s)
 
     def status_line(self):
         return "fine"
@@ -112,6 +114,35 @@ def run(daemon, signals, load=Settings, **options):
     told: Any = Told()
     Supervisor(daemon, signals, told, load=load, **options).run()
     return told
+
+
+# -- ticks
+
+
+def test_others_know_when_no_tick_runs(signals):
+    """It rests between two ticks, whether they succeed or not, and never in one."""
+    resting, seen = threading.Event(), []
+
+    def look():
+        seen.append(resting.is_set())
+
+    def look_and_fail():
+        look()
+        fail()
+
+    daemon = Daemon(signals, look, look_and_fail, look)
+    run(daemon, signals, resting=resting)
+    assert seen == [False] * 3
+    assert resting.is_set()
+
+
+def test_how_late_each_tick_begins_is_told(signals):
+    """A tick after one that took twice the period is a period late at least; early ones are not late."""
+    daemon = Daemon(signals, lambda: time.sleep(2 * TICK_S), nothing, nothing)
+    run(daemon, signals)
+    assert len(daemon.late_s) == 4  # the last finds nothing to do
+    assert daemon.late_s[1] >= TICK_S
+    assert min(daemon.late_s) >= 0.0
 
 
 # -- reload

@@ -1,0 +1,224 @@
+"""A daemon of a crowd of topics, for `exposition.py`: ticks for real, serves HTTP, and says how late its ticks were.
+
+The crowd stands in for ROS: publishers, ten to a node, announce themselves once a second, a tenth of them between two
+ticks, at rates that differ a little each time, so that every tick solves anew. What announcements cost to receive and
+decode is not in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import random
+import sys
+import tempfile
+import threading
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from arpd.daemon import Daemon
+from arpd.garbage import Garbage
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import Direction, MemoryState, Observation
+from arpd.publishers import PublisherState, SwapRecord
+from arpd.settings import HttpSettings, LinkSettings, Settings
+from arpd.supervisor import Signals, Supervisor
+from arpd.systemd import Notifier
+from arpd.web.service import serving
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from arpd.model import Transition
+    from arpd.probing import ProbeRequest
+    from arpd.settings import GraphSettings
+    from arpd.snapshot import Snapshot
+
+REPO = Path(__file__).resolve().parents[2]
+_TOPICS_PER_NODE = 10
+_CAPACITY = 2.5e6  # bytes/s
+_MANY = MappingProxyType({"matching": 40.5, "watching": 2.25, "holding": 0.125, "proving": 1.5, "draining": 9.75})
+_RESULTS = MappingProxyType({"ok": 11, "reorder_possible": 1, "unmatched": 2})
+_DROPS = MappingProxyType({"rate": 170_000, "gate": 1_234})
+
+
+class Crowd:
+    """The daemon's `arpd.world.World` of so many publishers, each with everything a publisher announces."""
+
+    def __init__(self, topics: int) -> None:
+        self._random = random.Random(topics)
+        self._publishers = [self._publisher(number, topics) for number in range(topics)]
+        self._told_s = [0.0] * topics
+        self._turn = 0
+        self._tx_bytes = 0
+
+    def _publisher(self, number: int, topics: int) -> PublisherState:
+        return PublisherState(
+            node=f"/robot/sensor_node_{number // _TOPICS_PER_NODE:03d}",
+            topic=f"/robot/sensor_{number:04d}/data_raw",
+            type_name="sensor_msgs/msg/Imu",
+            direction=Direction.SENSING if number % 20 else Direction.ACTUATION,
+            payload_bytes=328.0,
+            source_rate_hz=4000.0 / topics,
+            published_rate_hz=3000.0 / topics,
+            offered=100_000 + number,
+            published=80_000 + number,
+            withheld=171_234,
+            withheld_by_cause=_DROPS,
+            deadlines_missed=number % 7,
+            depth=10,
+            baseline_depth=10,
+            remote_readers=1,
+            swaps_begun=14,
+            swaps_by_result=_RESULTS,
+            swap_seconds_by_phase=_MANY,
+            last_swap=SwapRecord(number=14, result="ok", depth=10, deadline_ns=0, seconds_by_phase=_MANY),
+        )
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+        self._turn = (self._turn + 1) % 10
+        for place in range(self._turn, len(self._publishers), 10):
+            self._publishers[place], self._told_s[place] = self._announce(self._publishers[place]), now_s
+        self._tx_bytes += int(0.1 * _CAPACITY)
+        return Observation(
+            now_s=now_s,
+            counters=LinkCounters(
+                interface="wlan0",
+                rx_bytes=0,
+                tx_bytes=self._tx_bytes,
+                rx_packets=0,
+                tx_packets=0,
+                tx_dropped=0,
+                state=InterfaceState.UP,
+            ),
+            reports=(),
+            publishers=tuple(
+                replace(publisher, age_s=now_s - told_s)
+                for publisher, told_s in zip(self._publishers, self._told_s, strict=True)
+            ),
+            memory=MemoryState(total_bytes=2**32, available_bytes=2**31),
+            sensing_topics=len(self._publishers),
+            actuation_topics=0,
+        )
+
+    def _announce(self, publisher: PublisherState) -> PublisherState:
+        return replace(
+            publisher,
+            offered=publisher.offered + 4,
+            published=publisher.published + 3,
+            source_rate_hz=publisher.source_rate_hz * self._random.uniform(0.98, 1.02),
+        )
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:  # noqa: ARG002 - as the world has it
+        """Let every node announce what it is asked for."""
+        asked = {
+            (step.node, topic): (step.generation, row) for step in transitions for topic, row in step.topics.items()
+        }
+        if asked:
+            self._publishers = [
+                self._obey(publisher, *found)
+                if (found := asked.get((publisher.node, publisher.topic))) is not None
+                else publisher
+                for publisher in self._publishers
+            ]
+
+    @staticmethod
+    def _obey(publisher: PublisherState, generation: int, row: Any) -> PublisherState:
+        return replace(
+            publisher,
+            generation=generation,
+            rate_hz=row.rate_hz,
+            depth=row.depth,
+            deadline_ns=row.deadline_ns,
+        )
+
+    def set_gate(self, gate: float) -> None:
+        """Nobody listens."""
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Nobody listens."""
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Nothing is pinned."""
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+        return {}
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
+        return 0, 0
+
+
+def crowded_daemon(topics: int, *, ticks: int = 40) -> Daemon:
+    """Return a daemon that has a plan for so many topics in force."""
+    settings = Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY))
+    daemon = Daemon(Crowd(topics), settings, interface="wlan0")
+    for tick in range(ticks):
+        daemon.tick(0.1 * tick)
+    return daemon
+
+
+class Watched(Daemon):
+    """Keeps how late every tick began, and how long it took (s)."""
+
+    lateness_s: list[float]
+
+    def note_lateness(self, late_s: float) -> None:
+        self.lateness_s.append(late_s)
+        super().note_lateness(late_s)
+
+
+def main() -> None:
+    """Tick and serve until stdin closes; for every line of it, say what the ticks since the last one were like."""
+    logging.disable(logging.WARNING)
+    daemon = Watched(
+        Crowd(int(sys.argv[1])), Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY)), interface="wlan0"
+    )
+    daemon.lateness_s = []
+    ticks_s: list[float] = []
+    seen: list[Snapshot | None] = [None]
+
+    def snapshot() -> Snapshot | None:
+        return daemon.snapshot
+
+    publish = daemon._publish  # noqa: SLF001 - the one place every finished tick comes by
+
+    def note(picture: Snapshot) -> None:
+        ticks_s.append(picture.tick_s)
+        seen[0] = picture
+        publish(picture)
+
+    daemon._publish = note  # type: ignore[method-assign]  # noqa: SLF001
+    signals, resting = Signals(is_looping=True), threading.Event()
+
+    def answer() -> None:
+        for _ in sys.stdin:
+            late, took = daemon.lateness_s[:], ticks_s[:]
+            daemon.lateness_s.clear()
+            ticks_s.clear()
+            planned = 0 if seen[0] is None else len(seen[0].decision.plan.topics)
+            print(json.dumps({"late_s": late, "tick_s": took, "planned": planned}), flush=True)
+        signals.stop = True
+
+    def load() -> Settings:
+        return daemon.settings
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.suppress(KeyboardInterrupt),
+        serving(HttpSettings(host="127.0.0.1", port=0), snapshot, directory=Path(folder), resting=resting) as url,
+    ):
+        print(json.dumps({"url": url}), flush=True)
+        threading.Thread(target=answer, daemon=True).start()
+        garbage = Garbage()
+        garbage.take_over()
+        Supervisor(daemon, signals, Notifier(), load=load, resting=resting, tidy=garbage.collect_if_due).run()
+
+
+if __name__ == "__main__":
+    main()

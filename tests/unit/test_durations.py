@@ -1,0 +1,108 @@
+"""What the daemon times: every duration once, in its bucket, and a snapshot's never change."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.distribution import Distribution
+from arpd.durations import Durations, SwapWatch
+from arpd.publishers import SwapRecord
+from tests.sample_publishers import publisher
+
+BOUNDS = (0.01, 0.1, 1.0)
+
+
+@given(st.lists(st.lists(st.floats(0.0, 10.0) | st.sampled_from(BOUNDS))))
+def test_every_duration_counts_once(batches):
+    """Up to each bound stand all durations that are no longer, and all of them up to the infinite one."""
+    empty = filled = Distribution.over(*BOUNDS)
+    for batch in batches:
+        filled = filled.including(batch)
+    durations = [duration for batch in batches for duration in batch]
+    assert filled.up_to == tuple(
+        (bound, sum(duration <= bound for duration in durations)) for bound in (*BOUNDS, float("inf"))
+    )
+    assert filled.total_s == pytest.approx(sum(durations))
+    assert empty == Distribution.over(*BOUNDS)
+
+
+@pytest.mark.parametrize("bounds", [(), (1.0, 0.5), (1.0, 1.0)])
+def test_bounds_ascend(bounds):
+    """Bounds in any other order are refused at birth."""
+    with pytest.raises(ValueError, match="do not ascend"):
+        Distribution.over(*bounds)
+
+
+def swap(number, **seconds):
+    return SwapRecord(number=number, result="ok", depth=10, deadline_ns=0, seconds_by_phase=seconds)
+
+
+def seen(last_swap, topic="/a"):
+    return publisher("/node", topic, last_swap=last_swap)
+
+
+def test_a_swap_counts_when_it_has_finished_and_once():
+    """However often a publisher announces its last swap; a phase that was not entered has no duration."""
+    watch = SwapWatch()
+    assert watch.look([seen(None)]) == {}
+    assert watch.look([seen(swap(1, matching=3.0, watching=0.2, holding=0.0))]) == {
+        "matching": [3.0],
+        "watching": [0.2],
+    }
+    assert watch.look([seen(swap(1, matching=3.0, watching=0.2, holding=0.0))]) == {}
+    assert watch.look([seen(swap(2, matching=4.0)), seen(None, "/b")]) == {"matching": [4.0]}
+    assert watch.look([seen(swap(2, matching=4.0)), seen(swap(1, matching=5.0), "/b")]) == {"matching": [5.0]}
+
+
+def test_draining_counts_when_the_old_writer_is_gone():
+    """It ends after the swap's record was made: the time of all swaps tells, each time it grows."""
+
+    def drained(seconds, number=1):
+        return publisher(
+            "/node", "/a", last_swap=swap(number, matching=3.0), swap_seconds_by_phase={"draining": seconds}
+        )
+
+    watch = SwapWatch()
+    assert watch.look([drained(1.5)]) == {}  # before this daemon
+    assert watch.look([drained(1.5, number=2)]) == {"matching": [3.0]}
+    assert watch.look([drained(2.25, number=2)]) == {"draining": [0.75]}
+    assert watch.look([drained(2.25, number=2)]) == {}
+    assert watch.look([drained(0.0, number=1)]) == {"matching": [3.0]}  # started anew
+    assert watch.look([drained(0.5, number=1)]) == {"draining": [0.5]}
+
+
+def test_what_was_there_before_the_daemon_is_not_counted():
+    """A swap that a publisher announces when it is first seen may have finished under a daemon before this one."""
+    watch = SwapWatch()
+    assert watch.look([seen(swap(7, matching=3.0))]) == {}
+    assert watch.look([seen(swap(8, matching=3.5))]) == {"matching": [3.5]}
+
+
+def test_a_publisher_that_restarts_counts_from_its_first_swap_on():
+    """Its numbers start anew, whether it was seen without a swap in between or not."""
+    watch = SwapWatch()
+    watch.look([seen(swap(7, matching=3.0))])
+    assert watch.look([seen(swap(1, matching=3.1))]) == {"matching": [3.1]}
+    watch.look([seen(None)])
+    assert watch.look([seen(swap(1, matching=3.2))]) == {"matching": [3.2]}
+
+
+def test_a_publisher_that_was_gone_is_first_seen_again():
+    """What happened meanwhile has no known time and is not counted; nothing is remembered of who is gone."""
+    watch = SwapWatch()
+    watch.look([seen(swap(1, matching=3.0))])
+    watch.look([])
+    assert watch.look([seen(swap(2, matching=3.0))]) == {}
+    watch.look([])
+    assert not watch._last
+
+
+def test_durations_of_a_snapshot_never_change():
+    """A tick makes a new value; the one before keeps what it had."""
+    before = Durations()
+    after = before.with_lateness(0.06).with_tick(0.004, solve_s=0.0004, phases={"matching": [3.0, 3.1]})
+    assert (before.ticks.up_to[-1][1], after.ticks.up_to[-1][1]) == (0, 1)
+    assert after.lateness.total_s == 0.06
+    assert after.solves.up_to[-1][1] == 1
+    assert (before.swap_phases["matching"].up_to[-1][1], after.swap_phases["matching"].up_to[-1][1]) == (0, 2)
+    assert after.with_tick(0.004, solve_s=None, phases={}).solves is after.solves

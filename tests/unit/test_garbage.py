@@ -1,0 +1,55 @@
+"""When the daemon collects garbage: between ticks, and before there is too much of it."""
+
+import gc
+import weakref
+
+import pytest
+
+from arpd.garbage import EVERY_S, MOST_NEW, Garbage
+
+
+class Loop:
+    """Refers to itself, so that only a collection frees it."""
+
+    def __init__(self):
+        self.itself = self
+
+
+@pytest.fixture
+def now_s():
+    return [100.0]
+
+
+@pytest.fixture
+def garbage(now_s):
+    garbage = Garbage(clock=lambda: now_s[0])
+    garbage.take_over()
+    yield garbage
+    garbage.give_back()
+
+
+def test_nothing_is_collected_before_it_is_due(garbage, now_s):
+    """However much is allocated; then all of it is, and after as long again."""
+    for _ in range(2):
+        lost = weakref.ref(Loop())
+        for _ in range(50):
+            [[] for _ in range(1000)]
+        garbage.collect_if_due()
+        assert lost() is not None
+        now_s[0] += EVERY_S
+        garbage.collect_if_due()
+        assert lost() is None
+
+
+def test_much_garbage_is_collected_early(garbage):
+    """What could fill the memory does not wait for its time."""
+    lost = [weakref.ref(Loop()) for _ in range(MOST_NEW // 2)]
+    garbage.collect_if_due()
+    assert lost[0]() is None
+
+
+def test_python_collects_by_itself_again(garbage):
+    """Whoever gives it back leaves the process as it was."""
+    garbage.give_back()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
