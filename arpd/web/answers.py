@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from prometheus_client.exposition import choose_encoder
-
+from arpd.history import History
+from arpd.web.bundle import ASSETS_PATH, Bundle
+from arpd.web.history import history_json
 from arpd.web.page import render_page
+from arpd.web.schemas import SCHEMAS_BY_PATH
 from arpd.web.status import API_VERSION, status_document
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from prometheus_client import CollectorRegistry
+    from collections.abc import Callable, Mapping
 
     from arpd.snapshot import Snapshot
+    from arpd.web.exposition import Exposition
 
 HEALTHY_S = 10.0
-PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status"})
+PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status", "/api/v1/history", *SCHEMAS_BY_PATH})
+_KEPT_FOR_EVER = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
+_SCHEMA = "application/schema+json"
 _TEXT = "text/plain; charset=utf-8"
 _JSON = "application/json"
 _HTML = "text/html; charset=utf-8"
@@ -28,11 +32,17 @@ _HTML = "text/html; charset=utf-8"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """One response."""
+    """One response.
+
+    Parameters
+    ----------
+    headers : what differs from every other answer's
+    """
 
     status: HTTPStatus
     content_type: str
     body: bytes
+    headers: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,16 +53,20 @@ class Answers:
     ----------
     snapshot : returns the last snapshot, None before the first tick finished
     is_ready : whether the daemon governs
-    registry : what ``/metrics`` exposes
+    exposition : what ``/metrics`` answers
     clock : monotonic clock the snapshots are stamped with (s)
     started_at_s : when serving began on that clock (s)
+    history : the last ten minutes
+    assets : what the page consists of beside its HTML
     """
 
     snapshot: Callable[[], Snapshot | None]
     is_ready: Callable[[], bool]
-    registry: CollectorRegistry
+    exposition: Exposition
     clock: Callable[[], float]
     started_at_s: float
+    history: History = field(default_factory=History)
+    assets: Bundle = field(default_factory=Bundle)
 
     def answer(self, path: str, accept: str) -> Answer:
         """Return the answer for a path.
@@ -61,18 +75,36 @@ class Answers:
         ----------
         accept : the request's Accept header, which chooses the format of the metrics
         """
-        match path:
-            case "/":
-                return _ok(_HTML, render_page(self._status()))
-            case "/metrics":
-                encode, content_type = _encoder(accept)
-                return Answer(status=HTTPStatus.OK, content_type=content_type, body=encode(self.registry))
-            case "/-/healthy":
-                return self._healthy()
-            case "/-/ready":
-                return self._ready()
-            case "/api/v1/status":
-                return self._status_answer()
+        answers = {
+            "/": self._page,
+            "/metrics": lambda: self._metrics(accept),
+            "/-/healthy": self._healthy,
+            "/-/ready": self._ready,
+            "/api/v1/status": self._status_answer,
+            "/api/v1/history": self._history,
+        }
+        if path in answers:
+            return answers[path]()
+        return self._file(path)
+
+    def _page(self) -> Answer:
+        return _ok(_HTML, render_page(self._status(), assets=self.assets.base))
+
+    def _metrics(self, accept: str) -> Answer:
+        body, content_type = self.exposition.answer(accept)
+        return Answer(status=HTTPStatus.OK, content_type=content_type, body=body)
+
+    def _history(self) -> Answer:
+        snapshot = self.snapshot()
+        body = history_json(self.history.samples, () if snapshot is None else snapshot.events)
+        return Answer(status=HTTPStatus.OK, content_type=_JSON, body=body)
+
+    def _file(self, path: str) -> Answer:
+        if (schema := SCHEMAS_BY_PATH.get(path)) is not None:
+            return Answer(status=HTTPStatus.OK, content_type=_SCHEMA, body=schema)
+        if (asset := self.assets.get(path)) is not None:
+            body, kind = asset.body, asset.content_type
+            return Answer(status=HTTPStatus.OK, content_type=kind, body=body, headers=_KEPT_FOR_EVER)
         return bare(HTTPStatus.NOT_FOUND)
 
     def _status(self) -> dict[str, Any] | None:
@@ -103,18 +135,18 @@ class Answers:
         return _ok(_TEXT, "ready\n") if self.is_ready() else _unavailable("not ready: the daemon does not govern\n")
 
 
+def label(path: str) -> str:
+    """Return the name a path has in metrics: few, whatever is asked for."""
+    if path in PATHS:
+        return path
+    return ASSETS_PATH if path.startswith(ASSETS_PATH) else "other"
+
+
 def bare(status: HTTPStatus, explanation: str = "") -> Answer:
     """Return an answer that says its code and its phrase, and repeats nothing of the request."""
     text = f"{status.value} {status.phrase}"
     body = f"{text}: {explanation}\n" if explanation else f"{text}\n"
     return Answer(status=status, content_type=_TEXT, body=body.encode())
-
-
-def _encoder(accept: str) -> tuple[Callable[[CollectorRegistry], bytes], str]:
-    try:
-        return choose_encoder(accept)
-    except (TypeError, ValueError):  # prometheus_client compares versions without looking: "version=x"
-        return choose_encoder("")
 
 
 def _ok(content_type: str, text: str) -> Answer:

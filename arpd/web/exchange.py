@@ -11,7 +11,8 @@ from email.utils import formatdate
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
-from arpd.web.answers import PATHS, bare
+from arpd.web.answers import bare, label
+from arpd.web.compression import compressed
 from arpd.web.http_metrics import Refusal
 from arpd.web.passwords import Verdict
 from arpd.web.request import RequestRefusedError, read_request
@@ -35,12 +36,16 @@ REQUEST_S = 5.0  # for handshake and request together
 ANSWER_S = 10.0
 _LINGER_S = 1.0
 _LINGER_BYTES = 65_536
-_OTHER = "other"
 _PLAIN_TO_TLS = "this port speaks HTTPS"
 _HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'",
+    # Nothing from elsewhere, nothing inline, and no text that becomes markup.
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'"
+    ),
+    "Referrer-Policy": "no-referrer",
 }
 _OF_STATUS = {
     HTTPStatus.METHOD_NOT_ALLOWED: {"Allow": "GET, HEAD"},
@@ -101,19 +106,21 @@ class Exchange:
         stream.allow(REQUEST_S)
         if protection.tls is not None:
             stream = self._shake_hands(visit, protection, protection.tls)
-        path, wants_body, is_understood = _OTHER, True, True
+        path, wants_body, is_understood = "", True, True
         try:
             request = read_request(stream.receive)
         except RequestRefusedError as refused:
             is_understood = False
             answer = bare(refused.status)
         else:
-            path, wants_body = request.path if request.path in PATHS else _OTHER, request.wants_body
+            path, wants_body = request.path, request.wants_body
             with visit.working():
                 answer = self._answer(protection, request, visit.client)
+                if request.takes_gzip:
+                    answer = compressed(answer)
         stream.allow(ANSWER_S)
         stream.send(encode(answer, protection, wants_body=wants_body))
-        self.counts.count_request(path, answer.status)
+        self.counts.count_request(label(path), answer.status)
         if not is_understood:
             _linger(visit.connection, stream)
 
@@ -157,6 +164,7 @@ def encode(answer: Answer, protection: Protection, *, wants_body: bool) -> bytes
         "Content-Type": answer.content_type,
         "Content-Length": str(len(answer.body)),
         **_HEADERS,
+        **answer.headers,
         **_OF_STATUS.get(answer.status, {}),
         **protection.headers,
     }

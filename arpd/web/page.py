@@ -1,123 +1,163 @@
-"""The page at ``/``: the status document as plain HTML, without scripts and without anything fetched."""
+"""The page at ``/``: the status document laid out by ``page.html``.
+
+Without scripts it is a summary that loads itself anew; ``assets/page.js`` keeps it up to date. Both fill the same
+places in the same way: ``assets/fields.js`` is this module once more, and a test holds that they agree. In the template
+
+- ``{{path|format}}`` stands for a value of the document,
+- ``{{=path}}`` in a tag marks the element with the value, for the stylesheet,
+- ``{{?path}}`` in a tag shows the element only while the value is true and not empty, ``{{!path}}`` only while not,
+- ``<!-- rows path -->`` … ``<!-- end -->`` is repeated for each element of a list, within which paths start anew.
+"""
 
 from __future__ import annotations
 
+import re
+from datetime import UTC, datetime
 from html import escape
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from arpd.web.status import LASTING, confirmed, interface_fault, lease
-
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable
 
-# Only colours the browser knows for both schemes, so that dark and light need no second stylesheet.
-_STYLE = """
-:root { color-scheme: light dark; }
-body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5rem; max-width: 80rem; }
-h1 { font-size: 1.3rem; } h2 { font-size: 1.05rem; margin-top: 1.6rem; }
-table { border-collapse: collapse; } th, td { padding: .25rem .7rem; text-align: right; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; } tr { border-bottom: 1px solid GrayText; }
-td { font-variant-numeric: tabular-nums; } div { overflow-x: auto; } .bad { color: #d33; font-weight: 600; }
-"""
-_COLUMNS = ("topic", "node", "direction", "source Hz", "planned Hz", "confirmed Hz", "depth", "deadline ms", "Rmax Hz",
-            "link share", "bound by", "queued", "withheld", "readers", "refusal")  # fmt: skip
-_READER_COLUMNS = ("topic", "node", "planned depth", "depth", "planned deadline ms", "deadline ms", "refusal")
+_TEMPLATE = files("arpd.web").joinpath("page.html").read_text(encoding="utf-8")
+_PLACE = re.compile(r"\{\{([=?!]?)([\w.]+)(?:\|(\w+))?\}\}")
+_ROWS = re.compile(r"<!-- rows (\w+)( newest first)? -->\s*(.*?)\s*<!-- end -->", re.DOTALL)
+_ABSENT = object()  # no such key, or none because the object it would be in is null
+_STARTING = {
+    "verdict": {"severity": "info", "headline": "Starting", "text": "Starting: no tick has finished yet"},
+    "interface": "",
+}
 
 
-def render_page(status: dict[str, Any] | None) -> str:
-    """Return the page for a status document (`arpd.web.status.status_document`); None before the first tick."""
-    body = "<p>No tick has finished yet.</p>" if status is None else _body(status)
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="2">'
-        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
-        f"<title>arpd</title><style>{_STYLE}</style></head><body><h1>arpd</h1>{body}"
-        '<p><a href="/metrics">metrics</a> · <a href="/api/v1/status">status as JSON</a> · '
-        '<a href="/-/ready">ready</a> · <a href="/-/healthy">healthy</a></p></body></html>\n'
-    )
+def render_page(status: dict[str, Any] | None, *, assets: str = "/assets/") -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    status : the status document (`arpd.web.status.status_document`), None before the first tick
+    assets : path of the folder with scripts and styles, from the root
+    """
+    document = _STARTING if status is None else status
+    template = _TEMPLATE.replace("{{assets}}", assets.removeprefix("/"))
+    return _filled(_ROWS.sub(lambda rows: _rows(document, rows), template), document)
 
 
-def _body(status: dict[str, Any]) -> str:
-    link, plan, allocation, config = status["link"], status["plan"], status["allocation"], status["config"]
-    foreign = link["foreign_bytes_per_second"]
-    facts = (
-        ("link", f"{status['interface']}, {link['state']}"),
-        ("capacity", f"{_mbits(link['capacity_bytes_per_second'])} ({link['kind']}: {link['evidence']})"),
-        ("foreign traffic", f"{_mbits(foreign)}, which leaves {_mbits(link['available_bytes_per_second'])}"),
-        ("delivered", _mbits(link["delivery_rate_bytes_per_second"])),
-        ("queue delay", f"{_number(link['queue_delay_seconds'], scale=1e3)} ms"),
-        ("gate", _number(status["gate"])),
-        ("plan", f"{plan['generation']}, made for {_mbits(status['level_bytes_per_second'])}"),
-        ("confirmed", confirmed(plan)),
-        ("lease", lease(status)),
-        ("program", f"{allocation['status']}, bound by {allocation['binding']} {allocation['degradation']}"),
-        ("configuration", config["path"]),
-        ("version", status["version"]),
-    )
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in facts)
-    fault = f'<p class="bad">The last reload was refused: {escape(config["error"])}</p>' if config["error"] else ""
-    if superior := status["daemons"]["standing_by_for"]:
-        fault += f'<p class="bad">Standing by: another arpd daemon, on {escape(superior)}, drives this robot.</p>'
-    if reason := interface_fault(status):
-        fault += f'<p class="bad">The link interface {escape(status["interface"])} {escape(reason)}.</p>'
-    topics, readers = _topics(status["topics"]), _readers(status["readers"])
-    return f"{fault}<table>{rows}</table><h2>Topics</h2>{topics}{readers}"
+def _rows(document: dict[str, Any], rows: re.Match[str]) -> str:
+    """Repeat a row for each element; the row itself stays in a template element for the script."""
+    path, newest_first, row = rows.groups()
+    elements = _value(document, path)
+    elements = elements if isinstance(elements, list) else []
+    order = ' data-order="newest first"' if newest_first else ""
+    body = "".join(_filled(row, element) for element in (reversed(elements) if newest_first else elements))
+    return f'<template data-rows="{path}"{order}>{_filled(row, {})}</template>{body}'
 
 
-def _topics(topics: list[dict[str, Any]]) -> str:
-    if not topics:
-        return "<p>No publisher has announced itself.</p>"
-    return _table(_COLUMNS, (_cells(topic) for topic in topics))
+def _filled(markup: str, document: dict[str, Any]) -> str:
+    def fill(place: re.Match[str]) -> str:
+        sign, path, form = place.groups()
+        value = _value(document, path)
+        if sign == "=":
+            return f'data-mark-field="{path}" data-mark="{escape(_text(value))}"'
+        if sign:
+            is_shown = (sign == "?") == _is_true(value)
+            return f'data-{"show" if sign == "?" else "hide"}="{path}"{"" if is_shown else " hidden"}'
+        text = escape(FORMATS[form](value))
+        if form == "time":
+            return f'<time data-field="{path}" data-format="time" datetime="{_iso(value)}">{text}</time>'
+        return f'<span data-field="{path}" data-format="{form}">{text}</span>'
+
+    return _PLACE.sub(fill, markup)
 
 
-def _readers(readers: list[dict[str, Any]]) -> str:
-    if not readers:
-        return ""
-    return f"<h2>Readers</h2>{_table(_READER_COLUMNS, (_reader_cells(reader) for reader in readers))}"
+def _value(document: Any, path: str) -> Any:
+    for key in path.split("."):
+        document = document.get(key, _ABSENT) if isinstance(document, dict) else _ABSENT
+    return document
 
 
-def _table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    head = "".join(f"<th>{column}</th>" for column in columns)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<div><table><tr>{head}</tr>{body}</table></div>"
+def _is_true(value: Any) -> bool:
+    return value is not _ABSENT and bool(value)
 
 
-def _cells(topic: dict[str, Any]) -> tuple[str, ...]:
-    planned, now = topic["planned"], topic["confirmed"]
-    return (
-        topic["topic"],
-        topic["node"],
-        topic["direction"],
-        _number(topic["source_rate_hz"]),
-        "unmanaged" if planned is None else _number(planned["rate_hz"], missing="unpaced"),
-        _number(now["rate_hz"], missing="unpaced"),
-        str(now["depth"]),
-        _number(now["deadline_ns"], scale=1e-6, missing="none"),
-        _number(topic["max_rate_hz"]),
-        _number(topic["share"]),
-        topic["binding"] or "–",
-        str(topic["queued"]),
-        str(topic["withheld"]),
-        str(topic["remote_readers"]),
-        f"{LASTING}{topic['refusal']}" if topic["refusal_lasts"] else topic["refusal"],
-    )
+def _is_none(value: Any) -> bool:
+    return value is _ABSENT or value is None or value == ""
 
 
-def _reader_cells(reader: dict[str, Any]) -> tuple[str, ...]:
-    planned, now = reader["planned"], reader["confirmed"]
-    return (
-        reader["topic"],
-        reader["node"],
-        "unmanaged" if planned is None else str(planned["depth"]),
-        str(now["depth"]),
-        "–" if planned is None else _number(planned["deadline_ns"], scale=1e-6, missing="none"),
-        _number(now["deadline_ns"], scale=1e-6, missing="none"),
-        reader["refusal"],
-    )
+def _text(value: Any) -> str:
+    return "–" if _is_none(value) else str(value)
 
 
-def _number(value: float | None, *, scale: float = 1.0, missing: str = "–") -> str:
-    return missing if value is None else f"{value * scale:.4g}"
+def _words(value: Any) -> str:
+    return _text(value).replace("_", " ")
 
 
-def _mbits(bytes_per_second: float | None) -> str:
-    return "–" if bytes_per_second is None else f"{bytes_per_second * 8e-6:.2f} Mbit/s"
+def _number(value: Any) -> str:
+    """Write three digits, and never an exponent: a column of numbers is read by where their points stand."""
+    if _is_none(value):
+        return "–"
+    number = value * (1 + 1e-12)  # halves go up here and in the browser
+    digits = 0 if abs(number) >= 99.95 else 1 if abs(number) >= 9.995 else 2
+    return f"{number:.{digits}f}"
+
+
+def _pace(value: Any) -> str:
+    return "unpaced" if value is None else _number(value)
+
+
+def _period(value: Any) -> str:
+    return "none" if value is None else _number(value if value is _ABSENT else value * 1e-6)
+
+
+def _with_unit(unit: str, scale: float) -> Callable[[Any], str]:
+    return lambda value: "–" if _is_none(value) else f"{_number(value * scale)} {unit}"
+
+
+def _counts(value: Any) -> str:
+    return "" if not isinstance(value, dict) else ", ".join(f"{_words(k)} {n}" for k, n in value.items() if n)
+
+
+def _list(value: Any) -> str:
+    return ", ".join(map(_words, value)) if isinstance(value, list) else "–"
+
+
+def _time(value: Any) -> str:
+    return "–" if _is_none(value) else f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _iso(value: Any) -> str:
+    return "" if _is_none(value) else datetime.fromtimestamp(value, UTC).isoformat(timespec="milliseconds")
+
+
+def _named(names: dict[str, str]) -> Callable[[Any], str]:
+    return lambda value: names.get(value, _text(value)) if isinstance(value, str) else "–"
+
+
+_EVIDENCE = {
+    "peer": "the peer",
+    "local": "the interface's own queue",
+    "radio": "the radio's bit rate",
+    "configured": "the configuration",
+}
+_STATES = {"app_limited": "not filled"}
+_SEVERITIES = {"info": "", "warning": "Warning:", "error": "Error:"}
+
+FORMATS: dict[str, Callable[[Any], str]] = {
+    "text": lambda value: "" if value == "" else _text(value),
+    "words": _words,
+    "number": _number,
+    "count": _text,
+    "pace": _pace,
+    "period": _period,
+    "mbit": _with_unit("Mbit/s", 8e-6),
+    "ms": _with_unit("ms", 1e3),
+    "age": _with_unit("s", 1.0),
+    "percent": _with_unit("%", 100.0),
+    "mebibytes": _with_unit("MiB", 2**-20),
+    "counts": _counts,
+    "list": _list,
+    "time": _time,
+    "evidence": _named(_EVIDENCE),
+    "state": _named(_STATES),
+    "severity": _named(_SEVERITIES),
+}

@@ -40,12 +40,14 @@ class Request:
     path : target without its query
     wants_body : False for HEAD
     accept : the Accept header, empty without one
+    takes_gzip : whether the client understands a compressed answer
     authorization : the Authorization header, empty without one
     """
 
     path: str
     wants_body: bool
     accept: str = ""
+    takes_gzip: bool = False
     authorization: bytes = field(default=b"", repr=False)
 
 
@@ -95,5 +97,16 @@ def _understood(event: h11.Request) -> Request:
         path=event.target.decode("ascii").partition("?")[0],
         wants_body=event.method != b"HEAD",
         accept=headers.get(b"accept", b"").decode("latin-1"),
+        takes_gzip=_takes_gzip(headers.get(b"accept-encoding", b"").decode("latin-1")),
         authorization=headers.get(b"authorization", b""),
     )
+
+
+def _takes_gzip(accept_encoding: str) -> bool:
+    """Whether the header names gzip, and not to refuse it; a client that says it by other means gets it plain."""
+    for item in accept_encoding.lower().split(","):
+        coding, _, parameters = item.partition(";")
+        if coding.strip() == "gzip":
+            quality = parameters.strip().removeprefix("q=")
+            return not quality or quality.strip("0.") != ""
+    return False

@@ -12,9 +12,11 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from arpd.errors import ArpdError
+from arpd.history import History
 from arpd.web.access import Access, exposure
 from arpd.web.answers import Answers, bare
 from arpd.web.exchange import Exchange, encode
+from arpd.web.exposition import Exposition
 from arpd.web.http_metrics import HttpCounts, Refusal
 from arpd.web.passwords import Passwords
 from arpd.web.places import Places, client_of
@@ -45,7 +47,9 @@ class HttpServer:
     Parameters
     ----------
     host, port : where to listen; port 0 takes a free one
-    snapshot, is_ready, registry : see `Answers`
+    snapshot, is_ready : see `Answers`
+    registry, resting : see `Exposition`
+    history : the last ten minutes, None = nothing of them
     web_config : file with TLS and users, None = neither
     counts : what the server counts of itself
     clock : monotonic clock the snapshots are stamped with (s)
@@ -63,7 +67,9 @@ class HttpServer:
         *,
         snapshot: Callable[[], Snapshot | None],
         registry: CollectorRegistry,
+        resting: threading.Event | None = None,
         is_ready: Callable[[], bool] = lambda: True,
+        history: History | None = None,
         web_config: Path | None = None,
         counts: HttpCounts | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -73,7 +79,14 @@ class HttpServer:
         self._counts = counts or HttpCounts()
         self._access = Access(web_config, counts=self._counts, clock=time.monotonic)
         self._exchange = Exchange(
-            answers=Answers(snapshot=snapshot, is_ready=is_ready, registry=registry, clock=clock, started_at_s=clock()),
+            answers=Answers(
+                snapshot=snapshot,
+                is_ready=is_ready,
+                exposition=Exposition(registry, resting=resting),
+                clock=clock,
+                started_at_s=clock(),
+                history=history or History(),
+            ),
             access=self._access,
             passwords=Passwords(clock=time.monotonic, secret=os.urandom(32)),
             counts=self._counts,

@@ -13,13 +13,22 @@ from arpd.web.web_config import web_config_path
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+    from threading import Event
 
+    from arpd.history import History
     from arpd.settings import HttpSettings
     from arpd.snapshot import Snapshot
 
 
 @contextmanager
-def serving(settings: HttpSettings, snapshot: Callable[[], Snapshot | None], *, directory: Path) -> Iterator[str]:
+def serving(
+    settings: HttpSettings,
+    snapshot: Callable[[], Snapshot | None],
+    *,
+    directory: Path,
+    history: History | None = None,
+    resting: Event | None = None,
+) -> Iterator[str]:
     """Serve metrics, health and status for as long as the block lasts; yields the server's URL.
 
     Parameters
@@ -27,6 +36,8 @@ def serving(settings: HttpSettings, snapshot: Callable[[], Snapshot | None], *, 
     settings : where, and under which protection
     snapshot : returns the last snapshot, None before the first
     directory : the configuration file's, which a relative ``http.web_config`` starts from
+    history : the last ten minutes, None = nothing of them
+    resting : set while no tick runs; None = nobody ticks
 
     Raises
     ------
@@ -43,6 +54,8 @@ def serving(settings: HttpSettings, snapshot: Callable[[], Snapshot | None], *, 
         settings.port,
         snapshot=snapshot,
         registry=registry,
+        resting=resting,
+        history=history,
         web_config=web_config_path(settings, directory=directory),
         counts=counts,
     )

@@ -4,27 +4,33 @@ Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_
 ``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan covers,
 in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue, in
 ``radio_bytes_per_second`` an interface without a radio or a radio that does not tell, in ``rmw`` a world without ROS,
-in ``after_seconds`` of ``lease`` a plan that outlives its daemon. Keys are only ever added within ``v1``.
+in ``after_seconds`` of ``lease`` a plan that outlives its daemon, in ``loss_ratio`` and ``return_delay_seconds`` what
+nobody measures. Keys are only ever added within ``v1``; ``arpd/web/schema/status-v1.json`` describes each.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.interface import InterfaceState, state_of
 from arpd.settings import OnLost
+from arpd.web.verdict import verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
+    from arpd.event import Event
     from arpd.interface import LinkCounters
-    from arpd.model import Observation, PublisherState, TopicAllocation, TopicPlan
+    from arpd.model import Observation, TopicAllocation, TopicPlan
+    from arpd.publishers import PublisherState, SwapRecord
     from arpd.readers import ReaderPlan, ReaderState
     from arpd.snapshot import Snapshot, Totals
 
+_T = TypeVar("_T")
 API_VERSION = "v1"
+_MOST_EVENTS = 50
 LASTING = "rate and gate only: "  # before the words of a refusal that lasts
 
 
@@ -93,6 +99,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "unix_time_seconds": _finite(snapshot.unix_time_s),
         "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
         "tick_seconds": _finite(snapshot.tick_s),
+        "verdict": verdict(snapshot, rows)._asdict(),
         "interface": snapshot.interface,
         "interface_state": str(state_of(snapshot.observation.counters)),
         "interface_counters": _counters(snapshot.observation.counters),
@@ -142,8 +149,26 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
         ],
         "totals": _totals(snapshot.totals),
+        "events": event_documents(snapshot.events[-_MOST_EVENTS:]),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},
     }
+
+
+def event_documents(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """Return lines of the decision log as JSON-safe documents, in the same order."""
+    return [
+        {
+            "number": event.number,
+            "unix_time_seconds": _finite(event.unix_time_s),
+            "event": str(event.kind),
+            "severity": str(event.severity),
+            "text": event.text,
+            "topic": event.topic,
+            "node": event.node,
+            "details": _sorted(event.details),
+        }
+        for event in events
+    ]
 
 
 def _link(snapshot: Snapshot) -> dict[str, Any]:
@@ -158,9 +183,12 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
         "queue_delay_seconds": _finite(link.queue_delay_s),
         "delivery_rate_bytes_per_second": _finite(link.delivery_rate_bytes_per_second),
         "packet_overhead_seconds": _finite(link.packet_overhead_s),
-        "radio_bytes_per_second": None if radio is None else _finite(radio),
+        "loss_ratio": _known(link.loss_ratio),
+        "return_delay_seconds": _known(link.return_delay_s),
+        "radio_bytes_per_second": _known(radio),
         "age_seconds": _finite(link.age_s),
         "evidence": link.evidence,
+        "events": _sorted(link.events_by_kind),
     }
 
 
@@ -202,6 +230,7 @@ def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
         },
         "baseline": {"depth": reader.baseline_depth, "deadline_ns": reader.baseline_deadline_ns or None},
         "handovers": _sorted(reader.handovers_by_result),
+        "deadlines_missed": reader.deadlines_missed,
         "refusal": reader.refusal,
         "refusal_reason": str(reader.refusal_reason),
         "refusal_lasts": reader.refusal_reason.is_lasting,
@@ -237,19 +266,35 @@ def _topic(row: TopicRow) -> dict[str, Any]:
         "binding": allocation and str(allocation.binding),
         "depth_binding": allocation and str(allocation.depth_binding),
         "source_rate_hz": _finite(publisher.source_rate_hz),
+        "published_rate_hz": _finite(publisher.published_rate_hz),
         "payload_bytes": _finite(publisher.payload_bytes),
         "offered": publisher.offered,
         "published": publisher.published,
         "withheld": publisher.withheld,
+        "withheld_by_cause": _sorted(publisher.withheld_by_cause),
         "queued": publisher.queued,
         "blocked_seconds": _finite(publisher.blocked_s),
         "remote_readers": publisher.remote_readers,
         "requested_deadline_ns": publisher.requested_deadline_ns or None,
+        "deadlines_missed": publisher.deadlines_missed,
         "swaps": _sorted(publisher.swaps_by_result),
+        "swaps_begun": publisher.swaps_begun,
+        "swap_seconds_by_phase": _sorted(publisher.swap_seconds_by_phase),
+        "last_swap": publisher.last_swap and _swap(publisher.last_swap),
         "refusal": publisher.refusal,
         "refusal_reason": str(publisher.refusal_reason),
         "refusal_lasts": publisher.refusal_reason.is_lasting,
         "age_seconds": _finite(publisher.age_s),
+    }
+
+
+def _swap(swap: SwapRecord) -> dict[str, Any]:
+    return {
+        "number": swap.number,
+        "result": swap.result,
+        "depth": swap.depth,
+        "deadline_ns": swap.deadline_ns or None,
+        "seconds_by_phase": _sorted(swap.seconds_by_phase),
     }
 
 
@@ -270,11 +315,16 @@ def _totals(totals: Totals) -> dict[str, Any]:
         "probe_bytes": totals.probe_bytes,
         "reports": totals.reports,
         "reloads": _sorted(totals.reloads_by_result),
+        "events": _sorted(totals.events_by_kind),
     }
 
 
-def _sorted(counts: Mapping[str, int]) -> dict[str, int]:
-    return dict(sorted(counts.items()))
+def _sorted(values: Mapping[str, _T]) -> dict[str, _T]:
+    return dict(sorted(values.items()))
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None else _finite(value)
 
 
 def _finite(value: float) -> float | None:

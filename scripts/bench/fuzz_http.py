@@ -17,6 +17,7 @@ def http() -> Fuzzable:
 
     from arpd.web.answers import Answers
     from arpd.web.exchange import Exchange
+    from arpd.web.exposition import Exposition
     from arpd.web.http_metrics import HttpCounts
     from arpd.web.passwords import Passwords
     from arpd.web.places import Places
@@ -40,7 +41,7 @@ def http() -> Fuzzable:
     answers = Answers(
         snapshot=lambda: None,
         is_ready=lambda: False,
-        registry=CollectorRegistry(),
+        exposition=Exposition(CollectorRegistry()),
         clock=clock,
         started_at_s=0.0,
     )

@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from http.client import HTTPConnection
 from types import SimpleNamespace
 
@@ -18,15 +19,21 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from arpd.cli_status import screen
+from arpd.estimator_belief import EstimatorEvent
+from arpd.event import EventKind
 from arpd.interface import InterfaceState
 from arpd.model import AllocationStatus
+from arpd.pacing import DropCause
 from arpd.refusal import RefusalReason
+from arpd.snapshot import Totals
+from arpd.swap import SwapPhase
 from arpd.web.answers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector, make_registry
 from arpd.web.page import render_page
 from arpd.web.places import MAX_PLACES
 from arpd.web.server import HttpAddressError, HttpServer
 from arpd.web.status import status_document
+from tests.visible import visible
 
 
 @dataclass
@@ -181,6 +188,51 @@ def test_exactly_one_state_of_every_set_holds(sample_snapshot):
     assert value(odd, "arpd_allocation_backend", backend="other") == 1
 
 
+def test_what_is_not_known_of_the_link_has_no_series(sample_snapshot):
+    """Loss and the way back are absent while nobody tells; zero would say that all is well."""
+    names = ("arpd_link_loss_ratio", "arpd_link_return_delay_seconds")
+    assert [value(sample_snapshot, name) for name in names] == [0.015625, 0.0078125]
+    unknown = replace(sample_snapshot.link, loss_ratio=None, return_delay_s=None)
+    assert not {*names} & {*families(replace(sample_snapshot, link=unknown))}
+
+
+def test_attempts_and_failures_have_counters_of_their_own(sample_snapshot):
+    """Attempts hold the failures; what can fail and has not starts at zero."""
+    read = partial(value, sample_snapshot)
+    assert (read("arpd_ticks_total"), read("arpd_tick_failures_total")) == (9001, 1)
+    assert (read("arpd_config_reloads_total"), read("arpd_config_reload_failures_total")) == (3, 1)
+    assert (read("arpd_applies_total"), read("arpd_apply_failures_total", reason="refused")) == (7, 1)
+    assert read("arpd_apply_failures_total", reason="timeout") == 0
+    assert read("arpd_solves_total", backend="osqp") == 8999
+    assert (read("arpd_solve_failures_total", backend="osqp"), read("arpd_solves_total", backend="cvxpy")) == (9, 0)
+    labels = {"topic": "/camera/image", "node": "/camera", "direction": "sensing"}
+    assert read("arpd_topic_swaps_total", **labels) == 4
+    assert read("arpd_topic_swap_failures_total", reason="reorder_possible", **labels) == 1
+    assert read("arpd_topic_swap_failures_total", reason="ok", **labels) is None
+
+
+def test_label_values_known_beforehand_start_at_zero(sample_snapshot):
+    """A counter that appears with its first event has no increase to alert on."""
+    fresh = families(replace(sample_snapshot, totals=Totals()))
+    for name, label, known in (
+        ("arpd_events", "event", EventKind),
+        ("arpd_estimator_events", "event", EstimatorEvent),
+        ("arpd_topic_drops", "cause", DropCause),
+        ("arpd_topic_swap_phase_seconds", "phase", SwapPhase),
+        ("arpd_swap_phase_duration_seconds", "phase", SwapPhase),
+    ):
+        assert {sample.labels[label] for sample in fresh[name].samples} == {*known}
+    assert sum(sample.value for sample in fresh["arpd_events"].samples) == 0
+
+
+def test_a_histogram_counts_what_the_daemon_timed(sample_snapshot):
+    """Buckets are cumulative, and the infinite one is the count."""
+    name = "arpd_tick_lateness_seconds"
+    assert value(sample_snapshot, f"{name}_bucket", le="0.05") == 1
+    assert value(sample_snapshot, f"{name}_bucket", le="+Inf") == value(sample_snapshot, f"{name}_count") == 2
+    assert value(sample_snapshot, f"{name}_sum") == 0.0625
+
+
 def test_a_refused_reload_shows(sample_snapshot):
     """While a reload stands refused the success gauge is 0."""
     assert value(sample_snapshot, "arpd_config_last_reload_successful") == 1
@@ -226,8 +278,8 @@ def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
     assert document["plan"]["paced_only"] == 1
     assert (topics["/imu"]["refusal_reason"], topics["/imu"]["refusal_lasts"]) == ("transient_local", True)
     assert (topics["/cmd_vel"]["refusal_reason"], topics["/cmd_vel"]["refusal_lasts"]) == ("unmatched", False)
-    assert "2 of 3 publishers (1 by rate and gate only), 1 of 1 readers" in render_page(document)
-    assert "rate and gate only: it is TRANSIENT_LOCAL" in render_page(document)
+    assert "2 of 3 publishers (1 by rate and gate only), 1 of 1 readers" in visible(render_page(document))
+    assert "rate and gate only: it is TRANSIENT_LOCAL" in visible(render_page(document))
 
 
 def test_readers_show_beside_publishers(sample_snapshot):
@@ -240,10 +292,10 @@ def test_readers_show_beside_publishers(sample_snapshot):
     planned, alone = document["readers"]
     assert planned["planned"] == {"depth": 10, "deadline_ns": 150_000_000}
     assert (alone["planned"], alone["refusal_lasts"]) == (None, True)
-    assert "2 of 3 publishers, 1 of 1 readers" in render_page(document)
-    assert "<td>/map is TRANSIENT_LOCAL</td>" in render_page(document)
+    assert "2 of 3 publishers , 1 of 1 readers" in visible(render_page(document))
+    assert "/map is TRANSIENT_LOCAL" in visible(render_page(document))
     lines = [line.split() for line in screen(document).splitlines()]
-    assert ["/camera/image", "10", "10", "150", "ms", "150", "ms", "/planner"] in lines
+    assert ["/camera/image", "10", "10", "150", "ms", "150", "ms", "6", "/planner"] in lines
 
 
 def test_the_lease_shows(sample_snapshot):
@@ -251,7 +303,7 @@ def test_the_lease_shows(sample_snapshot):
     assert value(sample_snapshot, "arpd_lease_seconds") == math.inf
     leased = replace(sample_snapshot, lease_s=30.0)
     assert value(leased, "arpd_lease_seconds") == 30.0
-    assert "after 30 s without this daemon" in render_page(status_document(leased))
+    assert "after 30.0 s without this daemon" in visible(render_page(status_document(leased)))
 
 
 def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):
@@ -260,7 +312,7 @@ def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):
     document = status_document(sample_snapshot, now_s=1000.25)
     assert document["link"]["foreign_bytes_per_second"] == 62_500.0
     assert document["link"]["available_bytes_per_second"] == 437_500.0
-    assert "0.50 Mbit/s, which leaves 3.50 Mbit/s" in render_page(document)
+    assert "Foreign traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in visible(render_page(document))
     assert "500 kbit/s of it is traffic that is not arpd's, which leaves 3.50 Mbit/s" in screen(document)
     alone = replace(sample_snapshot, link=replace(sample_snapshot.link, foreign_bytes_per_second=0.0))
     assert "not arpd's" not in screen(status_document(alone, now_s=1000.25))
@@ -322,16 +374,17 @@ def test_a_hung_tick_is_unhealthy(world, has_snapshot):
 
 
 def test_the_page_escapes_what_others_named(world):
-    """Names and reasons from the network cannot become markup, and the page fetches and runs nothing."""
+    """Names and reasons from the network cannot become markup, and nothing inline could run if they did."""
     first, *others = world.snapshot.observation.publishers
     evil = replace(first, node="/<script>alert(1)</script>", refusal='"><img src=x>')
     world.snapshot = replace(observe(world.snapshot, publishers=(evil, *others)), config_error="<b>bad</b>")
     page = world.get("/")
-    assert "<script" not in page.text
+    assert "<script>" not in page.text
     assert "<img" not in page.text
     assert "&lt;b&gt;bad&lt;/b&gt;" in page.text
-    assert '<meta http-equiv="refresh" content="2">' in page.text
-    assert page.headers["Content-Security-Policy"].startswith("default-src 'none'")
+    assert page.headers["Content-Security-Policy"].startswith(
+        "default-src 'none'; script-src 'self'; style-src 'self';"
+    )
 
 
 def test_head_gives_headers_only(world):

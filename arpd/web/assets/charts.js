@@ -1,0 +1,248 @@
+// The charts of the last ten minutes, drawn by uPlot. Each has a sentence that says the same in words.
+
+import { clock, minute, number } from "./fields.js";
+
+const MBIT = 8e-6;
+const LEAST_SPAN_S = 60;
+const OUTAGE = "outage";
+
+const scaled = (scale) => (value) => (value === null || value === undefined ? null : value * scale);
+
+// What each chart shows: how a sample is told from the history's columns and from a status document.
+const CHARTS = [
+  {
+    id: "rate",
+    unit: "Mbit/s",
+    scale: MBIT,
+    least: 1,
+    series: [
+      { name: "capacity", key: "capacity_bytes_per_second", of: (s) => s.link.capacity_bytes_per_second, color: "--capacity", width: 2 },
+      { name: "plan made for", key: "level_bytes_per_second", of: (s) => s.level_bytes_per_second, color: "--level", dash: [7, 4], stepped: true },
+      { name: "delivered", key: "delivery_rate_bytes_per_second", of: (s) => s.link.delivery_rate_bytes_per_second, color: "--delivered", filled: true },
+      { name: "foreign", key: "foreign_bytes_per_second", of: (s) => s.link.foreign_bytes_per_second, color: "--foreign", dash: [2, 3] },
+    ],
+  },
+  {
+    id: "delay",
+    unit: "ms",
+    scale: 1e3,
+    powers: [10, 1000], // a queue of fifty milliseconds and one of five seconds are told from each other
+    notInOutages: true, // there it grows without bound
+    series: [{ name: "queue delay", key: "queue_delay_seconds", of: (s) => s.link.queue_delay_seconds, color: "--delay", filled: true }],
+  },
+  {
+    id: "gate",
+    unit: "%",
+    scale: 100,
+    most: 100,
+    series: [{ name: "gate", key: "gate", of: (s) => s.gate, color: "--gate", stepped: true, filled: true }],
+  },
+];
+const TOPIC_SERIES = [
+  { name: "source", key: "source_rate_hz", color: "--foreign", dash: [2, 3] },
+  { name: "planned", key: "planned_rate_hz", of: (t) => t.planned?.rate_hz, color: "--level", dash: [7, 4], stepped: true },
+  { name: "sent", key: "published_rate_hz", color: "--delivered", filled: true },
+];
+
+/** The last samples in columns, as the history document has them; a status document adds to each. */
+class Past {
+  constructor(history) {
+    this.spanS = history.span_seconds;
+    this.periodS = history.period_seconds;
+    this.times = history.times;
+    this.states = history.link.state;
+    this.columns = new Map(Object.entries({ ...history.link, gate: history.gate }));
+    this.topics = new Map(history.topics.map((topic) => [identity(topic), topic]));
+    this.plans = history.events.filter((event) => event.event === "plan").map((event) => event.unix_time_seconds);
+    this.generation = undefined;
+  }
+
+  append(status) {
+    const now = status.unix_time_seconds;
+    if (this.generation !== undefined && this.generation !== status.plan.generation) this.plans.push(now);
+    this.generation = status.plan.generation;
+    if (this.times.length > 0 && now < this.times.at(-1) + 0.9 * this.periodS) return;
+    this.times.push(now);
+    this.states.push(status.link.state);
+    for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).push(one.of(status) ?? null);
+    const live = new Map(status.topics.map((topic) => [identity(topic), topic]));
+    for (const [name, topic] of this.topics) {
+      for (const one of TOPIC_SERIES) {
+        const now = live.get(name);
+        topic[one.key].push((now && (one.of ? one.of(now) : now[one.key])) ?? null);
+      }
+    }
+    while (this.times[0] < now - this.spanS) this.#forget();
+  }
+
+  #forget() {
+    for (const column of [this.times, this.states]) column.shift();
+    for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).shift();
+    for (const topic of this.topics.values()) for (const one of TOPIC_SERIES) topic[one.key].shift();
+  }
+}
+
+const identity = (topic) => `${topic.topic}\n${topic.node}`;
+
+export class Charts {
+  constructor(section) {
+    this.section = section;
+    this.choice = section.querySelector("select");
+    this.past = null;
+    this.plots = new Map();
+    this.choice.addEventListener("change", () => this.draw());
+    new ResizeObserver(() => this.#resize()).observe(section);
+    for (const query of ["(prefers-color-scheme: dark)", "(prefers-contrast: more)"]) {
+      matchMedia(query).addEventListener("change", () => this.#rebuild());
+    }
+  }
+
+  /** Take a history document whole. */
+  load(history) {
+    this.past = new Past(history);
+    this.section.hidden = false;
+    this.draw();
+  }
+
+  /** Take what a status document adds to it. */
+  append(status) {
+    if (this.past === null) return;
+    this.past.append(status);
+    this.#offer(status.topics);
+    this.draw();
+  }
+
+  /** Offer the topics to choose from; first the one that its plan slows most. */
+  #offer(topics) {
+    const known = topics.filter((topic) => this.past.topics.has(identity(topic)));
+    const names = known.map(identity);
+    if (names.join() === [...this.choice.options].map((option) => option.value).join()) return;
+    const slowed = (topic) => (topic.planned?.rate_hz ?? Infinity) / (topic.source_rate_hz || 1);
+    const first = known.reduce((most, topic) => (most && slowed(most) <= slowed(topic) ? most : topic), null);
+    const chosen = names.includes(this.choice.value) ? this.choice.value : first && identity(first);
+    this.choice.replaceChildren(...known.map((topic) => new Option(topic.topic, identity(topic))));
+    if (chosen) this.choice.value = chosen;
+  }
+
+  draw() {
+    const { past } = this;
+    if (past === null || past.times.length < 2) return;
+    for (const chart of CHARTS) {
+      const isShown = (index) => !chart.notInOutages || past.states[index] !== OUTAGE;
+      const column = (one) => past.columns.get(one.key).map((value, index) => (isShown(index) ? scaled(chart.scale)(value) : null));
+      this.#draw(chart, chart.series.map(column));
+    }
+    const topic = past.topics.get(this.choice.value);
+    if (topic) this.#draw({ id: "topic", unit: "Hz", least: 1, series: TOPIC_SERIES }, TOPIC_SERIES.map((one) => topic[one.key]));
+  }
+
+  #draw(chart, columns) {
+    const data = [this.past.times, ...columns];
+    document.getElementById(`text-${chart.id}`).textContent = inWords(chart, this.past.times, columns);
+    let plot = this.plots.get(chart.id);
+    if (plot) {
+      plot.setData(data);
+    } else {
+      plot = new uPlot(this.#options(chart), data, document.getElementById(`chart-${chart.id}`));
+      this.plots.set(chart.id, plot);
+    }
+    if (plot.cursor.idx === null || plot.cursor.idx === undefined) plot.setLegend({ idx: data[0].length - 1 });
+  }
+
+  #options(chart) {
+    const colors = getComputedStyle(document.documentElement);
+    const color = (name) => colors.getPropertyValue(name).trim();
+    const [lowest, highest] = chart.powers ?? [];
+    const linear = { range: (_plot, _least, most) => [0, chart.most ?? Math.max(chart.least, (most ?? 0) * 1.08)] };
+    const logarithmic = {
+      distr: 3,
+      range: (_plot, _least, most) => [lowest, Math.max(highest, 10 ** Math.ceil(Math.log10(most || lowest)))],
+      clamp: lowest,
+    };
+    const powers = { splits: (_plot, _axis, least, most) => powersOfTen(least, most), filter: (_plot, splits) => splits };
+    const axis = { stroke: color("--muted"), font: "12px system-ui", grid: { stroke: color("--grid"), width: 1 }, ticks: { show: false } };
+    const value = (_plot, number_) => (number_ === null || number_ === undefined ? "–" : `${number(number_)} ${chart.unit}`);
+    return {
+      ...size(document.getElementById(`chart-${chart.id}`)),
+      cursor: { sync: { key: "arpd" }, drag: { setScale: false, x: false, y: false }, points: { size: 7 } },
+      scales: {
+        x: { range: (_plot, first, last) => [Math.min(Math.max(first, last - this.past.spanS), last - LEAST_SPAN_S), last] },
+        y: chart.powers ? logarithmic : linear,
+      },
+      axes: [
+        { ...axis, size: 24, gap: 4, space: 64, values: (_plot, splits) => splits.map(minute), incrs: [60, 120, 300] },
+        { ...axis, size: chart.powers ? 54 : 44, gap: 6, space: 34, ...(chart.powers ? powers : {}) },
+      ],
+      series: [
+        { label: "time", value: (_plot, at) => (at ? clock(at) : "–") },
+        ...chart.series.map((one) => ({
+          label: one.name,
+          stroke: color(one.color),
+          fill: one.filled ? `${color(one.color)}2e` : undefined,
+          width: one.width ?? 1.5,
+          dash: one.dash,
+          paths: one.stepped ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
+          points: { show: false },
+          fillTo: chart.powers ? lowest : 0,
+          value,
+        })),
+      ],
+      hooks: { drawClear: [(plot) => this.#mark(plot, color("--outage"), color("--muted"))] },
+    };
+  }
+
+  /** Shade the outages, and set a tick where a new plan came into force. */
+  #mark(plot, shade, line) {
+    const { ctx, bbox } = plot;
+    const x = (at) => Math.min(Math.max(plot.valToPos(at, "x", true), bbox.left), bbox.left + bbox.width);
+    const { times, states, plans } = this.past;
+    ctx.save();
+    ctx.fillStyle = shade;
+    times.forEach((at, index) => {
+      if (states[index] !== OUTAGE) return;
+      const end = times[index + 1] ?? at;
+      ctx.fillRect(x(at), bbox.top, Math.max(1, x(end) - x(at)), bbox.height);
+    });
+    ctx.fillStyle = line;
+    const height = 7 * devicePixelRatio;
+    for (const at of plans) {
+      if (at >= plot.scales.x.min) ctx.fillRect(x(at) - 1, bbox.top + bbox.height - height, 2, height);
+    }
+    ctx.restore();
+  }
+
+  #resize() {
+    for (const [id, plot] of this.plots) plot.setSize(size(document.getElementById(`chart-${id}`)));
+  }
+
+  #rebuild() {
+    for (const plot of this.plots.values()) plot.destroy();
+    this.plots.clear();
+    this.draw();
+  }
+}
+
+function powersOfTen(least, most) {
+  const powers = [];
+  for (let power = least; power <= most * 1.0001; power *= 10) powers.push(power);
+  return powers;
+}
+
+function size(element) {
+  return { width: Math.max(200, Math.floor(element.clientWidth)), height: 190 };
+}
+
+/** Say what a chart shows, for whoever does not see it. */
+function inWords(chart, times, columns) {
+  const minutes = Math.max(1, Math.round((times.at(-1) - times[0]) / 60));
+  const said = chart.series.map((one, index) => {
+    const values = columns[index].filter((value) => value !== null);
+    if (values.length === 0) return `${one.name} unknown`;
+    const last = columns[index].at(-1);
+    const now = last === null ? "unknown now" : `${number(last)} ${chart.unit} now`;
+    const least = values.reduce((a, b) => Math.min(a, b));
+    const most = values.reduce((a, b) => Math.max(a, b));
+    return `${one.name} ${now}, ${number(least)} to ${number(most)}`;
+  });
+  return `In ${minutes === 1 ? "the last minute" : `${minutes} minutes`}: ${said.join("; ")}.`;
+}

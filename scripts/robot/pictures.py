@@ -1,0 +1,152 @@
+"""Pictures of arpd at work: the page, on a desk and on a phone, and `arpd top`, of a real run.
+
+The demo's robot meets a slower link, an outage and a slower link again; then the pictures are taken. Needs network
+namespaces (root) and the Chromium of apt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+import urllib.request
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+from rich._export_format import CONSOLE_SVG_FORMAT
+from rich.console import Console
+
+from arpd.cli_frame import View, frame
+from arpd.cli_progress import progress
+from arpd.errors import ArpdError
+from arpd.sim.schedule import RateSchedule
+from arpd.sim.simlink import SimLink, available
+from scripts.robot.run import REPO, DemoError, play, robot
+
+if TYPE_CHECKING:
+    from typing import Literal, TypeAlias
+
+    from playwright.sync_api import Browser, ViewportSize
+
+    Scheme: TypeAlias = Literal["light", "dark"]
+
+_SCHEDULE = RateSchedule.parse("0:20mbit,30:5mbit,55:16kbit,66:5mbit,72:20mbit,97:5mbit")
+_OUTAGE_S = (55.0, 66.0)
+_DURATION_S = 120.0
+_SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
+_COLUMNS, _LINES = 126, 36
+_FONT = "DejaVu Sans Mono, Liberation Mono, monospace"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="scripts/screenshots", description=__doc__)
+    parser.add_argument("--to", type=Path, default=REPO / "scripts" / "pictures", help="folder (default %(default)s)")
+    parser.add_argument("--of", metavar="URL", help="take pictures of a daemon that runs already, such as the demo's")
+    options = parser.parse_args()
+    try:
+        if options.of:
+            take(options.of.rstrip("/"), options.to)
+        else:
+            run_and_take(options.to)
+    except ArpdError as error:
+        print(f"scripts/screenshots: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def run_and_take(folder: Path) -> None:
+    usable, reason = available()
+    if not usable:
+        raise DemoError(f"the pictures are of a real run, which needs network namespaces ({reason}); run it as root")
+    logs = Path(tempfile.mkdtemp(prefix="arpd-screenshots-"))
+    print(f"logs in {logs}", file=sys.stderr)
+    with (
+        SimLink(f"screenshots-{os.getpid()}", rate_bytes_per_second=_SCHEDULE.rate_at(0.0)) as link,
+        robot(link, logs, is_managed=True) as side,
+        progress("the robot at work", total=_DURATION_S) as shown,
+    ):
+        play(
+            side,
+            _SCHEDULE.rate_at,
+            _DURATION_S,
+            on_tick=shown.reach,
+            outages=[_OUTAGE_S],
+        )
+        take(side.url, folder)
+
+
+def take(url: str, folder: Path) -> None:
+    """Take every picture of the daemon at a base URL."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise DemoError("chromium is not installed; apt-get install chromium")
+    folder.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=_SWITCHES)
+        try:
+            desk: ViewportSize = {"width": 1280, "height": 1030}
+            _page(browser, url, folder / "page.png", size=desk, scheme="light")
+            _page(browser, url, folder / "page-dark.png", size=desk, scheme="dark", below="#topics-title")
+            phone: ViewportSize = {"width": 390, "height": 1180}
+            _page(browser, url, folder / "page-phone.png", size=phone, scheme="light", scale=1.25)
+            _top(browser, url, folder / "top.png")
+        finally:
+            browser.close()
+    for path in sorted(folder.glob("*.png")):
+        print(f"{path}: {path.stat().st_size / 1024:.0f} KiB")
+
+
+def _page(
+    browser: Browser, url: str, path: Path, *, size: ViewportSize, scheme: Scheme, below: str = "", scale: float = 1.0
+) -> None:
+    context = browser.new_context(viewport=size, color_scheme=scheme, device_scale_factor=scale)
+    page = context.new_page()
+    page.goto(url)
+    page.wait_for_function("() => document.body.dataset.freshness === 'live' && document.querySelector('canvas')")
+    page.wait_for_timeout(1500)  # a poll or two, so that the charts have their newest sample
+    if below:
+        page.locator(below).evaluate("(title) => scrollTo(0, title.getBoundingClientRect().top + scrollY - 16)")
+    _write(path, page.screenshot())
+    context.close()
+
+
+def _top(browser: Browser, url: str, path: Path) -> None:
+    """Draw a frame of `arpd top` as a terminal would."""
+    console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
+    view = View(width=_COLUMNS, height=_LINES, url="http://robot.local:9464")
+    console.print(frame(_get(f"{url}/api/v1/status"), _get(f"{url}/api/v1/history"), view))
+    # Without the web fonts that rich names, which would be fetched from elsewhere.
+    plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)
+    page = browser.new_context(device_scale_factor=1).new_page()
+    page.set_content(f"<body style='margin:0'>{console.export_svg(title='arpd top', code_format=plain)}</body>")
+    picture = page.locator("svg.rich-terminal")
+    picture.evaluate("(svg) => { svg.style.width = '1280px'; svg.style.display = 'block'; }")
+    _write(path, picture.screenshot(omit_background=True))
+
+
+def _get(address: str) -> dict[str, Any]:
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        document = json.load(answer)
+        assert isinstance(document, dict)
+        return document
+
+
+def _write(path: Path, png: bytes) -> None:
+    """Write a picture with as many colours as a screen shot of text needs."""
+    picture = (
+        Image.open(io.BytesIO(png))
+        .convert("RGB")
+        .quantize(128, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    )
+    picture.save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""A daemon that answers whatever a test wants it to, and the document of one that is busy."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import MappingProxyType
+
+from arpd.interface import InterfaceState, LinkCounters
+from arpd.model import (
+    Allocation,
+    AllocationStatus,
+    Binding,
+    CapacityKind,
+    Decision,
+    LinkEstimate,
+    LinkState,
+    MemoryState,
+    Observation,
+    QosPlan,
+    TopicAllocation,
+    TopicPlan,
+)
+from arpd.refusal import RefusalReason
+from arpd.sim.robot import DEMO_TOPICS
+from arpd.snapshot import Snapshot, Totals
+from arpd.web.status import status_document
+from tests.sample_publishers import publisher
+
+
+@contextmanager
+def serving(body, code=200, *, history=None):
+    """Answer a status document, and a history where there is one; a function is asked each time."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            found = {"/api/v1/status": (code, body), "/api/v1/history": (200, history)}.get(self.path, (404, ""))
+            answer = found[1]() if callable(found[1]) else found[1]
+            self.send_response(found[0] if answer is not None else 404)
+            self.end_headers()
+            self.wfile.write((answer or "").encode())
+
+        def log_message(self, *_arguments):
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def document(**changes):
+    """Return the status of a daemon in trouble: a congested link, and a plan that gave something up, unconfirmed."""
+    camera = publisher(
+        "/camera",
+        "/image",
+        source_rate_hz=30.0,
+        offered=200,
+        published=150,
+        withheld=50,
+        rate_hz=12.5,
+        depth=7,
+        deadline_ns=100_000_000,
+        generation=3,
+        refusal=changes.pop("refusal", ""),
+        refusal_reason=changes.pop("refusal_reason", RefusalReason.NONE),
+    )
+    plan = TopicPlan(rate_hz=12.5, min_rate_hz=1.0, deadline_ns=100_000_000, depth=8)
+    allocation = TopicAllocation(
+        name="/image",
+        share=0.5,
+        max_rate_hz=25.0,
+        rate_hz=12.5,
+        depth=8.2,
+        deadline_ns=80_000_000,
+        depth_applied=8,
+        binding=Binding.LINK,
+        depth_binding=Binding.LATENCY_BUDGET,
+    )
+    snapshot = Snapshot(
+        version="1.2.3",
+        interface="wlan0",
+        finished_at_s=10.0,
+        unix_time_s=1e9,
+        tick_s=0.002,
+        observation=Observation(
+            now_s=10.0,
+            counters=LinkCounters(
+                interface="wlan0",
+                rx_bytes=0,
+                tx_bytes=0,
+                rx_packets=0,
+                tx_packets=0,
+                tx_dropped=0,
+                state=changes.pop("interface_state", InterfaceState.UP),
+            ),
+            reports=(),
+            publishers=changes.pop("publishers", (camera,)),
+            memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
+            sensing_topics=1,
+            actuation_topics=0,
+            rmw="rmw_x",
+            rmw_refusal=changes.pop("rmw_refusal", ""),
+        ),
+        link=LinkEstimate(
+            capacity_bytes_per_second=625_000.0,
+            kind=CapacityKind.PEER,
+            state=LinkState.CONGESTED,
+            queue_delay_s=0.12,
+            delivery_rate_bytes_per_second=600_000.0,
+            age_s=0.1,
+            evidence="down: the queue grew",
+        ),
+        allocation=Allocation(
+            topics=(allocation,),
+            status=AllocationStatus.DEGRADED,
+            binding=Binding.LINK,
+            capacity_bytes_per_second=5e5,
+            degradation="reserve of depth",
+            backend="osqp",
+            solve_s=0.0004,
+        ),
+        decision=Decision(
+            gate=0.5,
+            plan=QosPlan(generation=3, topics=MappingProxyType({"/image": plan}), level_bytes_per_second=531_250.0),
+            level_changed=False,
+            reason="held: dwell",
+            refusals=("up: dwell",),
+        ),
+        totals=Totals(),
+        config_error=changes.pop("config_error", ""),
+        confirmed=0,
+        lease_s=changes.pop("lease_s", 0.0),
+    )
+    return status_document(snapshot, now_s=10.05, **changes)
+
+
+def calm(**changes):
+    """Return the status of a daemon with nothing to complain about."""
+    status = document(**changes)
+    status["allocation"] |= {"status": "optimal", "degradation": ""}
+    status["plan"] |= {"confirmed": status["plan"]["publishers"]}
+    return status
+
+
+def demo_robot():
+    """Return the publishers of the demo's robot."""
+    return tuple(
+        publisher(
+            "/arpd_relay",
+            topic.prefix + topic.name,
+            source_rate_hz=topic.rate_hz,
+            rate_hz=topic.rate_hz,
+            published_rate_hz=topic.rate_hz,
+            deadline_ns=int(1.25e9 / topic.rate_hz),
+            offered=1000,
+        )
+        for topic in DEMO_TOPICS
+    )
+
+
+def event(number, text, *, kind="plan", severity="info", at_s=1e9):
+    """Return a line of the decision log."""
+    return {
+        "number": number,
+        "unix_time_seconds": at_s,
+        "event": kind,
+        "severity": severity,
+        "text": text,
+        "topic": "",
+        "node": "",
+        "details": {},
+    }

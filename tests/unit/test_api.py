@@ -1,0 +1,142 @@
+"""The API's documents against their schemas, and against what v1 promised before."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from arpd.daemon import Daemon
+from arpd.event import Event, EventKind, Severity
+from arpd.history import History
+from arpd.model import AllocationStatus
+from arpd.sim import scenario
+from arpd.sim.link import LinkModel
+from arpd.sim.schedule import RateSchedule
+from arpd.web.answers import PATHS
+from arpd.web.history import history_json
+from arpd.web.schemas import SCHEMAS_BY_PATH
+from arpd.web.status import status_document
+
+KEYS = Path(__file__).parents[1] / "golden" / "api-v1-keys.txt"
+SCHEMAS = {name: json.loads(SCHEMAS_BY_PATH[f"/api/v1/schema/{name}-v1.json"]) for name in ("status", "history")}
+EVENT = Event(
+    number=7,
+    unix_time_s=1.7e9,
+    kind=EventKind.PLAN,
+    severity=Severity.WARNING,
+    text="link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+    details={"generation": "3"},
+)
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Run a daemon for a while over a simulated link with a drop and an outage."""
+    made = []
+
+    class Watched(Daemon):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            made.append(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario, "Daemon", Watched)
+        schedule = RateSchedule.parse("0:20mbit,7:5mbit")
+        model = LinkModel(outages=((9.0, 10.0),))
+        scenario.run(scenario.demo_settings(), schedule, 11.0, seed=1, managed=True, model=model)
+    return made[0]
+
+
+@pytest.fixture
+def documents(sample_snapshot, simulated):
+    """Documents of every kind of daemon, by name: (status, history)."""
+    history = History()
+    history.note(sample_snapshot)
+    told = replace(sample_snapshot, events=(EVENT,))
+    observation = replace(
+        sample_snapshot.observation, publishers=(), readers=(), counters=None, peer_ages_s={}, rmw="", taken=None
+    )
+    allocation = replace(sample_snapshot.allocation, topics=(), status=AllocationStatus.EMPTY)
+    empty = replace(sample_snapshot, observation=observation, allocation=allocation)
+    return {
+        "golden": (status_document(told, now_s=1000.25), history_json(history.samples, (EVENT,))),
+        "simulated": (
+            status_document(simulated.snapshot),
+            history_json(simulated.history.samples, simulated.snapshot.events),
+        ),
+        "empty": (status_document(empty, is_ready=False), history_json((), ())),
+    }
+
+
+def strict(schema):
+    """Return the schema, but a key it does not describe is a fault."""
+    if not isinstance(schema, dict):
+        return schema
+    inner = {key: strict(value) if key != "properties" else value for key, value in schema.items()}
+    if "properties" in schema:
+        inner["properties"] = {key: strict(value) for key, value in schema["properties"].items()}
+        inner.setdefault("additionalProperties", False)
+    return inner
+
+
+def described(schema, path=""):
+    """Every key that the schema describes, as a path, with its description."""
+    for key, inner in schema.get("properties", {}).items():
+        yield f"{path}{key}", inner
+        yield from described(inner, f"{path}{key}.")
+    if isinstance(schema.get("items"), dict):
+        yield from described(schema["items"], f"{path}[].")
+
+
+@pytest.mark.parametrize("kind", ["golden", "simulated", "empty"])
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_documents_fit_their_schema_and_hold_nothing_else(documents, kind, name):
+    """Status and history of a full, a simulated and an empty daemon are valid, and every key is described."""
+    status, history = documents[kind]
+    document = json.loads(json.dumps(status, allow_nan=False)) if name == "status" else json.loads(history)
+    faults = [
+        f"{error.json_path}: {error.message}"
+        for error in Draft202012Validator(strict(SCHEMAS[name])).iter_errors(document)
+    ]
+    assert not faults
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_key_says_what_it_means(name):
+    """The schemas are schemas, and each key of theirs has a description."""
+    Draft202012Validator.check_schema(SCHEMAS[name])
+    assert not [
+        path for path, inner in described(SCHEMAS[name]) if not inner.get("description", "").endswith((".", ")"))
+    ]
+
+
+def test_no_key_of_v1_disappears():
+    """Every key v1 ever had is still described and required; new ones are added to the list, and none is removed."""
+    now = {f"{name}.{path}" for name, schema in SCHEMAS.items() for path, _ in described(schema)}
+    assert now == set(KEYS.read_text().split())
+    for name, schema in SCHEMAS.items():
+        for path, inner in [("", schema), *described(schema)]:
+            keys = inner.get("properties", {})
+            assert set(inner.get("required", ())) == set(keys), f"{name}.{path}"
+
+
+def test_the_simulated_run_has_a_past(documents):
+    """The history of a run tells the drop, and as many values as times in every column."""
+    document = json.loads(documents["simulated"][1])
+    capacity = document["link"]["capacity_bytes_per_second"]
+    assert len(document["times"]) >= 11
+    assert max(capacity) > 2e6
+    assert capacity[-1] < 1e6
+    assert {len(column) for topic in document["topics"] for column in topic.values() if isinstance(column, list)} == {
+        len(document["times"])
+    }
+    assert len(document["topics"]) == 12
+
+
+def test_the_schemas_are_served():
+    """What the tests hold is what is served."""
+    assert set(SCHEMAS_BY_PATH) <= PATHS

@@ -1,0 +1,270 @@
+"""What the page is made of: its rendering, its assets, how they are served, and the verdict."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import math
+import re
+from dataclasses import replace
+from http.client import HTTPConnection
+from pathlib import Path
+from types import MappingProxyType, SimpleNamespace
+
+import pytest
+from prometheus_client import CollectorRegistry
+
+from arpd.history import History
+from arpd.interface import InterfaceState
+from arpd.model import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
+from arpd.web.answers import PATHS, label
+from arpd.web.bundle import Bundle
+from arpd.web.page import FORMATS, render_page
+from arpd.web.request import read_request
+from arpd.web.server import HttpServer
+from arpd.web.status import status_document
+from tests.visible import fields, visible
+
+WEB = Path(__file__).parents[2] / "arpd" / "web"
+VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
+
+
+@pytest.fixture
+def get(sample_snapshot):
+    """Return what the server answers to a path, under a header or two."""
+    history = History()
+    for second in range(30):
+        history.note(replace(sample_snapshot, finished_at_s=float(second)))
+    server = HttpServer("127.0.0.1", 0, snapshot=lambda: sample_snapshot, registry=CollectorRegistry(), history=history)
+    server.start()
+
+    def ask(path, **headers):
+        connection = HTTPConnection("127.0.0.1", server.port, timeout=5.0)
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return SimpleNamespace(status=answer.status, headers=answer.headers, body=answer.read())
+
+    yield ask
+    server.stop()
+
+
+# -- assets
+
+
+def test_what_is_vendored_is_what_its_readme_says():
+    """Each vendored file has the SHA-256 that stands beside it, and the licence is there."""
+    lines = [line.split() for line in (VENDORED / "README.md").read_text().splitlines() if line[4:68].isalnum()]
+    listed = {name: digest for digest, name in lines}
+    assert set(listed) == {"uPlot.iife.min.js", "uPlot.min.css", "LICENSE"}
+    assert {path.name for path in VENDORED.iterdir()} == {*listed, "README.md"}
+    for name, digest in listed.items():
+        assert hashlib.sha256((VENDORED / name).read_bytes()).hexdigest() == digest
+    assert "MIT License" in (VENDORED / "LICENSE").read_text()
+
+
+def test_everything_the_page_names_is_served_and_kept(get):
+    """Scripts and styles lie under a path of their content, may be kept for ever, and are found from the page."""
+    page = get("/").body.decode()
+    named = re.findall(r'(?:src|href)="(assets/[^"]+)"', page)
+    assert len(named) == 6
+    for path in named:
+        answer = get(f"/{path}")
+        assert answer.status == 200
+        assert answer.headers["Cache-Control"] == "private, max-age=31536000, immutable"
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    assert get("/").headers["Cache-Control"] == get("/api/v1/history").headers["Cache-Control"] == "no-store"
+    assert get("/assets/0123456789abcdef/page.js").status == 404
+    assert get(f"/{named[0]}/../page.html").status == 404
+
+
+def test_the_page_names_nobody_else():
+    """No address of another host stands in the page, its styles or our scripts, and nothing is inline."""
+    ours = [WEB / "page.html", *(WEB / "assets").glob("*.*")]
+    for path in ours:
+        text = path.read_text()
+        assert not re.search(r"https?://|//[a-z]+\.", text), path
+        assert "innerHTML" not in text
+        assert not re.search(r"\son\w+=|style=|<style|<script>", text), path
+
+
+def test_the_path_of_the_assets_follows_their_content(tmp_path, monkeypatch):
+    """A changed script has another path, so that no browser runs the old one; the same content has the same."""
+    (tmp_path / "assets").mkdir()
+    script = tmp_path / "assets" / "page.js"
+    script.write_text("one")
+    monkeypatch.setattr("arpd.web.bundle.files", lambda _package: tmp_path)
+    first = Bundle()
+    script.write_text("two")
+    second = Bundle()
+    assert first.base != second.base
+    asset = second.get(f"{second.base}page.js")
+    assert asset is not None
+    assert asset.body == b"two"
+    script.write_text("one")
+    assert Bundle().base == first.base
+
+
+def test_paths_in_metrics_stay_few():
+    """Whatever is asked for, the label of a path is one of few."""
+    assert label("/assets/0123/page.js") == label("/assets/never/was.js") == "/assets/"
+    assert label("/api/v1/history") in PATHS
+    assert label("/etc/passwd") == "other"
+
+
+# -- compression
+
+
+@pytest.mark.parametrize(
+    ("header", "takes"),
+    [
+        ("gzip", True),
+        ("br, GZIP;q=0.5", True),
+        ("gzip;q=0", False),
+        ("gzip;q=0.000", False),
+        ("identity", False),
+        ("", False),
+    ],
+)
+def test_gzip_is_for_those_who_take_it(header, takes):
+    """Only a client that names gzip, and not to refuse it, gets it."""
+    raw = iter([f"GET / HTTP/1.1\r\nHost: x\r\nAccept-Encoding: {header}\r\n\r\n".encode()])
+    assert read_request(lambda _most: next(raw)).takes_gzip is takes
+
+
+def test_answers_get_smaller_and_stay_the_same(get):
+    """A large answer comes in gzip with the same content; a small one as it is."""
+    plain, small = get("/api/v1/history"), get("/api/v1/history", **{"Accept-Encoding": "gzip, deflate"})
+    assert small.headers["Content-Encoding"] == "gzip"
+    assert plain.headers["Content-Encoding"] is None
+    assert gzip.decompress(small.body) == plain.body
+    assert len(small.body) < len(plain.body) / 4
+    assert get("/-/ready", **{"Accept-Encoding": "gzip"}).headers["Content-Encoding"] is None
+
+
+# -- rendering
+
+
+def test_every_place_has_a_value_and_a_format(sample_snapshot):
+    """Each path of the template exists in a full document, and each format is known."""
+    document = json.loads(json.dumps(status_document(sample_snapshot, now_s=1000.25)))
+    template = (WEB / "page.html").read_text()
+    whole = re.sub(r"<!-- rows .*?<!-- end -->", "", template, flags=re.DOTALL)
+    for path, form in re.findall(r"\{\{[=?!]?([\w.]+)(?:\|(\w+))?\}\}", whole):
+        value = document
+        for key in path.split(".") if path != "assets" else ():
+            assert key in value, path
+            value = value[key]
+        assert not form or form in FORMATS
+
+
+def test_before_the_first_tick_the_page_says_so():
+    """Without a document the page stands, with dashes where values will be."""
+    page = render_page(None)
+    assert "Starting: no tick has finished yet" in visible(page)
+    assert set(fields(page)["gate|percent"]) == {"–"}
+
+
+def test_markup_from_the_network_is_escaped(sample_snapshot):
+    """Every string of the document is written as text, also in attributes."""
+    document = status_document(sample_snapshot, now_s=1000.25)
+
+    def spoilt(value):
+        if isinstance(value, dict):
+            return {key: spoilt(inner) for key, inner in value.items()}
+        if isinstance(value, list):
+            return [spoilt(inner) for inner in value]
+        return '"><script>' if isinstance(value, str) else value
+
+    page = render_page(spoilt(document))
+    assert "<script>" not in page
+    assert page.count("<script ") == 2
+
+
+@pytest.mark.parametrize(
+    ("form", "value", "said"),
+    [
+        ("number", 9.9999, "10.0"),
+        ("number", 0.125, "0.13"),
+        ("number", 1234.5, "1235"),
+        ("mbit", 600_000.0, "4.80 Mbit/s"),
+        ("ms", 0.0125, "12.5 ms"),
+        ("ms", None, "–"),
+        ("pace", None, "unpaced"),
+        ("period", None, "none"),
+        ("period", 62_500_000, "62.5"),
+        ("counts", {"rate": 3, "gate": 0, "failed": 1}, "rate 3, failed 1"),
+        ("state", "app_limited", "not filled"),
+        ("time", 1_700_000_000.0, "2023-11-14 22:13:20 UTC"),
+    ],
+)
+def test_values_are_written_for_a_reader(form, value, said):
+    """Three digits without exponents, units, and words for what JSON says as null."""
+    assert FORMATS[form](value) == said
+
+
+# -- the verdict
+
+
+def said(snapshot):
+    document = status_document(snapshot)["verdict"]
+    assert document["text"].startswith(f"{document['headline']}: ")
+    return document["severity"], document["text"]
+
+
+def test_the_verdict_answers_the_four_questions(sample_snapshot):
+    """A limited link: that it is the limit, what was slowed, how much, and whether it helps."""
+    calm = replace(
+        sample_snapshot,
+        link=replace(sample_snapshot.link, loss_ratio=0.0),
+        decision=replace(sample_snapshot.decision, gate=1.0),
+    )
+    severity, text = said(calm)
+    assert severity == "warning"
+    assert text == (
+        "The link is the limit: 4.00 Mbit/s is less than the robot offers; arpd slowed 1 of 3 topics, /camera/image "
+        "most (30 → 12.5 Hz), and 1 of them has yet to confirm; it helps: 12.5 ms of queue."
+    )
+    queueing = replace(calm, link=replace(calm.link, queue_delay_s=0.3, loss_ratio=0.05))
+    assert "it does not help yet: 300 ms of queue and 5 % loss." in said(queueing)[1]
+    wide = MappingProxyType(
+        {**calm.decision.plan.topics, "/camera/image": TopicPlan(rate_hz=37.5, min_rate_hz=2.0, deadline_ns=0, depth=1)}
+    )
+    free = replace(calm, decision=replace(calm.decision, plan=replace(calm.decision.plan, topics=wide)))
+    severity, text = said(free)
+    assert severity == "info"
+    assert text.startswith("The link is fine: 4.00 Mbit/s is more than the robot offers; arpd slows none of 3 topics;")
+
+
+@pytest.mark.parametrize(
+    ("change", "severity", "headline"),
+    [
+        ({"link": {"state": LinkState.OUTAGE}}, "error", "The link is down"),
+        ({"observation": {"counters": None}}, "error", "The link is down"),
+        ({"observation": {"superior": "other"}}, "warning", "Standing by"),
+        ({"link": {"state": LinkState.DRAINING}}, "warning", "The link is overfull"),
+        ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, "warning", "The link is overfull"),
+        ({"allocation": {"status": AllocationStatus.DEGRADED}}, "warning", "Not everything asked for fits"),
+        ({"observation": {"publishers": ()}}, "info", "Nothing to govern"),
+    ],
+)
+def test_every_situation_has_its_verdict(sample_snapshot, change, severity, headline):
+    """What matters most comes first, and each has a headline that does not change with numbers."""
+    changed = {part: replace(getattr(sample_snapshot, part), **values) for part, values in change.items()}
+    got, text = said(replace(sample_snapshot, **changed))
+    assert (got, text.partition(":")[0]) == (severity, headline)
+    assert text.endswith(".")
+
+
+def test_without_a_plan_it_is_still_measuring(sample_snapshot):
+    """Publishers without a plan: nothing was decided yet."""
+    plan = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
+    none = replace(sample_snapshot, decision=Decision(gate=1.0, plan=plan, level_changed=False, reason=""))
+    assert said(none) == ("info", "No plan yet: arpd is still measuring the link for 3 topics.")
+
+
+def test_an_interface_without_carrier_is_the_problem(sample_snapshot):
+    """The verdict names the interface and what it lacks."""
+    counters = replace(sample_snapshot.observation.counters, state=InterfaceState.NO_CARRIER)
+    broken = replace(sample_snapshot, observation=replace(sample_snapshot.observation, counters=counters))
+    assert "wlan0 has no carrier, so that nothing can cross it" in said(broken)[1]
