@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from arpd.cli_simulate import add_simulate
 from arpd.cli_solve import add_solve
 from arpd.cli_status import add_status
+from arpd.cli_top import add_top
 from arpd.errors import ArpdError, ConfigError
 from arpd.settings import Settings
 from arpd.version import VERSION
@@ -64,7 +65,8 @@ on the other end: arpd peer     reports what arrives, so that the daemon knows t
 
 `arpd COMMAND --help` explains each, with examples.
 
-exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 78 the configuration is wrong""",
+exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 78 the configuration is wrong;
+`arpd status` exits 3 where there is no daemon""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"arpd {VERSION}")
@@ -76,6 +78,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
     add_solve(commands)
     add_simulate(commands, default_config=DEFAULT_CONFIG)
     add_status(commands)
+    add_top(commands)
     return parser
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,8 +11,6 @@ from typing import TYPE_CHECKING
 from arpd.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from arpd.settings import Settings
     from arpd.sim.link import LinkModel
     from arpd.sim.robot import SimTopic
@@ -110,17 +107,20 @@ def _simulate(options: argparse.Namespace) -> int:
     asked = _understand(options)
 
     from arpd.cli_comparison import comparison_document, comparison_tables
+    from arpd.cli_progress import progress
+    from arpd.quantities import format_duration
     from arpd.sim.compare import compare
 
-    comparison = compare(
-        asked.settings,
-        asked.trace.rates,
-        asked.duration_s,
-        seed=asked.seed,
-        model=asked.model,
-        topics=asked.robot,
-        on_way=_progress(asked.duration_s),
-    )
+    with progress(f"simulating {format_duration(asked.duration_s)} three ways", total=3) as shown:
+        comparison = compare(
+            asked.settings,
+            asked.trace.rates,
+            asked.duration_s,
+            seed=asked.seed,
+            model=asked.model,
+            topics=asked.robot,
+            on_way=shown.step,
+        )
     if options.json:
         print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
     else:
@@ -222,13 +222,3 @@ def _number(option: str, text: str, kind: type[float], bounds: tuple[float, floa
     if value is None or not low <= value <= high:
         raise UsageError(f"{option} '{printable(text)}' is not a number from {low:g} to {high:g}")
     return value
-
-
-def _progress(duration_s: float) -> Callable[[str], None]:
-    """Say what takes so long, to a person who waits."""
-    from arpd.quantities import format_duration
-
-    def say(way: str) -> None:
-        print(f"simulating {format_duration(duration_s)}: {way} ...", file=sys.stderr)
-
-    return say if sys.stderr.isatty() else lambda _: None

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.sim.baselines import Oracle, ThroughputAverage, WindowMaximum
 from arpd.sim.scenario import ScenarioResult, run
 from scripts.bench.estimate_metrics import Metrics, measure
@@ -85,17 +86,18 @@ def measure_all(
     """Return metrics by scenario and way, one entry per seed; hand over the first seed's runs for the picture."""
     keys: list[Key] = [(name, way, seed) for name in names for seed in range(1, seeds + 1) for way in ways]
     found: dict[str, dict[str, list[Metrics]]] = {}
-    with ProcessPoolExecutor(PROCESSES) as pool:
+    with ProcessPoolExecutor(PROCESSES) as pool, progress("simulating", total=len(keys)) as shown:
         played = pool.map(play, keys)
         for name in names:
             found[name] = {way: [] for way in ways}
+            shown.reach(len(ways) * seeds * (len(found) - 1), name)
             for seed in range(1, seeds + 1):
                 results = {way: next(played) for way in ways}
+                shown.reach(len(ways) * (seeds * (len(found) - 1) + seed))
                 for way in ways:
                     found[name][way].append(measure(SCENARIOS[name], results[way], results.get(ORACLE)))
                 if seed == 1:
                     on_picture(name, results)
-            print(f"{name}: done", file=sys.stderr, flush=True)
     return found
 
 

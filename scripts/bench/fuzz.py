@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 REPO = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(REPO))
 
+from arpd.cli_progress import progress  # noqa: E402 - the path comes first
 from scripts.bench.fuzz_targets import TARGETS  # noqa: E402 - the path comes first
 
 RESULTS = Path(__file__).parent / "results"
@@ -204,12 +205,14 @@ def report(names: Sequence[str], options: argparse.Namespace) -> None:
         f"{'peak MiB':>10}{'grown':>8}"
     )
     targets: dict[str, Any] = {}
-    for name in names:
-        targets[name] = found = fuzz(name, options.seconds, options.corpus, options.crashes)
-        print(row(name, found), flush=True)
-        for what, crash in found["crashes"].items():
-            print(f"  {what}, {crash['count']}×: {crash['message'].splitlines()[:1]}")
-            print(f"  .venv/bin/python scripts/bench/fuzz.py --target {name} --input {crash['input']}")
+    with progress("fuzzing", total=len(names)) as shown:
+        for name in names:
+            shown.step(name)
+            targets[name] = found = fuzz(name, options.seconds, options.corpus, options.crashes)
+            print(row(name, found), flush=True)
+            for what, crash in found["crashes"].items():
+                print(f"  {what}, {crash['count']}×: {crash['message'].splitlines()[:1]}")
+                print(f"  .venv/bin/python scripts/bench/fuzz.py --target {name} --input {crash['input']}")
     document = json.loads(options.json.read_text()) if options.json.exists() else {"targets": {}}
     document["targets"] |= targets
     document["load_average"] = os.getloadavg()

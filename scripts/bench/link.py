@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.config import load_settings
 from arpd.errors import ArpdError
 from arpd.probing import PeerReport
@@ -118,17 +119,23 @@ def _run(
 def measure(scenarios: Sequence[Scenario], rounds: int, logs: Path) -> Iterator[Run]:
     """Yield every run as it ends; with and without arpd take turns at going first."""
     started_s = time.monotonic()
-    for number in range(1, rounds + 1):
-        for place, scenario in enumerate(scenarios):
-            for is_managed in (True, False) if (number + place) % 2 else (False, True):
-                try:
-                    done = real(scenario, is_managed=is_managed, number=number, logs=logs)
-                except ArpdError as error:
-                    print(f"{scenario.name}, round {number}: {error}", file=sys.stderr, flush=True)
-                    continue
-                print(f"{time.monotonic() - started_s:5.0f} s {line(done)}", flush=True)
-                yield done
-                yield virtual(scenario, is_managed=is_managed, number=number)
+    turns = [
+        (number, scenario, is_managed)
+        for number in range(1, rounds + 1)
+        for place, scenario in enumerate(scenarios)
+        for is_managed in ((True, False) if (number + place) % 2 else (False, True))
+    ]
+    with progress("measuring", total=len(turns)) as shown:
+        for number, scenario, is_managed in turns:
+            shown.step(f"{scenario.name}, {'with' if is_managed else 'without'} arpd, round {number}")
+            try:
+                done = real(scenario, is_managed=is_managed, number=number, logs=logs)
+            except ArpdError as error:
+                print(f"{scenario.name}, round {number}: {error}", file=sys.stderr, flush=True)
+                continue
+            print(f"{time.monotonic() - started_s:5.0f} s {line(done)}", flush=True)
+            yield done
+            yield virtual(scenario, is_managed=is_managed, number=number)
 
 
 def line(done: Run) -> str:

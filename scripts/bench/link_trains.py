@@ -21,6 +21,7 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.probing import ProbeRequest
 from arpd.sim.result import percentile
 from arpd.sim.simlink import SimLink
@@ -139,9 +140,11 @@ def main() -> None:
     print(f"{'Mbit/s':>7}{'bytes':>7}{'packets':>9}{'sent':>6}{'counted':>9}{'sent in':>8}", end="")
     print("".join(f"{name:>8}" for name in ("least", "p10", "median", "p90", "most")))
     measured = []
-    for rate_mbit in RATES_MBIT:
-        for packet_bytes in PACKET_BYTES:
-            measured.append(measure(Cell(rate_mbit=rate_mbit, packet_bytes=packet_bytes), options.trains))
+    cells = [Cell(rate_mbit=rate_mbit, packet_bytes=size) for rate_mbit in RATES_MBIT for size in PACKET_BYTES]
+    with progress("measuring", total=len(cells)) as shown:
+        for cell in cells:
+            shown.step(f"{cell.rate_mbit:g} Mbit/s, {cell.packet_bytes} bytes")
+            measured.append(measure(cell, options.trains))
             print(row(measured[-1]), flush=True)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(measured) + "\n")

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
 from scripts.bench.child import REPO, RESULTS, Child
 
@@ -250,8 +251,14 @@ def main() -> None:
     trees = {ARPD: REPO} | ({OTHER: options.against.resolve()} if options.against else {})
     measured: list[tuple[Cell, dict[str, Tally]]] = []
     started_s = time.monotonic()
-    with SimLink(f"relay-{time.monotonic_ns() % 10**9}") as link, tempfile.TemporaryDirectory() as workdir:
-        for cell in QUICK if options.quick else DEFAULT:
+    cells = QUICK if options.quick else DEFAULT
+    with (
+        SimLink(f"relay-{time.monotonic_ns() % 10**9}") as link,
+        tempfile.TemporaryDirectory() as workdir,
+        progress("measuring", total=len(cells)) as shown,
+    ):
+        for cell in cells:
+            shown.step(f"{cell.topics} topics of {cell.payload_bytes} bytes")
             measured.append((cell, measure(cell, link, Path(workdir), trees, options.rounds)))
             print(f"{time.monotonic() - started_s:5.0f} s {table(measured[-1:]).splitlines()[2]}", flush=True)
             options.json.parent.mkdir(parents=True, exist_ok=True)

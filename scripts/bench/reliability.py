@@ -41,6 +41,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import yaml
 from pyroute2 import IPRoute
 
+from arpd.cli_progress import progress
 from arpd.sim.namespaces import inside
 from arpd.sim.simlink import SimLink
 from scripts.bench.child import RESULTS, Child, ChildError
@@ -187,18 +188,21 @@ class Robot:
         self.started_s = time.monotonic()
         events = list(events)
         next_footprint_s = 0.0
-        while (now_s := time.monotonic() - self.started_s) < duration_s:
-            while events and events[0].at_s <= now_s:
-                event = events.pop(0)
-                self.done[event.kind] += 1
-                self._happen(event, now_s)
-            for entry in [entry for entry in self._undo if entry[0] <= now_s]:
-                self._undo.remove(entry)
-                entry[1]()
-            if now_s >= next_footprint_s:
-                next_footprint_s = now_s + _FOOTPRINT_S
-                self._note_footprints(now_s)
-            time.sleep(0.02)
+        with progress("playing", total=duration_s) as shown:
+            while (now_s := time.monotonic() - self.started_s) < duration_s:
+                shown.reach(now_s)
+                while events and events[0].at_s <= now_s:
+                    event = events.pop(0)
+                    shown.reach(now_s, event.kind)
+                    self.done[event.kind] += 1
+                    self._happen(event, now_s)
+                for entry in [entry for entry in self._undo if entry[0] <= now_s]:
+                    self._undo.remove(entry)
+                    entry[1]()
+                if now_s >= next_footprint_s:
+                    next_footprint_s = now_s + _FOOTPRINT_S
+                    self._note_footprints(now_s)
+                time.sleep(0.02)
         for _, undo in self._undo:
             undo()
         self._undo.clear()

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
 from scripts.bench.child import RESULTS, Child, ChildError, commands, number_of, sample_of, say
 
@@ -179,7 +180,7 @@ def footprint(pid: int) -> dict[str, int]:
 def soak(swaps: int, seconds: float) -> dict[str, Any]:
     """Run it, and return what was noted."""
     notes: list[dict[str, Any]] = []
-    with SimLink(f"soak-{time.monotonic_ns() % 10**9}") as link:
+    with SimLink(f"soak-{time.monotonic_ns() % 10**9}") as link, progress("swapping", total=swaps) as shown:
         reader = Child(link, "ceddp", "scripts.bench.soak", "--role", "reader")
         reader.hear()
         writer = Child(link, "robot", "scripts.bench.soak", "--role", "writer", "--swaps", str(swaps))
@@ -198,6 +199,7 @@ def soak(swaps: int, seconds: float) -> dict[str, Any]:
                 **reader.ask(tell=True),
             }
             notes.append(note)
+            shown.reach(said["swaps"], f"{said['swaps']} of {swaps}")
             if len(notes) % 5 == 1 or "done" in said:
                 print(row(note), flush=True)
             if elapsed_s > seconds and not is_stopped:

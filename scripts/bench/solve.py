@@ -19,6 +19,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from arpd.cli_progress import progress
 from arpd.model import Topic
 from arpd.program import Program
 from arpd.settings import Backend, ProgramSettings
@@ -224,8 +225,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=RESULTS / "solve.json", metavar="FILE")
     parser.add_argument("--plot", type=Path, default=RESULTS / "solve.png", metavar="FILE")
     options = parser.parse_args()
-    races = [race(count, turns) for count, turns in (QUICK if options.quick else TURNS).items()]
-    footprints = {str(backend): footprint(backend) for backend in Backend}
+    sizes = QUICK if options.quick else TURNS
+    races, footprints = [], {}
+    with progress("timing", total=len(sizes) + len(Backend)) as shown:
+        for count, turns in sizes.items():
+            shown.step(f"{count} topics")
+            races.append(race(count, turns))
+        for backend in Backend:
+            shown.step(f"footprint of {backend}")
+            footprints[str(backend)] = footprint(backend)
     print(table(races, footprints))
     for path in (options.json, options.plot):
         path.parent.mkdir(parents=True, exist_ok=True)

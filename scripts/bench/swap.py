@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
 from scripts.bench.child import RESULTS, Child, ChildError, sent_bytes
 
@@ -360,14 +361,18 @@ def main() -> None:
     skipped = {cell: why for cell in wanted if (why := cell.why_not())}
     measured: list[tuple[Cell, dict[str, Tally]]] = []
     started_s = time.monotonic()
-    with SimLink(
-        f"swap-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=LINK_BYTES_PER_SECOND, queue_bytes=1_000_000
-    ) as link:
+    with (
+        SimLink(
+            f"swap-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=LINK_BYTES_PER_SECOND, queue_bytes=1_000_000
+        ) as link,
+        progress("measuring", total=len(wanted) - len(skipped)) as shown,
+    ):
         for setting, group in itertools.groupby((c for c in wanted if c not in skipped), key=lambda c: c.setting):
             with ExitStack() as stack:
                 bench = Bench(link, setting)
                 stack.callback(bench.end)
                 for cell in group:
+                    shown.step(f"{cell.setting}: {cell.readers} readers, {cell.rate_hz} Hz, depth {cell.depth}")
                     try:
                         tallies = measure(cell, bench, options.rounds, len(measured))
                     except ChildError as error:

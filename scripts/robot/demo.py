@@ -15,18 +15,19 @@ import socket
 import subprocess
 import sys
 import tempfile
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
 
+from arpd.cli_progress import progress
 from arpd.errors import ArpdError
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.simlink import SimLink, available, user_namespace_argv
 from scripts.robot.proxy import window
-from scripts.robot.report import Pair, as_document, final_table, live_line, live_view, pair_up, verdict
+from scripts.robot.report import Pair, as_document, final_table, live_view, pair_up, verdict
 from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
 
 if TYPE_CHECKING:
@@ -112,9 +113,11 @@ def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float, cons
     results = []
     for is_managed in (False, True):
         name = "with arpd" if is_managed else "without arpd"
-        console.print(f"{name}: starting the robot …")
-        with _robot(logs, schedule, is_managed=is_managed) as side:
-            results.append(run(side, schedule, duration_s, on_tick=_watch(side, schedule, duration_s, name, console)))
+        with ExitStack() as stack:
+            with progress(f"{name}: starting the robot"):
+                side = stack.enter_context(_robot(logs, schedule, is_managed=is_managed))
+            show = stack.enter_context(_watching(side, schedule, duration_s, name, console))
+            results.append(run(side, schedule, duration_s, on_tick=show))
     return pair_up(*results)
 
 
@@ -151,42 +154,36 @@ def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     from arpd.sim.scenario import demo_settings
     from arpd.sim.scenario import run as simulate
 
-    sides = [
-        simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics
-        for is_managed in (False, True)
-    ]
+    sides = []
+    with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
+        for is_managed in (False, True):
+            shown.step("with arpd" if is_managed else "without arpd")
+            sides.append(simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics)
     return pair_up(*sides)
 
 
-def _watch(
+@contextmanager
+def _watching(
     side: Side, schedule: RateSchedule, duration_s: float, name: str, console: Console
-) -> Callable[[float], None]:
-    """Return what shows the run: a live table on a terminal, a line every two seconds in a pipe."""
-    last_s = -2.0
-    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+) -> Iterator[Callable[[float], None]]:
+    """Yield what shows the run: a live table on a terminal, nothing in a pipe."""
+    if not console.is_terminal:
+        yield lambda _elapsed_s: None
+        return
+    with Live(console=console, auto_refresh=False, transient=True) as live:
 
-    def show(elapsed_s: float) -> None:
-        nonlocal last_s
-        truth, status = schedule.rate_at(elapsed_s), side.status()
-        if live is not None:
+        def show(elapsed_s: float) -> None:
             view = live_view(
                 elapsed_s=elapsed_s,
                 duration_s=duration_s,
-                truth=truth,
+                truth=schedule.rate_at(elapsed_s),
                 side=name,
-                status=status,
+                status=side.status(),
                 arrivals=side.arrivals,
             )
-            live.start()
             live.update(view, refresh=True)
-            if elapsed_s + 1.0 > duration_s:
-                live.stop()
-        elif elapsed_s - last_s >= 2.0:
-            last_s = elapsed_s
-            line = live_line(elapsed_s=elapsed_s, truth=truth, status=status)
-            console.print(line, highlight=False, soft_wrap=True)
 
-    return show
+        yield show
 
 
 def _listen() -> socket.socket:

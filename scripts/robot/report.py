@@ -117,20 +117,6 @@ def live_view(
     return Group(head, table)
 
 
-def live_line(*, elapsed_s: float, truth: float, status: dict[str, Any] | None) -> str:
-    """Say the same in one line, for a pipe."""
-    line = f"{elapsed_s:5.0f} s  link {truth * 8e-6:5.1f} Mbit/s"
-    if status is None:
-        return line
-    link = status["link"]
-    swaps = sum(sum(topic["swaps"].values()) for topic in status["topics"])
-    return (
-        f"{line}  estimate {link['capacity_bytes_per_second'] * 8e-6:5.1f}  {link['state']:<11}"
-        f"  queue {link['queue_delay_seconds'] * 1e3:4.0f} ms  gate {status['gate']:.2f}"
-        f"  plan {status['plan']['generation']}  swaps {swaps}"
-    )
-
-
 def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
     """JSON form of the whole comparison."""
     better, sentence = verdict(pairs)

@@ -1,0 +1,111 @@
+"""A terminal's whole screen: drawn on, resized, suspended, and given back as it was."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+from rich.control import Control
+from rich.screen import Screen
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGWINCH)
+_ENDING = {signal.SIGINT, signal.SIGTERM}
+_QUIT_KEYS = b"qQ\x03"
+
+
+class Terminal:
+    """The process's terminal, taken over as a context manager.
+
+    Signals and other threads only wake the one that waits; whatever has to be done is done there.
+    """
+
+    def __init__(self) -> None:
+        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+        self._console = Console(highlight=False)
+        self.is_ascii = not self._console.encoding.startswith("utf")
+        self._keyboard = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._awake, self._waker = os.pipe()
+            for end in (self._awake, self._waker):
+                os.set_blocking(end, False)
+                stack.callback(os.close, end)
+            stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False))
+            for number in _SIGNALS:
+                stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+            self._take()
+            stack.callback(self._give_back)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    def size(self) -> tuple[int, int]:
+        """Return columns and lines, at this moment."""
+        columns, lines = os.get_terminal_size(sys.stdout.fileno())
+        return columns or 80, lines or 24  # a serial line does not know
+
+    def wake(self) -> None:
+        """End a `wait`, from any thread."""
+        with suppress(BlockingIOError, OSError):  # full: it is awake; closed: it has ended
+            os.write(self._waker, b"\0")
+
+    def wait(self, timeout_s: float | None) -> bool:
+        """Wait until there may be something new to draw; whether the user wants it to end."""
+        watched = [self._awake, *([self._keyboard] if self._keyboard >= 0 else [])]
+        ready, _, _ = select.select(watched, [], [], timeout_s)
+        if self._keyboard in ready:
+            keys = os.read(self._keyboard, 64)
+            if not keys:
+                self._keyboard = -1  # the keyboard is gone; signals still end it
+            if any(key in _QUIT_KEYS for key in keys):
+                return True
+        seen = set(os.read(self._awake, 4096)) if self._awake in ready else set()
+        if signal.SIGTSTP in seen:
+            self._suspend()
+        return bool(seen & _ENDING)
+
+    def draw(self, frame: RenderableType) -> None:
+        """Write a frame over the one before, in one piece."""
+        self._console.size = self.size()
+        with self._console.capture() as drawn:
+            self._console.print(Control.home(), Screen(frame), end="")
+        self._console.file.write(drawn.get())
+        self._console.file.flush()
+
+    def _take(self) -> None:
+        self._modes: list[Any] | None = None
+        if self._keyboard >= 0:
+            self._modes = termios.tcgetattr(self._keyboard)
+            tty.setcbreak(self._keyboard, termios.TCSANOW)
+        self._console.set_alt_screen(enable=True)
+        self._console.show_cursor(show=False)
+        self._console.file.flush()
+
+    def _give_back(self) -> None:
+        self._console.show_cursor(show=True)
+        self._console.set_alt_screen(enable=False)
+        self._console.file.flush()
+        if self._modes is not None:
+            termios.tcsetattr(self._keyboard, termios.TCSANOW, self._modes)
+
+    def _suspend(self) -> None:
+        """Stop as the shell asks, with the terminal as it was, and go on when it says so."""
+        self._give_back()
+        ours = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)
+        signal.signal(signal.SIGTSTP, ours)
+        self._take()

@@ -1,0 +1,358 @@
+"""`arpd status`: one screen, and an exit code that tells a well robot from one somebody should look at."""
+
+from __future__ import annotations
+
+import copy
+import json
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd import cli, cli_verdict
+from arpd.cli_status import screen
+from arpd.cli_verdict import faults
+from arpd.event import EventKind
+from arpd.interface import InterfaceState
+from arpd.model import AllocationStatus, Binding, LinkState
+from arpd.refusal import RefusalReason
+from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
+
+
+@pytest.fixture
+def status(capsys, monkeypatch):
+    """Run ``arpd status`` against a document; returns exit code, stdout and stderr."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+    def status(answered, *options, code=200):
+        body = answered if isinstance(answered, str) else json.dumps(answered)
+        with serving(body, code) as url:
+            ended = cli.main(["status", "--url", url, *options])
+        captured = capsys.readouterr()
+        return ended, captured.out, captured.err
+
+    return status
+
+
+def test_the_daemon_fits_on_one_screen(status):
+    """Verdict, link, gate, plan, program and every publisher, announced and planned in one cell."""
+    answered = document(config_error="arpd.yaml:1:1: x: y; z")
+    answered["link"] |= {"loss_ratio": 0.004, "return_delay_seconds": 0.0042}
+    answered["topics"][0] |= {
+        "published_rate_hz": 11.6,
+        "withheld_by_cause": {"rate": 38, "gate": 12, "blocked": 0},
+        "deadlines_missed": 3,
+    }
+    answered["verdict"] = {"severity": "warning", "headline": "Not everything fits", "text": "Not everything fits: so"}
+    answered["events"] = [event(1, "link fell to 5.0 Mbit/s")]
+    code, out, err = status(answered)
+    at = time.strftime("%H:%M:%S", time.localtime(1e9))
+    assert (code, err) == (1, "")
+    assert (
+        out
+        == f"""\
+arpd 1.2.3 on wlan0, 50.0 ms ago; memory 512 MiB of 1.00 GiB available
+wrong: Not everything fits: so
+wrong: the last reload was refused: arpd.yaml:1:1: x: y; z
+
+link     5.00 Mbit/s (peer, congested), delivering 4.80 Mbit/s
+         queueing 120 ms, loss 0.4%, return delay 4.20 ms
+         down: the queue grew
+gate     0.5, plan 3 for 4.25 Mbit/s: 0 of 1 publishers confirmed
+         held: dwell
+         refused: up: dwell
+program  degraded, bound by link, solved by osqp in 400 us
+dropped  50 of 200 messages (25%): rate 38, gate 12
+
+TOPIC   PLAN Hz  SENT  SOURCE  DEPTH  DEADLINE  DROPS           CAUSES  LATE  BOUND BY
+/image     12.5  11.6      30    7→8    100 ms    25%  rate:38 gate:12     3  link
+
+{at}  link fell to 5.0 Mbit/s
+"""
+    )
+
+
+def test_all_is_well_exits_0(status):
+    """A slow link that arpd copes with is well; nothing is wrong on any line."""
+    code, out, err = status(calm())
+    assert (code, err) == (0, "")
+    assert "wrong" not in out
+
+
+@pytest.mark.parametrize(
+    ("answered", "said"),
+    [
+        (calm(is_ready=False), "not ready"),
+        (calm() | {"age_seconds": 7.0}, "no tick has finished for 7.00 s"),
+        (calm() | {"daemons": {"standing_by_for": "spare", "others": ["spare"]}}, "another arpd daemon, on spare"),
+        (calm(interface_state=InterfaceState.NO_CARRIER), "wlan0 has no carrier"),
+        (calm() | {"link": calm()["link"] | {"state": "outage"}}, "nothing comes through the link"),
+        (calm(config_error="a.yaml:1:1: x: y; z"), "the last reload was refused: a.yaml:1:1: x: y; z"),
+        (document(), "given up: reserve of depth"),
+    ],
+    ids=["not ready", "stuck", "standing by", "no carrier", "outage", "reload refused", "infeasible"],
+)
+def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
+    """On the screen; beside JSON, on stderr."""
+    del answered["verdict"]
+    code, out, err = status(answered)
+    assert (code, err) == (1, "")
+    assert f"\nwrong: {said}" in out or said in out
+    code, out, err = status(answered, "--json")
+    assert (code, json.loads(out)) == (1, answered)
+    assert said in err
+    assert err.startswith("arpd: ")
+
+
+def test_the_daemons_own_verdict_is_the_sentence(status):
+    """A newer daemon judges itself, and nothing says the same once more."""
+    answered = document()
+    said = answered["verdict"]["text"]
+    assert status(answered)[1].splitlines()[1] == f"wrong: {said}"
+    well = calm()
+    well["verdict"]["text"] = "The link is fine: all passes"
+    assert status(well)[1].splitlines()[1] == "The link is fine: all passes"
+
+
+def test_the_words_of_the_document_are_those_of_the_domain():
+    """What is spelled out, so that nothing need be imported for it, is spelled as it is there."""
+    assert {Binding.LINK, Binding.FLOOR} == cli_verdict._LINK_BINDINGS
+    assert (LinkState.OUTAGE, AllocationStatus.DEGRADED) == (cli_verdict._OUTAGE, cli_verdict._DEGRADED)
+    assert {EventKind.PLAN, EventKind.TOPIC_FOUND} == cli_verdict._PLAN_BEGINS
+    assert EventKind.CONFIRMED == cli_verdict._PLAN_CONFIRMED
+
+
+@pytest.mark.parametrize(
+    ("events", "is_wrong"),
+    [
+        ([], False),
+        ([event(1, "a plan", at_s=1e9 - 10)], False),
+        ([event(1, "a plan", at_s=1e9 - 20)], True),
+        ([event(1, "a plan", at_s=1e9 - 20), event(2, "a topic", kind="topic_found", at_s=1e9 - 2)], False),
+        ([event(1, "something", kind="outage", at_s=1e9 - 20)], True),
+        ([event(1, "a plan", at_s=1e9 - 30), event(2, "all", kind="confirmed", at_s=1e9 - 20)], False),
+    ],
+)
+def test_a_plan_that_is_long_unconfirmed_is_wrong(events, is_wrong):
+    """The decision log tells how long; without one nothing is held against the daemon."""
+    answered = calm()
+    answered["plan"]["confirmed"] = 0
+    answered |= {"events": events, "unix_time_seconds": 1e9}
+    assert [fault for fault in faults(answered) if "not confirmed" in fault] == (
+        ["plan not confirmed for 20.0 s: 0 of 1 publishers confirmed"] if is_wrong else []
+    )
+
+
+def test_the_demo_robots_status_fits_a_terminal_of_80_by_24():
+    """A dozen topics and an interface that has failed, and nothing scrolls or wraps."""
+    answered = calm(publishers=demo_robot(), interface_state=InterfaceState.NO_CARRIER)
+    answered["plan"] |= {"reason": "", "refusals": []}
+    answered["events"] = [event(number, "link fell to 4.8 Mbit/s: " + "/a 30 → 2 Hz, " * 9) for number in range(50)]
+    lines = screen(answered, width=80, height=24).splitlines()
+    assert len(lines) < 24
+    assert max(map(len, lines)) <= 80
+    assert sum("/link/" in line or "…" in line for line in lines) >= 11
+    assert "DEPTH" in next(line for line in lines if line.startswith("TOPIC"))
+
+
+def test_readers_that_no_plan_touches_are_counted(status):
+    """A relay has one for every topic; those that are planned, or refuse to be, have a line each."""
+    answered = calm()
+    reader = {"topic": "/a", "node": "/n", "planned": None, "confirmed": {"depth": 10}, "refusal": ""}
+    answered["readers"] = [reader] * 3
+    assert "\nreaders that no plan touches: 3\n" in status(answered)[1]
+    answered["readers"].append(reader | {"topic": "/b", "planned": {"depth": 5, "deadline_ns": 10**8}})
+    assert (
+        "\n/b            10        5      none   100 ms  /n\nreaders that no plan touches: 3\n" in status(answered)[1]
+    )
+
+
+def test_a_pipe_gets_whole_names_and_five_events(status):
+    """Nothing is cut where something else reads."""
+    name = "/a" * 60
+    answered = calm()
+    answered["topics"][0]["topic"] = name
+    answered["events"] = [event(number, f"event {number} {'x' * 200}") for number in range(9)]
+    out = status(answered)[1]
+    assert name in out
+    assert [line.split()[2] for line in out.splitlines() if "event " in line] == ["4", "5", "6", "7", "8"]
+
+
+def test_columns_in_the_environment_give_a_pipe_a_width(status, monkeypatch):
+    """As `watch` sets it."""
+    monkeypatch.setenv("COLUMNS", "60")
+    out = status(calm(publishers=demo_robot()))[1]
+    assert max(map(len, out.splitlines())) <= 60
+
+
+def test_json_is_the_daemons_own(status):
+    """What it sent is what is printed."""
+    code, out, _ = status(calm(), "--json")
+    assert (code, json.loads(out)) == (0, calm())
+
+
+def test_it_says_how_to_begin_when_nothing_is_managed(status):
+    """An empty table teaches."""
+    assert "no publisher announces itself" in status(calm(publishers=()))[1]
+
+
+def test_it_says_what_a_silent_daemon_leaves(status):
+    """A lease that ends the plan shows; a plan that stays is nothing to say."""
+    said = "\nlease    after 30 s without this daemon, publishers and readers return"
+    assert said in status(calm(lease_s=30.0))[1]
+    assert "lease" not in status(calm())[1]
+
+
+def test_it_names_a_middleware_that_cannot_swap(status):
+    """On Fast DDS nothing is said; on another middleware, what does not happen there."""
+    assert "\nrmw      rmw_x is paced and gated only\n" in status(calm(rmw_refusal="rmw_x is paced and gated only"))[1]
+    assert "rmw" not in status(calm())[1]
+
+
+def test_it_understands_an_older_daemon(status):
+    """What an older daemon does not tell is left out."""
+    older = calm()
+    for key in ("lease", "readers", "rmw", "verdict", "events"):
+        older.pop(key, None)
+    for key in ("readers", "readers_confirmed", "paced_only"):
+        del older["plan"][key]
+    for key in ("loss_ratio", "return_delay_seconds", "events"):
+        older["link"].pop(key, None)
+    for key in ("refusal_lasts", "refusal_reason", "published_rate_hz", "withheld_by_cause", "deadlines_missed"):
+        older["topics"][0].pop(key, None)
+    code, out, _ = status(older)
+    assert code == 0
+    assert "1 of 1 publishers confirmed\n" in out
+    for newer in ("lease", "loss", "SENT", "LATE", "CAUSES"):
+        assert newer not in out
+
+
+def test_it_tells_a_refusal_for_good_from_one_that_may_pass(status):
+    """What will never swap is settled and said to be paced and gated only; what may, is the refusal as it came."""
+    for reason, shown, counted in (
+        (RefusalReason.TRANSIENT_LOCAL, "rate and gate only: latched", " (1 by rate and gate only) confirmed\n"),
+        (RefusalReason.UNMATCHED, "  latched", "publishers confirmed\n"),
+    ):
+        out = status(calm(refusal="latched", refusal_reason=reason))[1]
+        assert shown in out
+        assert counted in out
+
+
+HOSTILE = ("\x1b[2J", "\r\n\x07", "\u202e", "\x9b31m", "\ud800", "A" * 5000, "\u0301", "日本")
+
+
+def leaves(document, path=()):
+    """List the way to every value of a document."""
+    items = document.items() if isinstance(document, dict) else enumerate(document)
+    for key, value in items:
+        yield (*path, key)
+        if isinstance(value, (dict, list)):
+            yield from leaves(value, (*path, key))
+
+
+def rich_document():
+    """Return a document with something everywhere."""
+    answered = calm(lease_s=3.0, refusal="it refuses", refusal_reason=RefusalReason.UNMATCHED)
+    answered["readers"] = [
+        {
+            "topic": "/a",
+            "node": "/n",
+            "planned": {"depth": 1, "deadline_ns": 1},
+            "confirmed": {"depth": 1},
+            "refusal": "",
+        }
+    ]
+    answered["events"] = [event(1, "text")]
+    answered["topics"][0]["withheld_by_cause"] = {"rate": 3}
+    return answered
+
+
+RICH = rich_document()
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.floats(), st.integers(), st.sampled_from(HOSTILE), st.just([]), st.just({})
+)
+
+
+@st.composite
+def broken_documents(draw):
+    """Return the document with values anywhere gone, or replaced by something else."""
+    answered = copy.deepcopy(RICH)
+    for path in draw(st.lists(st.sampled_from(list(leaves(RICH))), max_size=6)):
+        holder = answered
+        for key in path[:-1]:
+            holder = holder[key] if isinstance(holder, dict) and key in holder else None
+            if not isinstance(holder, (dict, list)):
+                break
+        if isinstance(holder, dict):
+            if draw(st.booleans()):
+                holder.pop(path[-1], None)
+            else:
+                holder[path[-1]] = draw(JUNK)
+    return answered
+
+
+@given(broken_documents(), st.integers(1, 200))
+def test_whatever_answers_neither_breaks_the_screen_nor_steers_the_terminal(answered, width):
+    """Keys that are missing or hold something else leave a gap; control characters are shown, not sent."""
+    faults(answered)
+    shown = screen(answered, width=width, height=24)
+    assert all(character.isprintable() or character == "\n" for character in shown)
+
+
+def test_a_terminal_without_unicode_gets_question_marks(monkeypatch):
+    """A character set without arrows is no traceback."""
+    import io
+    import sys
+
+    written = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", written)
+    with serving(json.dumps(document(publishers=demo_robot()))) as url:
+        assert cli.main(["status", "--url", url]) == 1
+    written.seek(0)
+    assert "TOPIC" in written.read()
+
+
+@pytest.mark.parametrize("body", ['{"api_version": "v1", "ready": false}', json.dumps(calm(is_ready=False))])
+def test_it_exits_1_while_the_daemon_is_not_ready(status, body):
+    """A daemon that answers but does not govern is a failure, and says so even without a screen."""
+    code, out, err = status(body, code=503)
+    assert code == 1
+    assert "not ready" in out + err
+
+
+def test_it_exits_1_when_it_cannot_read_the_document(status):
+    """Another version's document is no traceback."""
+    code, _, err = status('{"api_version": "v9", "ready": true, "link": {}}')
+    assert code == 1
+    assert "another version" in err
+
+
+@pytest.mark.parametrize(("body", "code"), [("<html>", 200), ("[]", 200), ("{}", 404), ("503 busy\n", 503)])
+def test_it_exits_3_when_something_else_answers(status, body, code):
+    """Only arpd's own document counts."""
+    ended, out, err = status(body, code=code)
+    assert (ended, out) == (3, "")
+    assert "is not arpd" in err
+
+
+def test_it_exits_3_when_nothing_answers(capsys, monkeypatch):
+    """As `systemctl status` does; the message says what to look at, and a proxy in the environment does not matter."""
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    with serving("{}") as url:
+        pass
+    assert cli.main(["status", "--url", url]) == 3
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"arpd: no daemon answers at {url} (")
+    assert "systemctl status arpd" in err
+
+
+@pytest.mark.parametrize("url", ["localhost:9464", "file:///etc/passwd", "http://[::1", "http://a b/"])
+@pytest.mark.parametrize("command", ["status", "top"])
+def test_what_is_no_http_address_is_refused(capsys, command, url):
+    """Only HTTP is spoken, and nothing is guessed."""
+    assert cli.main([command, "--url", url, *(["--once"] if command == "top" else [])]) in {2, 3, 69}
+    err = capsys.readouterr().err
+    assert err.startswith("arpd: ")
+    assert err.count("\n") == 1
