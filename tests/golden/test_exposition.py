@@ -15,7 +15,7 @@ from arpd.web.http_metrics import HttpCounts
 from arpd.web.metrics import SnapshotCollector
 
 GOLDEN = Path(__file__).with_name("exposition.txt")
-GET_PROMTOOL = Path(__file__).parents[2] / "scripts" / "get-promtool"
+GET_PROMETHEUS = Path(__file__).parents[2] / "scripts" / "get-prometheus"
 
 
 def exposition(snapshot) -> str:
@@ -40,7 +40,7 @@ def test_the_exposition_is_the_golden_file(sample_snapshot):
 @pytest.mark.parametrize("is_started", [False, True])
 def test_promtool_finds_nothing_to_complain_about(sample_snapshot, is_started):
     """Prometheus's own linter accepts the exposition before and after the first tick."""
-    found = subprocess.run([GET_PROMTOOL], capture_output=True, text=True, check=False)
+    found = subprocess.run([GET_PROMETHEUS, "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
         pytest.skip(f"no promtool: {found.stderr.strip()}")
     checked = subprocess.run(

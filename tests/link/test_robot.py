@@ -201,7 +201,9 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
 
 def test_metrics_of_a_live_robot_are_clean(side):
     """What a live daemon exposes passes promtool, and names every managed topic."""
-    promtool = subprocess.run([REPO / "scripts/get-promtool"], capture_output=True, text=True, check=False)
+    promtool = subprocess.run(
+        [REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False
+    )
     if promtool.returncode != 0:
         pytest.skip(f"no promtool: {promtool.stderr.strip()}")
     eventually(lambda: is_confirmed(side))

@@ -1,0 +1,161 @@
+"""Prometheus's configuration, recording rules and alerts of etc/prometheus, by promtool and against the exposition."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+from arpd.event import EventKind
+
+REPO = Path(__file__).parents[2]
+ETC = REPO / "etc" / "prometheus"
+RECORDING, ALERTING = ETC / "rules" / "arpd.rules.yml", ETC / "rules" / "arpd.alerts.yml"
+UNIT_TESTS = sorted(Path(__file__).parent.glob("*.test.yml"))
+ALERTS = re.compile(r'count\(ALERTS\{alertname=~?"([A-Za-z|]+)"(,alertstate="firing")?\}\)')
+# Not arpd's: of prometheus_client's process collector, of Prometheus itself.
+FOREIGN = {"process_start_time_seconds", "up", "ALERTS"}
+NAME = re.compile(r"\b(?:(?:instance|topic):)?(?:arpd|process|python)_[a-z0-9_]+(?::[a-z0-9_]+)?\b|\bup\b|\bALERTS\b")
+SELECTOR = re.compile(r"\b([a-z]+:)?(arpd_[a-z0-9_:]+)\{([^}]*)\}")
+
+
+@pytest.fixture(scope="module")
+def promtool():
+    found = subprocess.run([REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False)
+    if found.returncode != 0:
+        pytest.skip(f"no promtool: {found.stderr.strip()}")
+    return found.stdout.strip()
+
+
+def rules(path):
+    return [rule for group in yaml.safe_load(path.read_text())["groups"] for rule in group["rules"]]
+
+
+def exposed():
+    """Names of the golden exposition's series, each with the label sets they have."""
+    series = {}
+    for line in (REPO / "tests/golden/exposition.txt").read_text().splitlines():
+        if line.startswith("#"):
+            kind = line.split()
+            if kind[1] == "TYPE":
+                series.setdefault(kind[2], [])
+            continue
+        name, _, labels = line.rpartition(" ")[0].partition("{")
+        series.setdefault(name, []).append(dict(re.findall(r'([a-z_]+)="([^"]*)"', labels)))
+    return series
+
+
+def run(promtool, *arguments):
+    done = subprocess.run([promtool, *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_configuration_and_the_rules_are_valid(promtool):
+    """Promtool accepts the configuration with both rule files in it, and its linter has nothing to say."""
+    assert "2 rule files found" in run(
+        promtool, "check", "config", "--lint=all", "--lint-fatal", ETC / "prometheus.yml"
+    )
+    run(promtool, "check", "rules", "--lint=all", "--lint-fatal", RECORDING, ALERTING)
+
+
+def test_the_commented_jobs_are_valid_too(promtool, tmp_path):
+    """The jobs for a robot over the network and for a fleet work as they stand, once their comment signs are gone."""
+    text = (ETC / "prometheus.yml").read_text()
+    head, _, jobs = text.partition("scrape_configs:\n")
+    uncommented = [line.replace("# ", "", 1) for line in jobs.splitlines() if re.match(r"  # (- job_name|  )", line)]
+    # Left out: the prose, and the example of what a file of targets holds.
+    lines = [line for line in uncommented if not re.match(r"  +(- targets: \[\"picker|labels: \{site)", line)]
+    config = yaml.safe_load("scrape_configs:\n" + "\n".join(lines))
+    assert [job["scheme"] for job in config["scrape_configs"]] == ["https", "https"]
+    config["scrape_configs"][1]["job_name"] = "fleet"
+    for name in ("robot-ca.crt", "fleet-ca.crt", "arpd-password"):
+        (tmp_path / name).touch()
+    written = tmp_path / "prometheus.yml"
+    written.write_text(yaml.safe_dump(config))
+    run(promtool, "check", "config", "--syntax-only", written)
+    assert yaml.safe_load(head)["rule_files"] == ["rules/arpd.rules.yml", "rules/arpd.alerts.yml"]
+
+
+@pytest.mark.parametrize("path", UNIT_TESTS, ids=lambda path: path.name)
+def test_rules_say_and_alerts_do_what_their_unit_tests_want(promtool, path):
+    """Recording rules have the values, and alerts fire and clear at the times, that promtool's unit tests name."""
+    run(promtool, "test", "rules", path)
+
+
+def test_every_alert_is_seen_to_fire_and_to_clear():
+    """Each alert has a time at which it must not fire yet, one at which it must, and a later one without it."""
+    told = {}
+    for path in UNIT_TESTS:
+        for case in yaml.safe_load(path.read_text())["tests"]:
+            seen = {}
+            for check in case.get("promql_expr_test", ()):
+                if match := ALERTS.fullmatch(check["expr"]):
+                    for name in match[1].split("|"):
+                        seen.setdefault(name, []).append((bool(check["exp_samples"]), bool(match[2])))
+            for name, checks in seen.items():
+                fires = [i for i, (is_there, _) in enumerate(checks) if is_there]
+                before = fires and (False, True) in checks[: fires[0]]
+                gone = fires and (False, False) in checks[fires[-1] :]
+                told.setdefault(name, set()).update({"before"} if before else (), {"gone"} if gone else ())
+    wanted = {rule["alert"] for rule in rules(ALERTING)}
+    assert {name for name, what in told.items() if what == {"before", "gone"}} == wanted
+
+
+def test_every_recording_rule_has_a_value_in_the_unit_tests():
+    """Promtool's unit tests ask for each recorded series by name."""
+    asked = " ".join(
+        check["expr"]
+        for path in UNIT_TESTS
+        for case in yaml.safe_load(path.read_text())["tests"]
+        for check in case.get("promql_expr_test", ())
+    )
+    assert {rule["record"] for rule in rules(RECORDING)} <= set(NAME.findall(asked))
+
+
+def test_every_metric_a_rule_names_is_exposed():
+    """No rule names a metric, or a value of its labels, that arpd does not expose: it would never fire."""
+    series, recorded = exposed(), {rule["record"] for rule in rules(RECORDING)}
+    for rule in rules(RECORDING) + rules(ALERTING):
+        text = " ".join((rule["expr"], *rule.get("annotations", {}).values()))
+        text = re.sub(r"etc/prometheus/\S+", "", text)
+        code = " ".join((rule["expr"], *re.findall(r"`([^`]*)`", text)))
+        for name in NAME.findall(code):
+            assert name in series or name in recorded or name in FOREIGN, (rule.get("alert", rule.get("record")), name)
+        for level, name, matchers in SELECTOR.findall(code):
+            for label, operator, value in re.findall(r'([a-z_]+)(=~|!=|!~|=)"([^"]*)"', matchers):
+                known = {labels.get(label) for labels in series.get(level + name, ())}
+                wanted = value.split("|") if "~" in operator else [value]
+                assert set(wanted) <= known or label in ("instance", "job"), (name, label, wanted, known)
+
+
+def test_every_alert_says_what_it_is_and_where_its_runbook_is():
+    """Each alert has a severity, a summary that names the robot, a description, and a section of the runbooks."""
+    sections = set(re.findall(r"^### (\w+)$", (ETC / "RUNBOOKS.md").read_text(), flags=re.MULTILINE))
+    for rule in rules(ALERTING):
+        annotations = rule["annotations"]
+        assert rule["labels"]["severity"] in ("critical", "warning", "info"), rule
+        assert set(annotations) == {"summary", "description", "runbook"}, rule
+        assert annotations["summary"].startswith("{{ $labels.instance }}: "), rule
+        assert annotations["runbook"] == f"etc/prometheus/RUNBOOKS.md#{rule['alert'].lower()}"
+    assert sections == {rule["alert"] for rule in rules(ALERTING)}
+
+
+def test_the_runbooks_name_what_there_is():
+    """Metrics, events of the journal and keys of the configuration that a runbook names exist."""
+    text = (ETC / "RUNBOOKS.md").read_text()
+    assert set(re.findall(r"\barpd_[a-z_]+", text)) <= set(exposed())
+    assert set(re.findall(r"ARPD_EVENT=(\w+)", text)) <= set(EventKind)
+    keys = set(re.findall(r"`((?:link|program|governor|http)\.[a-z_]+)`", text))
+    document = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_text())
+    assert len(keys) >= 5
+    assert all(key in document[section] for section, key in (name.split(".") for name in keys))
+
+
+def test_what_an_expression_keeps_in_common_is_the_target():
+    """No aggregation names the labels to keep, so that labels of the user's targets reach the alert."""
+    for rule in rules(RECORDING) + rules(ALERTING):
+        assert not re.search(r"\bby\s*\(", rule["expr"]), rule

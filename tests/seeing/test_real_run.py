@@ -1,0 +1,266 @@
+"""What an operator sees of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd top`.
+
+The only test file that uses the run (`tests.seeing.real_run`): pytest-xdist runs file by file, and it is played once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.web.page import render_page
+from tests.seeing import dashboards
+from tests.seeing.browser import chromium, visit
+from tests.seeing.real_run import PROMETHEUS_ETC
+from tests.visible import fields
+
+pytestmark = [pytest.mark.link, pytest.mark.ros]
+RULE_FILES = ("arpd.rules.yml", "arpd.alerts.yml")
+
+
+def test_the_play_went_as_planned(run):
+    """Every phase of the play came within its time: plans were confirmed, alerts fired, and cleared."""
+    assert not run.missed, "\n\n".join(run.missed)
+
+
+def test_every_rule_evaluates_and_records(run):
+    """Prometheus reports no rule with an error, and every recorded series has data of this run."""
+    rules = [rule for group in run.ask("rules")["groups"] for rule in group["rules"]]
+    assert {rule["health"] for rule in rules} == {"ok"}, [rule for rule in rules if rule["health"] != "ok"]
+    recorded = {rule["name"] for rule in rules if rule["type"] == "recording"}
+    assert recorded == {rule["record"] for rule in rules_of("arpd.rules.yml")}
+    assert {rule["name"] for rule in rules if rule["type"] == "alerting"} == {
+        rule["alert"] for rule in rules_of("arpd.alerts.yml")
+    }
+    for name in recorded:
+        assert run.query(f"last_over_time({name}[10m])"), name
+
+
+def test_every_metric_of_the_rules_is_there(run):
+    """The running daemon exposes every metric that a rule or an alert names; readers and radios have no series here."""
+    exposed = set(re.findall(r"^# TYPE (\w+) ", run.get("/metrics").decode(), flags=re.MULTILINE))
+    expressions = " ".join(rule["expr"] for name in RULE_FILES for rule in rules_of(name))
+    named = set(re.findall(r"(?<![\w:])(?:arpd|process)_\w+", expressions))
+    assert len(named) > 40
+    assert named <= exposed
+
+
+def test_prometheus_scraped_arpd_throughout(run):
+    """Nearly every scrape of the run was answered, in the outage too, and the daemon was one process all the time."""
+    begin_s = run.moments["steady"]
+    ((_, points),) = run.query_range("up", begin_s, time.time())
+    answered = [value for _, value in points]
+    assert sum(answered) > 0.95 * len(answered) > 40
+    ((_, during),) = run.query_range("up", run.moments["outage"], run.moments["outage_end"])
+    assert sum(value for _, value in during) > 0.9 * len(during)
+    assert run.query(f"changes(process_start_time_seconds[{math.ceil(time.time() - begin_s)}s])")[0][1] == 0
+
+
+def test_the_alerts_fire_in_the_outage_and_clear_after_it(run):
+    """ArpdLinkDown and ArpdPeerLost fire while nothing crosses, as long as that lasts, and are gone after it."""
+    outage_s, end_s = run.moments["outage"], run.moments["outage_end"]
+    for name in ("ArpdLinkDown", "ArpdPeerLost"):
+        ((labels, points),) = run.query_range(
+            f'ALERTS{{alertname="{name}",alertstate="firing"}}', run.moments["start"], time.time()
+        )
+        times = [at_s for at_s, _ in points]
+        assert outage_s < times[0] < end_s
+        # Longer than alerts are kept firing: it lasts as long as the outage, and not as long as arpd calls it one.
+        assert [at_s for at_s in times if at_s < end_s][-1] > end_s - 3.0
+        assert labels["severity"] == "critical"
+        sent = run.outage_alerts[name]
+        assert sent["annotations"]["summary"].startswith("127.0.0.1:9464: ")
+        assert "error expanding" not in str(sent), sent
+    assert not run.query('ALERTS{alertname=~"ArpdLinkDown|ArpdPeerLost"}')
+
+
+def rules_of(name):
+    groups = yaml.safe_load((PROMETHEUS_ETC / "rules" / name).read_text())["groups"]
+    return [rule for group in groups for rule in group["rules"]]
+
+
+def numbers(run, query, values):
+    """All numbers that a query of a dashboard has over the run, or now, with the labels of their series."""
+    expression = dashboards.fill_in(query.expression, values)
+    if query.is_instant:
+        series = [(labels, [(0.0, value)]) for labels, value in run.query(expression)]
+    else:
+        series = run.query_range(expression, run.moments["start"], time.time(), 2.0)
+    return [(labels, value) for labels, points in series for _, value in points if math.isfinite(value)]
+
+
+def opened(run, document):
+    return dashboards.as_opened(document, run.query, span_s=time.time() - run.moments["start"])
+
+
+@pytest.mark.parametrize("name", dashboards.NAMES)
+def test_every_query_of_a_dashboard_returns_data(run, name):
+    """Each query of each panel has a number to show of this run, with the variables as they are when it is opened."""
+    document = dashboards.load(name)
+    values = opened(run, document)
+    empty = [query for query in dashboards.queries(document) if not numbers(run, query, values)]
+    assert not empty, "\n".join(f"{query.where}: {dashboards.fill_in(query.expression, values)}" for query in empty)
+
+
+@pytest.mark.parametrize("name", dashboards.NAMES)
+def test_annotations_mark_what_happened(run, name):
+    """Plans, swaps and the outage of the run are marked in the dashboards; kinds that did not occur could be."""
+    document = dashboards.load(name)
+    values = opened(run, document)
+    for query in dashboards.marks(document):
+        counted = dashboards.Query(
+            where=query.where, expression=query.expression.removesuffix(" > 0"), is_instant=False
+        )
+        assert numbers(run, counted, values), query
+        if query.where.split(", ")[1] in {"Plans", "Swaps", "Outages"}:
+            assert numbers(run, query, values), query
+
+
+def test_the_first_row_tells_the_outage(run):
+    """While every packet is lost, the first row says outage in words, and counts more alerts than before."""
+    document = dashboards.load("arpd-robot")
+    values = opened(run, document)
+    shown = {panel["title"]: panel for panel in dashboards.panels(document)}
+    (mapping,) = shown["Link"]["fieldConfig"]["defaults"]["mappings"]
+    words = {int(number): state["text"] for number, state in mapping["options"].items()}
+
+    def told(title, begin, end):
+        expression = dashboards.fill_in(shown[title]["targets"][0]["expr"], values)
+        ((_, points),) = run.query_range(expression, run.moments[begin], run.moments[end])
+        return [int(value) for _, value in points]
+
+    assert "outage" in {words[number] for number in told("Link", "outage", "outage_end")}
+    assert {words[number] for number in told("Link", "steady", "slow")} != {"outage"}
+    assert max(told("Alerts firing", "outage", "outage_end")) > max(told("Alerts firing", "steady", "slow"))
+
+
+def test_a_row_of_the_topics_table_is_one_publisher(run):
+    """Each column of the table of topics has one value at most for a publisher, and every publisher has its rates."""
+    document = dashboards.load("arpd-robot")
+    values = opened(run, document)
+    columns = [query for query in dashboards.queries(document) if ", Topics now, " in query.where]
+
+    def rows(query):
+        found = [(labels["topic"], labels["node"], labels["direction"]) for labels, _ in numbers(run, query, values)]
+        assert len(found) == len(set(found)), query
+        return set(found)
+
+    def managed():
+        return {(row["topic"], row["node"], row["direction"]) for row in run.status()["topics"]}
+
+    assert all(rows(query) for query in columns)
+    source, published = columns[0], columns[2]
+    run.eventually(lambda: rows(source) == rows(published) == managed(), 30.0, "a row for each publisher of the status")
+
+
+# -- in a terminal
+
+
+def command(*arguments):
+    """Run ``arpd`` in a pipe; returns its exit code and what it printed."""
+    environment = {**os.environ, "COLUMNS": "400", "LINES": "200"}  # so that nothing is cut
+    done = subprocess.run(
+        [sys.executable, "-m", "arpd", *arguments], capture_output=True, text=True, check=False, env=environment
+    )
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_status_tells_that_the_recovered_robot_is_well(run):
+    """Exit 0 with the daemon's own verdict, and every topic with the rate and depth that it announces."""
+
+    def is_well():
+        status = run.status()
+        code, told = command("status", "--url", run.url)
+        lines = told.splitlines()
+        return (
+            code == 0
+            and lines[1].startswith(status["verdict"]["headline"])
+            and all(
+                re.search(
+                    rf"^{topic['topic']} +{topic['confirmed']['rate_hz']:.3g}\b.* {topic['confirmed']['depth']} ",
+                    told,
+                    re.MULTILINE,
+                )
+                for topic in status["topics"]
+            )
+        )
+
+    run.eventually(is_well, 60.0, f"arpd status tells what the daemon does: {command('status', '--url', run.url)}")
+
+
+def test_top_shows_the_run_in_one_frame(run):
+    """Topics, the course of capacity and gate through the outage, and the decision log, without control codes."""
+    before = run.status()
+    code, told = command("top", "--once", "--url", run.url)
+    assert code == 0
+    assert "\x1b" not in told
+    lines = told.splitlines()
+    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "gate "))}
+    assert all(set(line) & set("▁▂▃▄▅▆▇█") for line in course.values())
+    assert len(set(course["gate"]) & set("▁▂▃▄▅▆▇█")) > 1, "the gate closed in the outage"
+    for topic in before["topics"]:
+        assert any(line.startswith(f"{topic['topic']} ") for line in lines), told
+    assert before["events"]
+    assert any(line.endswith(before["events"][-1]["text"]) for line in lines), told
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+def test_the_page_shows_what_the_status_says(run, browser):
+    """Every value on the live page is that of the status document it asked for last, and nothing goes wrong."""
+    with visit(browser, run.url) as seen:
+        seen.wait_for("document.querySelectorAll('canvas').length === 4")
+        assert seen.complaints == []
+        document = seen.last_status()
+        assert seen.fields() == fields(render_page(document))
+        assert sum(topic["direction"] != "local" for topic in document["topics"]) >= 12
+        assert all(request.startswith((run.url, "data:")) for request in seen.requests)
+
+
+def test_the_page_tells_the_outage(run, browser):
+    """The charts have drawn the run, and the decision log tells the drop and the outage in plain sentences."""
+    with visit(browser, run.url) as seen:
+        seen.wait_for("document.querySelectorAll('canvas').length === 4")
+        assert all(seen.drawn(f"#chart-{name} canvas") > 1000 for name in ("rate", "delay", "gate", "topic"))
+        log = seen.texts("#log li")
+        assert any("carries nothing" in line for line in log), log
+        assert any("link fell to" in line and "→" in line for line in log), log
+        assert seen.complaints == []
+
+
+def test_the_page_is_a_summary_without_scripts(run, browser):
+    """With JavaScript off the page of the real robot has its verdict, its topics and its log."""
+    with visit(browser, run.url, java_script_enabled=False) as seen:
+        assert seen.texts("#verdict p")[0].endswith(".")
+        assert len(seen.texts("#topics tbody th")) >= 12
+        assert seen.texts("#log li")
+
+
+def test_the_history_tells_the_run(run):
+    """The outage stands in the history where it was, and columns are as long as the times."""
+    history = json.loads(run.get("/api/v1/history"))
+    states = list(zip(history["times"], history["link"]["state"], strict=True))
+
+    def said(begin, end):
+        return [state for at_s, state in states if run.moments[begin] < at_s < run.moments[end]]
+
+    during = said("outage", "outage_end")
+    assert during.count("outage") > len(during) / 2
+    assert "outage" not in said("steady", "slow")
+    assert len(history["topics"]) >= 12
+    assert {len(topic["published_rate_hz"]) for topic in history["topics"]} == {len(history["times"])}
