@@ -16,7 +16,9 @@ source=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 prefix=/opt/arpd
 libexec=/usr/local/lib/arpd
 units=/usr/local/lib/systemd/system
+share=/usr/local/share/arpd
 sysusers=/usr/local/lib/sysusers.d
+catalog=/usr/local/lib/systemd/catalog
 command_link=/usr/local/bin/arpd
 config=/etc/arpd/arpd.yaml
 ros_setup=/opt/ros/jazzy/setup.bash
@@ -51,12 +53,12 @@ die() {
     exit 1
 }
 
-# step WHAT COMMAND...: says what it does and does it; in a dry run it only says so.
+# step WHAT COMMAND...: does it, and tells a terminal; in a dry run it only says so.
 step() {
     if $dry_run; then
         say "would $1"
     else
-        say "$1"
+        note "      $1"
         "${@:2}"
     fi
 }
@@ -139,32 +141,20 @@ pip_install() {
     local log pip
     log=$(mktemp "${TMPDIR:-/tmp}/arpd-install-pip.XXXXXX")
     pip=(env -u PYTHONPATH -u PYTHONHOME -u PIP_USER -u PIP_TARGET -u PIP_PREFIX "TMPDIR=$work" "$new/bin/python" -m pip)
-    if ! "${pip[@]}" install --no-cache-dir --disable-pip-version-check "$@" 2>&1 | tee "$log" | show_progress; then
-        tail -n 12 "$log" >&2
-        die "pip could not install what pyproject.toml names; all it said is in $log"
-    fi
+    pip_with "$log" "${pip[@]}" install --no-cache-dir --disable-pip-version-check "$@" || exit 1
     rm "$log"
-}
-
-# On a terminal the last line of pip, each over the one before.
-show_progress() {
-    local line columns
-    [ -t 2 ] || exec cat >/dev/null
-    columns=$(tput cols 2>/dev/null || echo 80)
-    while IFS= read -r line; do printf '\r\e[K%s' "${line:0:columns-1}" >&2; done
-    printf '\r\e[K' >&2
 }
 
 make_version() {
     if is_built; then
-        [ "$old" = "$new" ] || say "$new is built already"
+        [ "$old" = "$new" ] || note "      $new is built already"
         return
     fi
     if ! has_venv; then
         step "install ${python##*/}-venv with apt" need "no-such-command=${python##*/}-venv"
         $dry_run || has_venv || die "$python still has no venv module"
     fi
-    step "make $new: arpd and its solvers$([ "$ros" = apt ] || echo ", and ROS 2 Jazzy,") from PyPI, some minutes on a Pi" build
+    step "make $new with pip; some minutes on a Pi" build
 }
 
 check_config() {
@@ -197,6 +187,27 @@ place_files() {
     for unit in "$tree"/systemd/*.service; do put 0644 "$unit" "$units/${unit##*/}"; done
     if [ "$systemd_version" -ge 253 ]; then put 0644 "$tree/systemd/notify-reload.conf" $drop_in; fi
     put 0644 "$tree/systemd/arpd.sysusers" $sysusers/arpd.conf
+    # A version that is gone back to may be from before there was one.
+    if [ -e "$tree/systemd/arpd.catalog" ]; then put 0644 "$tree/systemd/arpd.catalog" $catalog/arpd.catalog; fi
+}
+
+# What Prometheus and Grafana, here or elsewhere, are given by hand; nothing of arpd reads it.
+place_share() {
+    local name from to
+    for name in prometheus grafana; do
+        from=$1/etc/$name to=$share/$name
+        if [ ! -e "$from" ] || diff -rq "$from" "$to" >/dev/null 2>&1; then continue; fi
+        placed=true
+        step "install $to" replace_tree "$from" "$to"
+    done
+}
+
+replace_tree() {
+    mkdir -p "$share"
+    rm -rf "$2.arpd-new"
+    cp -R --no-preserve=mode,ownership "$1" "$2.arpd-new"
+    rm -rf "$2"
+    mv -T "$2.arpd-new" "$2"
 }
 
 # keep FILE TARGET OLD_DEFAULT: the operator's; a default that has changed goes beside it.
@@ -219,6 +230,7 @@ point_to() {
 
 tell_systemd() {
     systemd-sysusers $sysusers/arpd.conf
+    journalctl --update-catalog || true # only explains
     if $systemd_runs; then systemctl daemon-reload; fi
 }
 
@@ -234,15 +246,15 @@ find_running() {
 }
 
 switch() {
-    changed=false
-    restarted=()
+    changed=false placed=false restarted=()
     find_running
     if [ "$old" != "$new" ]; then
         changed=true
-        if ! $dry_run; then switched=true; fi
+        $dry_run || switched=true
         step "point /opt/arpd/current to versions/$id" point_to "$new"
     fi
     place_files "$source"
+    place_share "$source"
     keep "$source/etc/arpd/arpd.yaml" $config "$old/share/arpd/etc/arpd/arpd.yaml"
     keep "$source/systemd/arpd.default" /etc/default/arpd "$old/share/arpd/systemd/arpd.default"
     if $changed; then step "make the system user arpd, and systemd read its files anew" tell_systemd; fi
@@ -283,6 +295,7 @@ back_to_old() {
     say "going back to ${old##*/}"
     point_to "$old"
     place_files "$old/share/arpd"
+    place_share "$old/share/arpd"
     tell_systemd
     for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
 }
@@ -328,10 +341,11 @@ row() { printf '  %-42s %s\n' "$1" "$2"; }
 tell() {
     local unit
     echo
-    if $changed; then echo "arpd $id is installed:"; else echo "arpd $id was installed already; nothing was changed:"; fi
+    if $changed || $placed; then echo "arpd $id is installed:"; else echo "arpd $id was installed already; nothing was changed:"; fi
     row "$new" "$("$new/bin/python" -VV | cut -d' ' -f1,2), ROS 2 Jazzy from $ros"
     row $command_link "the command"
     row "$units" "the units; their launcher is in $libexec"
+    row "$share/{prometheus,grafana}" "scrape configuration, rules, alerts; dashboards"
     row $config "yours"
     if [ -e $config.new ]; then row $config.new "the new default, to compare yours with"; fi
     row /etc/default/arpd "yours"
@@ -340,7 +354,7 @@ tell() {
         row "$unit" "$(systemctl is-enabled "$unit" 2>/dev/null || true)$(! $systemd_runs || echo ", $(state "$unit")")"
     done
     echo "next:"
-    row "systemctl status arpd" "what the link carries and which plan is in force, in one line"
+    row "arpd status; arpd top" "what arpd sees and does; the same, live"
     row "curl localhost:9464/metrics" "all of it, for Prometheus"
     row "sudoedit $config" "your topics; then: arpd check && sudo systemctl reload arpd"
     row "journalctl -u 'arpd*'" "what happened"
@@ -362,6 +376,8 @@ finish() {
 main() {
     read_options "$@"
     building=false switched=false work=''
+    phases=7
+    phase "check this computer"
     check
     name_version
     if ! $dry_run; then
@@ -371,12 +387,18 @@ main() {
         trap finish EXIT
         trap 'exit 1' INT TERM HUP
     fi
+    phase "make arpd $id: its solvers$([ "$ros" = apt ] || echo ", ROS 2 Jazzy") and itself, in a folder of its own"
     make_version
+    phase "check $config with it"
     if $dry_run; then say "would check $config with the new version"; else check_config; fi
+    phase "switch to it"
     switch
+    phase "restart what runs"
     restart_running
     switched=false
+    phase "enable and start what this computer is for"
     set_role
+    phase "remove what is older than the version before"
     remove_old_versions
     if $dry_run; then say "dry run: nothing was changed"; else tell; fi
 }

@@ -22,7 +22,7 @@ step() {
     if $dry_run; then
         say "would $1"
     else
-        say "$1"
+        if [ -t 2 ]; then say "$1"; fi
         "${@:2}"
     fi
 }
@@ -51,11 +51,13 @@ disable() {
 
 remove_program() {
     remove /usr/local/lib/systemd/system/arpd{,-relay,-peer}.service \
-        /usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf /usr/local/lib/sysusers.d/arpd.conf /usr/local/lib/arpd
+        /usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf /usr/local/lib/sysusers.d/arpd.conf \
+        /usr/local/lib/systemd/catalog/arpd.catalog /usr/local/lib/arpd /usr/local/share/arpd/{prometheus,grafana}
     if [ "$(readlink /usr/local/bin/arpd)" = /opt/arpd/bin/arpd ]; then remove /usr/local/bin/arpd; fi
     if [ -d /opt/arpd/versions ]; then remove /opt/arpd/{current,bin,versions}; fi
     $dry_run || rmdir --parents --ignore-fail-on-non-empty \
-        /usr/local/lib/systemd/system{/arpd.service.d,} /usr/local/lib/sysusers.d /opt/arpd 2>/dev/null || true
+        /usr/local/lib/systemd/{system/arpd.service.d,system,catalog} /usr/local/lib/sysusers.d /usr/local/share/arpd /opt/arpd 2>/dev/null || true
+    $dry_run || journalctl --update-catalog || true
     if ! $dry_run && [ -d /run/systemd/system ]; then
         systemctl daemon-reload
         systemctl reset-failed 'arpd*' 2>/dev/null || true

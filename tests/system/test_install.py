@@ -117,6 +117,15 @@ def test_a_dry_run_tells_every_step_and_changes_nothing(chroot, source):
     assert wrote(done) == []
 
 
+def test_a_terminal_is_told_every_step_and_a_pipe_only_the_end(chroot, source):
+    """Numbered steps show how far it is; in a pipe a dry run still says what it would do."""
+    shown = chroot.run(source, {}, "script", "-qec", f"{INSTALL} --dry-run --no-start", "/dev/null")
+    assert shown.returncode == 0, shown.stdout
+    assert re.findall(r"\[(\d)/(\d)\]", shown.stdout) == [(str(number), "7") for number in range(1, 8)]
+    piped = chroot.run(source, {}, INSTALL, "--dry-run", "--no-start")
+    assert "/7]" not in piped.stdout + piped.stderr
+
+
 def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_path):
     """Architecture, ROS, folders of others, units that would hide ours and a source in pieces, each with its remedy."""
     unpack_source(tmp_path)
@@ -158,6 +167,10 @@ def test_a_pip_that_fails_leaves_nothing_behind(chroot, source):
 
 
 # -- on a booted machine
+
+
+def tree(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +217,8 @@ def test_a_fresh_computer_runs_arpd_after_it(installed):
     assert f"/opt/arpd/versions/{installed.current()}/bin/python" in (process / "cmdline").read_text()
     assert installed.booted.call("arpd", "--version").stdout == f"arpd {metadata.version('arpd')}\n"
     assert not list(installed.path("/opt/arpd/current/lib").glob("python*/site-packages/numpy"))
+    for name in ("prometheus", "grafana"):
+        assert tree(installed.path(f"/usr/local/share/arpd/{name}")) == tree(installed.path(f"/srv/first/etc/{name}"))
     notify_reload = "/usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf"
     systemd = int(installed.booted.call("systemctl", "--version").stdout.split()[1])
     assert installed.path(notify_reload).exists() == (systemd >= 253)
@@ -211,11 +226,12 @@ def test_a_fresh_computer_runs_arpd_after_it(installed):
 
 def test_nobody_but_root_can_write_what_was_installed(installed):
     """Neither the program nor the configuration, which all may read."""
-    listed = installed.files("/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "/usr/local/lib/systemd")
+    ours = ("/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "/usr/local/share/arpd")
+    listed = installed.files(*ours, "/usr/local/lib/systemd")
     assert [path for path, (_, _, mode) in listed.items() if mode[0] != "l" and "w" in (mode[5], mode[8])] == []
     assert listed[CONFIG][2] == "-rw-r--r--"
-    owners = installed.booted.call("find", "/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "!", "-user", "root")
-    assert owners.stdout == ""
+    assert {mode for path, (_, _, mode) in listed.items() if path.startswith(ours[-1])} == {"-rw-r--r--", "drwxr-xr-x"}
+    assert installed.booted.call("find", *ours, "!", "-user", "root").stdout == ""
 
 
 def test_a_second_run_changes_nothing(installed):
@@ -223,6 +239,7 @@ def test_a_second_run_changes_nothing(installed):
     before = installed.files("/opt/arpd", "/etc", "/usr/local"), installed.processes()
     code, told = installed.install("first")
     assert (code, "nothing was changed" in told) == (0, True), told
+    assert "/usr/local/share/arpd/{prometheus,grafana}" in told
     assert (installed.files("/opt/arpd", "/etc", "/usr/local"), installed.processes()) == before
 
 
@@ -256,7 +273,9 @@ def test_a_version_that_does_not_start_is_taken_back(installed):
 
 
 def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
-    """Running units restart from the new version, a stopped one stays so; a new default goes beside the edited file."""
+    """Running units restart, a stopped one stays so; a new default goes beside the edited file, dashboards follow."""
+    dashboards = installed.path("/usr/local/share/arpd/grafana")
+    (dashboards / "mine.json").write_text("{}")
     config = installed.path(CONFIG)
     config.write_text(config.read_text() + "# mine\n")
     edited = config.read_text()
@@ -266,6 +285,7 @@ def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
     code, told = installed.install("second")
     assert code == 0, told
     assert config.read_text() == edited
+    assert tree(dashboards) == tree(installed.path("/srv/second/etc/grafana"))
     assert installed.path(f"{CONFIG}.new").read_text().endswith("# A default of the second version.\n")
     assert not installed.path("/etc/default/arpd.new").exists()
     assert installed.states() == {"arpd": "inactive", "arpd-relay": "active", "arpd-peer": "inactive"}
