@@ -22,6 +22,7 @@ class EstimatorTuning:
     up_after_down_s, climb_per_second : no rise so soon after a fall (s); most that one opinion moves the capacity
     outage_s, outage_forget_s : silence that is an outage, and one that changes what was known (s)
     peer_lost_s, resume_ratio : silence after which a peer is gone (s); part of the capacity believed after an outage
+    resume_patience_s : how long after an outage a queue says nothing of the capacity (s)
     first_wait_s : how long the first plan waits for evidence (s)
     local_window_s : without a peer, span over which sending is averaged (s)
     clearly_more, fall_ratio : times the capacity: what is more than believed, and what is less
@@ -53,6 +54,7 @@ class EstimatorTuning:
     outage_forget_s: float = 1.0
     peer_lost_s: float = 10.0
     resume_ratio: float = 0.6
+    resume_patience_s: float = 0.5
     first_wait_s: float = 3.0
     local_window_s: float = 1.0
     clearly_more: float = 1.1

@@ -4,9 +4,11 @@ import math
 import time
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import pytest
 
+from arpd.config import load_settings
 from arpd.model import LinkState
 from arpd.settings import LinkSettings
 from arpd.sim.foreign import ForeignFlow
@@ -16,6 +18,7 @@ from arpd.sim.scenario import demo_settings, run
 from arpd.sim.schedule import RateSchedule
 
 MBIT = 125_000.0
+ROBOT = Path(__file__).parents[2] / "scripts" / "robot" / "arpd.yaml"
 STEADY_S = 60.0
 STEP = "0:20mbit,10:5mbit,22:20mbit"  # falls at 10 s, recovers at 22 s
 STEP_S, FALL_S, RISE_S = 38.0, 10.0, 22.0
@@ -174,6 +177,16 @@ def test_an_outage_is_no_reason_for_a_plan():
     """Topics that cannot be heard of are not gone: nothing is planned until the link is back."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
     assert not [moment for moment in result.plans if OUTAGE[0] < moment.t_s < OUTAGE[1] + 1.0]
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_what_waited_out_a_standstill_is_no_evidence(seed):
+    """A link that stood still, with reports in its queues too, is soon taken for what it is, and no plan is made."""
+    schedule = RateSchedule.parse("0:5mbit,22:80bit,37:5mbit")
+    result = run(load_settings(ROBOT, interfaces=None), schedule, 42.0, seed=seed, managed=True)
+    assert not [moment for moment in result.plans if moment.t_s > 22.0]
+    assert min(moment.estimate_bytes_per_second for moment in between(result, 37.0, 42.0)) > 0.5 * 5 * MBIT
+    assert max(error(moment) for moment in between(result, 40.0, 42.0)) < 0.15
 
 
 def test_a_lossy_link_is_no_slow_link():
