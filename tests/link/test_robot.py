@@ -184,7 +184,7 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
     eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
     alone = metric(side, "arpd_level_bytes_per_second")
 
-    argv = [sys.executable, "-c", SENDER, side.link.ceddp.address, str(UPLOAD), "30"]
+    argv = [sys.executable, "-c", SENDER, side.link.ceddp.address, str(UPLOAD), "120"]
     upload = side.link.popen("robot", argv)
 
     def has_yielded():
@@ -192,11 +192,13 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
         level = metric(side, "arpd_level_bytes_per_second")
         return 0.6 * UPLOAD < seen < 1.4 * UPLOAD and level < 0.8 * alone and level + UPLOAD < 1.05 * SLOW
 
-    eventually(has_yielded)
+    eventually(has_yielded, timeout_s=100.0)  # a plan made too soon stands for its dwell
     assert upload.poll() is None, "the upload had ended by then"
     upload.terminate()
     eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
-    eventually(lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") > 0.9 * alone)
+    eventually(
+        lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") > 0.9 * alone, timeout_s=100.0
+    )
 
 
 def test_metrics_of_a_live_robot_are_clean(side):
