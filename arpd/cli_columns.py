@@ -6,6 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from arpd.config_source import printable
+from arpd.quantities import format_duration, format_rate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,6 +40,16 @@ def figures(value: float, *, digits: int = 4) -> str:
     if 10.0 ** (digits - 1) <= value < 1e6:
         return f"{value:.0f}"
     return f"{value:.{digits}g}"
+
+
+def rate(bytes_per_second: float | None) -> str:
+    """Write a rate, a dash where there is none."""
+    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
+
+
+def duration(seconds: float | None) -> str:
+    """Write a duration, a dash where there is none."""
+    return "-" if seconds is None else format_duration(seconds)
 
 
 def fitted(rows: Sequence[Sequence[str]], *, ranks: Sequence[int], width: int) -> list[str]:

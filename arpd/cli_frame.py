@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Group
 from rich.text import Text
 
-from arpd.cli_columns import cut, wrapped
+from arpd.cli_columns import cut, duration, rate, wrapped
 from arpd.cli_document import count, number, rows, series, text, texts
 from arpd.cli_events import clock, wall_clock
 from arpd.cli_sparkline import ASCII, BLOCKS, sparkline
@@ -100,11 +100,11 @@ def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, le
     loss, back_s = number(link, "loss_ratio"), number(link, "return_delay_seconds")
     foreign = number(link, "foreign_bytes_per_second")
     delay = [
-        _duration(number(link, "queue_delay_seconds")),
+        duration(number(link, "queue_delay_seconds")),
         *([] if loss is None else [f"loss {loss:.1%}"]),
         *([] if back_s is None else [f"back in {format_duration(back_s)}"]),
     ]
-    capacity = f"{_rate(number(link, 'capacity_bytes_per_second'))}  {text(link, 'kind')}, {text(link, 'state')}"
+    capacity = f"{rate(number(link, 'capacity_bytes_per_second'))}  {text(link, 'kind')}, {text(link, 'state')}"
     courses: list[tuple[str, str, tuple[str, ...], Callable[[Iterable[float]], float], Callable[[float], str]]] = [
         ("link", capacity, ("link", "capacity_bytes_per_second"), _mean, format_rate),
         ("queue", ", ".join(delay), ("link", "queue_delay_seconds"), max, format_duration),
@@ -123,19 +123,17 @@ def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, le
             line.append(sparkline(samples, columns, pick=worst, highest=1.0 if worst is min else None, levels=levels))
             line.append(f" {'≥' if worst is min else '≤'} {show(extreme(known))}", style="dim")
         lines.append(line)
-    traffic = f"delivering {_rate(number(link, 'delivery_rate_bytes_per_second'))}"
+    traffic = f"delivering {rate(number(link, 'delivery_rate_bytes_per_second'))}"
     if foreign:
-        traffic += f", {format_rate(foreign)} not arpd's, {_rate(number(link, 'available_bytes_per_second'))} left"
+        traffic += f", {format_rate(foreign)} not arpd's, {rate(number(link, 'available_bytes_per_second'))} left"
     return [*lines, _fact("traffic", traffic, width), *_why(text(link, "evidence"), width)]
 
 
 def _plan(status: dict[str, Any], width: int) -> list[Text]:
     plan, allocation = status.get("plan"), status.get("allocation")
-    force = (
-        f"{count(plan, 'generation')} for {_rate(number(status, 'level_bytes_per_second'))}: {who_confirmed(status)}"
-    )
+    force = f"{count(plan, 'generation')} for {rate(number(status, 'level_bytes_per_second'))}: {who_confirmed(status)}"
     solved = f"{text(allocation, 'status')}, bound by {text(allocation, 'binding').replace('_', ' ')}"
-    took = f"{text(allocation, 'backend')}, {_duration(number(allocation, 'solve_seconds'))}"
+    took = f"{text(allocation, 'backend')}, {duration(number(allocation, 'solve_seconds'))}"
     why = "; ".join(said for said in (text(plan, "reason"), *(f"refused {r}" for r in texts(plan, "refusals"))) if said)
     return [
         _fact("plan", force, width),
@@ -216,11 +214,3 @@ def _log(status: dict[str, Any], width: int, room: int) -> list[Text]:
 def _mean(values: Iterable[float]) -> float:
     there: Sequence[float] = list(values)
     return sum(there) / len(there)
-
-
-def _rate(bytes_per_second: float | None) -> str:
-    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
-
-
-def _duration(seconds: float | None) -> str:
-    return "-" if seconds is None else format_duration(seconds)

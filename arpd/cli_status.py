@@ -7,14 +7,14 @@ import json
 import sys
 from typing import Any
 
-from arpd.cli_columns import cut, wrapped
+from arpd.cli_columns import cut, duration, rate, wrapped
 from arpd.cli_daemon import add_address, address
 from arpd.cli_document import count, counts, number, rows, text, texts
 from arpd.cli_events import last_events
 from arpd.cli_topics import reader_table, topic_table
 from arpd.cli_verdict import faults, verdict, who_confirmed
 from arpd.errors import ArpdError, DaemonUnreachableError
-from arpd.quantities import format_duration, format_rate, format_size
+from arpd.quantities import format_duration, format_size
 from arpd.web.status import API_VERSION, lease
 
 _NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
@@ -132,8 +132,8 @@ def _verdict(status: dict[str, Any], width: int) -> list[str]:
 def _facts(status: dict[str, Any], *, is_airy: bool) -> list[str]:
     plan, allocation = status.get("plan"), status.get("allocation")
     solved = f"{text(allocation, 'status')}, bound by {text(allocation, 'binding').replace('_', ' ')}"
-    backend = f"solved by {text(allocation, 'backend')} in {_duration(number(allocation, 'solve_seconds'))}"
-    force = f"plan {count(plan, 'generation')} for {_rate(number(status, 'level_bytes_per_second'))}"
+    backend = f"solved by {text(allocation, 'backend')} in {duration(number(allocation, 'solve_seconds'))}"
+    force = f"plan {count(plan, 'generation')} for {rate(number(status, 'level_bytes_per_second'))}"
     facts = [
         *_link(status),
         ("gate", f"{_number(number(status, 'gate'))}, {force}: {who_confirmed(status)}"),
@@ -155,17 +155,17 @@ def _link(status: dict[str, Any]) -> list[tuple[str, str]]:
     )
     loss, back_s = number(link, "loss_ratio"), number(link, "return_delay_seconds")
     now = [
-        f"queueing {_duration(number(link, 'queue_delay_seconds'))}",
+        f"queueing {duration(number(link, 'queue_delay_seconds'))}",
         *([] if loss is None else [f"loss {loss:.1%}"]),
         *([] if back_s is None else [f"return delay {format_duration(back_s)}"]),
     ]
     return [
-        ("link", f"{_rate(capacity)} ({text(link, 'kind')}, {text(link, 'state')}), delivering {_rate(delivered)}"),
+        ("link", f"{rate(capacity)} ({text(link, 'kind')}, {text(link, 'state')}), delivering {rate(delivered)}"),
         ("", ", ".join(now)),
         ("", text(link, "evidence")),
         (
             "",
-            f"{_rate(foreign)} of it is traffic that is not arpd's, which leaves {_rate(available)}" if foreign else "",
+            f"{rate(foreign)} of it is traffic that is not arpd's, which leaves {rate(available)}" if foreign else "",
         ),
     ]
 
@@ -193,11 +193,3 @@ def _topics(status: dict[str, Any], width: int) -> list[str]:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
-
-
-def _rate(bytes_per_second: float | None) -> str:
-    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
-
-
-def _duration(seconds: float | None) -> str:
-    return "-" if seconds is None else format_duration(seconds)

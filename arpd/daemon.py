@@ -332,7 +332,7 @@ class Daemon:
             f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
             f"{link.foreign_bytes_per_second * 8e-6:.1f} foreign), "
             f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
-            f"{self.snapshot.confirmed} of {self._managed()} publishers confirmed"
+            f"{self.snapshot.confirmed} of {self.snapshot.managed} publishers confirmed"
         )
         refused = f"reload refused: {self._config_error}" if self._config_error else ""
         waiting = f"restart needed for {', '.join(self._awaiting_restart[:3])}" if self._awaiting_restart else ""
@@ -349,11 +349,6 @@ class Daemon:
         if self._has_interface:
             return f"{self._interface} {fault}"
         return "no link interface is there yet" if self._interface == AUTO else f"{self._interface} is not there yet"
-
-    def _managed(self) -> int:
-        assert self.snapshot is not None
-        planned = self.snapshot.decision.plan.topics
-        return sum(publisher.topic in planned for publisher in self.snapshot.observation.publishers)
 
     def _count(self, observation: Observation, allocation: Allocation, *, tick_s: float) -> Totals:
         probes, probe_bytes = self._world.probes_sent()

@@ -102,7 +102,6 @@ def _link(name: str, snapshot: Snapshot) -> Status:
 def _plan(name: str, snapshot: Snapshot) -> Status:
     decision, allocation, observation = snapshot.decision, snapshot.allocation, snapshot.observation
     plan = decision.plan
-    managed = sum(publisher.topic in plan.topics for publisher in observation.publishers)
     if observation.superior:
         level, message = Level.WARN, f"standing by: another arpd daemon, on {observation.superior}, drives this robot"
     elif plan.generation == 0:
@@ -110,7 +109,7 @@ def _plan(name: str, snapshot: Snapshot) -> Status:
     elif allocation.status is AllocationStatus.DEGRADED:
         level, message = Level.WARN, f"not everything that was asked for fits: {allocation.degradation}"
     else:
-        message = f"plan {plan.generation}: {snapshot.confirmed} of {managed} publishers confirmed"
+        message = f"plan {plan.generation}: {snapshot.confirmed} of {snapshot.managed} publishers confirmed"
         level = Level.OK
     return Status(
         name=name,
@@ -121,7 +120,7 @@ def _plan(name: str, snapshot: Snapshot) -> Status:
             ("made for", rate(plan.level_bytes_per_second)),
             ("bound by", str(allocation.binding)),
             ("gate", f"{decision.gate:.2f}"),
-            ("publishers confirmed", f"{snapshot.confirmed} of {managed}"),
+            ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
             ("readers confirmed", f"{snapshot.readers_confirmed} of {len(snapshot.reader_plans)}"),
             ("waits for", ", ".join(decision.refusals) or "nothing"),
             *_slowed(snapshot),

@@ -10,6 +10,7 @@ from arpd.event import EventKind, Severity
 from arpd.model import LinkState
 from arpd.narration import Said, count, deadline, digits, duration, listed
 from arpd.refusal import RefusalReason
+from arpd.swap import SwapPhase
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -35,7 +36,6 @@ _KEPT = {
     "incompatible": "a reader would have been lost to the new QoS",
     "failed": "the middleware refused the new writer",
 }
-_DRAINING = "draining"  # the old writer, beside the new one: no time of the swap
 _OF_SWAPS = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, RefusalReason.FAILED})
 
 
@@ -165,7 +165,7 @@ def _swapped(swap: _Swap) -> str:
     phases = ", ".join(
         f"{phase} {seconds:.1f}"
         for phase, seconds in record.seconds_by_phase.items()
-        if seconds >= 0.05 and phase != _DRAINING
+        if seconds >= 0.05 and phase != SwapPhase.DRAINING
     )
     order = "; samples may have changed places" if record.result == "reorder_possible" else ""
     took = f" in {duration(_total_s(record))}" if record.seconds_by_phase else ""
@@ -193,7 +193,8 @@ def _swap_details(record: SwapRecord) -> dict[str, str]:
 
 
 def _total_s(record: SwapRecord) -> float:
-    return sum(seconds for phase, seconds in record.seconds_by_phase.items() if phase != _DRAINING)
+    """Time from its begin to its result; draining the old writer goes on beside the new one (s)."""
+    return sum(seconds for phase, seconds in record.seconds_by_phase.items() if phase != SwapPhase.DRAINING)
 
 
 class _Refused(NamedTuple):

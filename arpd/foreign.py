@@ -85,9 +85,9 @@ class ForeignTraffic:
             balance = after - before - owed
             owed = max(0.0, -balance)
             unexplained.append(max(0.0, balance))
-        in_window = sum(unexplained[-round(_WINDOW_S / _STEP_S) :])
-        before, now = self._sent_by([end_s - _WINDOW_S, end_s])
-        allowed = _TOPICS_ALLOWANCE * (now - before)
+        window = round(_WINDOW_S / _STEP_S)
+        in_window = sum(unexplained[-window:])
+        allowed = _TOPICS_ALLOWANCE * (sent[-1] - sent[-1 - window])
         return max(0.0, (in_window - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
 
     def _sent_by(self, moments: Sequence[float]) -> list[float]:

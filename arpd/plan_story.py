@@ -61,9 +61,7 @@ class PlanStory:
 
 
 def _is_in_force(snapshot: Snapshot) -> bool:
-    planned = snapshot.decision.plan.topics
-    managed = sum(publisher.topic in planned for publisher in snapshot.observation.publishers)
-    return 0 < managed <= snapshot.confirmed and snapshot.readers_confirmed >= len(snapshot.reader_plans)
+    return 0 < snapshot.managed <= snapshot.confirmed and snapshot.readers_confirmed >= len(snapshot.reader_plans)
 
 
 def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Said:

@@ -96,3 +96,9 @@ class Snapshot:
     readers_confirmed: int = 0
     lease_s: float = 0.0
     events: tuple[Event, ...] = ()
+
+    @property
+    def managed(self) -> int:
+        """Number of live publishers that the plan in force covers."""
+        planned = self.decision.plan.topics
+        return sum(publisher.topic in planned for publisher in self.observation.publishers)
