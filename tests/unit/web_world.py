@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import ssl
 import subprocess
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.client import HTTPConnection, HTTPSConnection
 from types import SimpleNamespace
 
@@ -55,7 +55,8 @@ class Running:
             try:
                 raw.sendall(data)
                 if end:
-                    raw.shutdown(socket.SHUT_WR)
+                    with suppress(OSError):  # a server that has refused already leaves no connection to half-close
+                        raw.shutdown(socket.SHUT_WR)
                 return raw.makefile("rb").read()
             except ConnectionError:
                 return b""
