@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.daemon import TICK_S, Daemon
+from arpd.estimator import Estimator
 from arpd.garbage import Garbage
 from arpd.host.locators import Locators
 from arpd.logs import configure_logging, log_event
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.settings import Settings
+    from arpd.world import CapacityEstimator
 
 log = logging.getLogger(__name__)
 
@@ -182,13 +184,19 @@ class Supervisor:
             self._notifier.status(status)
 
 
-def run_daemon(*, config_path: Path, log_level: str) -> int:
+def run_daemon(
+    *,
+    config_path: Path,
+    log_level: str,
+    make_estimator: Callable[[Settings], CapacityEstimator] = lambda settings: Estimator(settings.link),
+) -> int:
     """Run the daemon until SIGTERM or SIGINT.
 
     Parameters
     ----------
     config_path : YAML configuration
     log_level : name of a logging level
+    make_estimator : makes what tells the capacity, arpd's own unless a benchmark brings another
 
     Raises
     ------
@@ -217,7 +225,14 @@ def run_daemon(*, config_path: Path, log_level: str) -> int:
 
         link = settings.link.interface
         world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
-        daemon = Daemon(world, settings, interface=link, config_path=str(config_path), tell=log_event)
+        daemon = Daemon(
+            world,
+            settings,
+            interface=link,
+            config_path=str(config_path),
+            estimator=make_estimator(settings),
+            tell=log_event,
+        )
         Diagnostics(node, lambda: daemon.snapshot)
         signals.is_looping = True
         executor = SingleThreadedExecutor()

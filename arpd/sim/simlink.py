@@ -98,6 +98,11 @@ class SimLink:
         """Rate in force in each direction (bytes/s)."""
         return self._rate_bytes_per_second
 
+    @property
+    def loss(self) -> float:
+        """Probability in force that an arriving packet is dropped (0..1)."""
+        return self._loss
+
     def __enter__(self) -> Self:
         claimed = False
         self._catch_sigterm()

@@ -42,7 +42,8 @@ from scripts.bench.link_course import SCENARIOS, Run, virtual_course, with_outag
 from scripts.bench.link_figures import figures
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import sampling
-from scripts.robot.run import CONFIG, HTTP_PORT, robot, run
+from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
+from scripts.robot.run import CONFIG, HTTP_PORT, lost_during, robot, run
 
 if TYPE_CHECKING:
     from arpd.sim.result import TopicResult
@@ -57,7 +58,7 @@ def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Ru
     folder = logs / f"{scenario.name.replace(' ', '-')}-{number}-{'with' if is_managed else 'without'}"
     with (
         SimLink(run_id, rate_bytes_per_second=scenario.rates.rate_at(0.0)) as link,
-        robot(link, folder, is_managed=is_managed) as side,
+        robot(link, folder, WITH_ARPD if is_managed else RCLPY_DEFAULTS) as side,
         sampling(
             link.robot,
             is_managed=is_managed,
@@ -66,7 +67,11 @@ def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Ru
         ) as sampler,
     ):
         topics = run(
-            side, scenario.rates, scenario.duration_s, on_tick=lambda _elapsed_s: None, outages=scenario.outages
+            side,
+            scenario.rates,
+            scenario.duration_s,
+            on_tick=lambda _elapsed_s: None,
+            loss_at=lost_during(scenario.outages),
         )
         course = with_outages(sampler.course(started_s=side.started_s, duration_s=scenario.duration_s), scenario)
     return _run(scenario, "real", number, course, topics, is_managed=is_managed)

@@ -50,6 +50,7 @@ from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
 from scripts.bench.reliability_report import replace_block, table
 from scripts.bench.soak import footprint
+from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import CONFIG, DemoError, Side, robot
 from scripts.robot.sensors import BASE_DRIVER, SENSORS
 
@@ -294,7 +295,7 @@ def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
     with SimLink(f"reliability-{os.getpid()}", rate_bytes_per_second=_FAST) as link:
         reader = Child(link, "ceddp", "scripts.bench.reliability_nodes", "reader")
         reader.hear()
-        with robot(link, workdir, is_managed=True) as side:
+        with robot(link, workdir, WITH_ARPD) as side:
             played = Robot(side, rng)
             talkers = {kind: _talker(link, kind) for kind in KINDS}
             for talker in talkers.values():

@@ -26,6 +26,7 @@ from arpd.cli_progress import progress
 from arpd.errors import ArpdError
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.simlink import SimLink, available, user_namespace_argv
+from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
 from scripts.robot.proxy import window
 from scripts.robot.report import Pair, as_document, final_table, live_view, pair_up, verdict
 from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
@@ -144,7 +145,7 @@ def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[
     folder = logs / ("with" if is_managed else "without")
     with (
         SimLink(run_id, rate_bytes_per_second=schedule.rate_at(0.0)) as link,
-        robot(link, folder, is_managed=is_managed) as side,
+        robot(link, folder, WITH_ARPD if is_managed else RCLPY_DEFAULTS) as side,
     ):
         yield side
 

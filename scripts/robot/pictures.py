@@ -28,7 +28,8 @@ from arpd.cli_progress import progress
 from arpd.errors import ArpdError
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.simlink import SimLink, available
-from scripts.robot.run import REPO, DemoError, play, robot
+from scripts.robot.manner import WITH_ARPD
+from scripts.robot.run import REPO, DemoError, lost_during, play, robot
 
 if TYPE_CHECKING:
     from typing import Literal, TypeAlias
@@ -69,7 +70,7 @@ def run_and_take(folder: Path) -> None:
     print(f"logs in {logs}", file=sys.stderr)
     with (
         SimLink(f"screenshots-{os.getpid()}", rate_bytes_per_second=_SCHEDULE.rate_at(0.0)) as link,
-        robot(link, logs, is_managed=True) as side,
+        robot(link, logs, WITH_ARPD) as side,
         progress("the robot at work", total=_DURATION_S) as shown,
     ):
         play(
@@ -77,7 +78,7 @@ def run_and_take(folder: Path) -> None:
             _SCHEDULE.rate_at,
             _DURATION_S,
             on_tick=shown.reach,
-            outages=[_OUTAGE_S],
+            loss_at=lost_during([_OUTAGE_S]),
         )
         take(side.url, folder)
 

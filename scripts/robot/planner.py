@@ -1,6 +1,6 @@
 """The planner on the CEDDP: consumes every sensor topic and sends commands back.
 
-Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json
+Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
 
 It prints one JSON line a second with what arrived, for the live table; the same signals as the sensors.
 """
@@ -8,18 +8,19 @@ It prints one JSON line a second with what arrived, for the live table; the same
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
 from arpd import AdaptivePublisher
-from scripts.robot.process import live
-from scripts.robot.sensors import COMMAND_TOPIC, RCLPY_DEPTH, SENSORS
+from scripts.robot.process import live, told
+from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
 from scripts.robot.stamped import StampedArrivals
+
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
 
 COMMAND_RATE_HZ = 20.0
 
@@ -27,20 +28,20 @@ COMMAND_RATE_HZ = 20.0
 class Planner(Node):
     """Subscribes to all sensors and publishes commands at a fixed rate."""
 
-    def __init__(self, prefix: str, *, is_adaptive: bool) -> None:
+    def __init__(self, prefix: str, qos: QoSProfile, *, is_adaptive: bool, command_rate_hz: float) -> None:
         super().__init__("planner")
         self.arrivals = {topic: StampedArrivals() for topic in SENSORS}
         self.offered = 0
         self.is_publishing = False
         for topic, (_, make) in SENSORS.items():
             on_sample = self.arrivals[topic].on_sample
-            self.create_subscription(type(make()), prefix + topic, on_sample, RCLPY_DEPTH, raw=True)
+            self.create_subscription(type(make()), prefix + topic, on_sample, qos, raw=True)
         self.commands: Any
         if is_adaptive:
-            self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
+            self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, qos)
         else:
-            self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
-        self.create_timer(1.0 / COMMAND_RATE_HZ, self._command)
+            self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, qos)
+        self.create_timer(1.0 / command_rate_hz, self._command)
         self.create_timer(0.05, self._sample_ages)
         self.create_timer(1.0, self._report)
 
@@ -65,12 +66,21 @@ class Planner(Node):
 
     def result(self) -> dict[str, Any]:
         received = {topic: asdict(arrivals.reception()) for topic, arrivals in self.arrivals.items()}
-        return {"offered": {COMMAND_TOPIC: self.offered}, "received": received}
+        samples = {topic: arrivals.samples() for topic, arrivals in self.arrivals.items()}
+        return {"offered": {COMMAND_TOPIC: self.offered}, "received": received, "samples": samples}
 
 
 def main() -> None:
-    prefix, kind, out = sys.argv[1:4]
-    live(lambda: Planner(prefix if prefix != "-" else "", is_adaptive=kind == "adaptive"), Path(out))
+    order = told("prefix", "kind", "out")
+    live(
+        lambda: Planner(
+            order.prefix if order.prefix != "-" else "",
+            order.qos,
+            is_adaptive=order.kind == "adaptive",
+            command_rate_hz=order.rate_hz or COMMAND_RATE_HZ,
+        ),
+        order.out,
+    )
 
 
 if __name__ == "__main__":

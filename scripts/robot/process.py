@@ -5,16 +5,21 @@ SIGUSR1 starts publishing, SIGUSR2 stops it and the node stays, SIGTERM writes t
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+
+from scripts.robot.manner import RCLPY_DEPTH
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 class DemoNode(Protocol):
@@ -24,6 +29,21 @@ class DemoNode(Protocol):
 
     def result(self) -> dict[str, Any]:
         """Return what it counted."""
+
+
+def told(*positional: str) -> argparse.Namespace:
+    """Read a node's command line: the names given, ``out`` as a path, QoS as ``qos``, ``rate_hz`` (0 = its own)."""
+    parser = argparse.ArgumentParser()
+    for name in positional:
+        parser.add_argument(name, type=Path if name == "out" else str)
+    parser.add_argument("--depth", type=int, default=RCLPY_DEPTH)
+    parser.add_argument("--deadline-ns", type=int, default=0)
+    parser.add_argument("--rate", type=float, default=0.0, dest="rate_hz")
+    order = parser.parse_args()
+    order.qos = QoSProfile(depth=order.depth)  # RELIABLE, VOLATILE, KEEP_LAST: rclpy's own defaults
+    if order.deadline_ns:
+        order.qos.deadline = Duration(nanoseconds=order.deadline_ns)
+    return order
 
 
 def live(make: Callable[[], DemoNode], out: Path) -> None:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from arpd.sim.namespaces import HostName
     from arpd.sim.schedule import RateSchedule
     from arpd.sim.simlink import SimLink
+    from scripts.robot.manner import Manner
 
 REPO = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("arpd.yaml")
@@ -55,13 +56,13 @@ class Side:
     ----------
     link : the two hosts
     workdir : logs and results of the processes
-    is_managed : with arpd
+    manner : how the robot publishes
     started_s : monotonic clock when the sources began to publish (s)
     """
 
     link: SimLink
     workdir: Path
-    is_managed: bool
+    manner: Manner
     started_s: float = math.inf
     processes: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     arrivals: dict[str, Any] = field(default_factory=dict)
@@ -73,8 +74,8 @@ class Side:
         return self.workdir / "arpd.yaml"
 
     def start_daemon(self) -> None:
-        """Start `arpd run` on the robot."""
-        self.start("run", "robot", "arpd", "run", "--config", str(self.config))
+        """Start `arpd run`, or what stands for it, on the robot."""
+        self.start("run", "robot", *self.manner.daemon, "--config", str(self.config))
 
     def result(self, name: str) -> dict[str, Any]:
         """Return what a source or the planner wrote about its run when it was stopped."""
@@ -136,24 +137,24 @@ class Side:
 
 
 @contextlib.contextmanager
-def robot(link: SimLink, workdir: Path, *, is_managed: bool) -> Iterator[Side]:
-    """Bring up planner, sensors and, if managed, peer, daemon and relay; end them all on leaving.
+def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
+    """Bring up planner, sensors and, if somebody governs them, peer, daemon and relay; end them all on leaving.
 
     Raises
     ------
     DemoError
         If something does not come up.
     """
-    side = Side(link, workdir, is_managed)
+    side = Side(link, workdir, manner)
     workdir.mkdir(parents=True, exist_ok=True)
-    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)} if is_managed else {}
-    prefix, kind = (PREFIX, "adaptive") if is_managed else ("-", "plain")
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)} if manner.is_managed else {}
+    prefix, kind = (PREFIX, "adaptive") if manner.is_managed else ("-", "plain")
     with contextlib.ExitStack() as stack:
         stack.callback(_end, side)
-        side.start(
-            "planner", "ceddp", "scripts.robot.planner", prefix, kind, str(workdir / "planner.json"), env=profile
-        )
-        if is_managed:
+        told = manner.arguments(COMMAND_TOPIC, COMMAND_RATE_HZ)
+        out = str(workdir / "planner.json")
+        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *told, env=profile)
+        if manner.is_managed:
             side.start("peer", "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
             shutil.copyfile(CONFIG, side.config)
             side.start_daemon()
@@ -161,7 +162,9 @@ def robot(link: SimLink, workdir: Path, *, is_managed: bool) -> Iterator[Side]:
             side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
             name = _process_name(topic)
-            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"))
+            carried = COMMAND_TOPIC if topic == BASE_DRIVER else topic
+            told = manner.arguments(carried, _rate_hz(carried))
+            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"), *told)
         for name in _sources():
             side.await_ready(name)
         _await_discovery(side)
@@ -174,21 +177,21 @@ def run(
     duration_s: float,
     *,
     on_tick: Callable[[float], None],
-    outages: Sequence[tuple[float, float]] = (),
+    loss_at: Callable[[float], float] = lambda _elapsed_s: 0.0,
+    on_change: Callable[[float, float], None] = lambda _rate, _loss: None,
 ) -> list[TopicResult]:
     """Let the robot work for ``duration_s`` while the link follows the schedule, and return what arrived.
 
     Parameters
     ----------
-    on_tick : called twice a second with the time since the start (s)
-    outages : spans in which every packet is lost where it arrives, in both directions (s, s)
+    on_tick, loss_at, on_change : as `play` has them
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
-    play(side, schedule.rate_at, duration_s, on_tick=on_tick, outages=outages)
+    play(side, schedule.rate_at, duration_s, on_tick=on_tick, loss_at=loss_at, on_change=on_change)
     side.signal(signal.SIGUSR2, *_sources())
     time.sleep(_DRAIN_S)
-    final = side.status() if side.is_managed else None
-    if side.is_managed and final is None:
+    final = side.status() if side.manner.is_managed else None
+    if side.manner.is_managed and final is None:
         raise DemoError(f"arpd does not answer at {side.url}; see {side.workdir / 'run.log'}")
     side.stop(*_sources())
     crossed = sum(counters.rx_bytes for counters in side.link.counters().values()) - before
@@ -205,19 +208,31 @@ def play(
     duration_s: float,
     *,
     on_tick: Callable[[float], None],
-    outages: Sequence[tuple[float, float]] = (),
+    loss_at: Callable[[float], float] = lambda _elapsed_s: 0.0,
+    on_change: Callable[[float, float], None] = lambda _rate, _loss: None,
 ) -> None:
-    """Let every source publish while the link follows ``rate_at``; they go on publishing afterwards."""
+    """Let every source publish while the link follows ``rate_at`` and ``loss_at``; they go on publishing afterwards.
+
+    Parameters
+    ----------
+    rate_at : rate of both directions, by the time since the start (bytes/s by s)
+    on_tick : called twice a second with the time since the start (s)
+    loss_at : probability that a packet is lost where it arrives, in both directions (by s)
+    on_change : called with rate and loss once at the start and when the link has changed (bytes/s, 0..1)
+    """
     side.signal(signal.SIGUSR1, *_sources())
     side.started_s = time.monotonic()
-    was_out, next_tick_s = False, 0.0
+    now: tuple[float, float] | None = None
+    next_tick_s = 0.0
     while (elapsed_s := time.monotonic() - side.started_s) < duration_s:
-        if (rate := rate_at(elapsed_s)) != side.link.rate_bytes_per_second:
+        rate, loss = rate_at(elapsed_s), loss_at(elapsed_s)
+        if rate != side.link.rate_bytes_per_second:
             side.link.set_rate(rate)
-        is_out = any(start_s <= elapsed_s < end_s for start_s, end_s in outages)
-        if is_out != was_out:
-            side.link.set_loss(1.0 if is_out else 0.0)
-            was_out = is_out
+        if loss != side.link.loss:
+            side.link.set_loss(loss)
+        if (rate, loss) != now:
+            now = rate, loss
+            on_change(rate, loss)
         if elapsed_s >= next_tick_s:
             next_tick_s = elapsed_s + _TICK_S
             on_tick(elapsed_s)
@@ -225,9 +240,14 @@ def play(
         time.sleep(_SHAPE_S)
 
 
+def lost_during(outages: Sequence[tuple[float, float]]) -> Callable[[float], float]:
+    """Return the loss of a link that loses every packet in the spans (s, s) and none besides."""
+    return lambda elapsed_s: float(any(start_s <= elapsed_s < end_s for start_s, end_s in outages))
+
+
 def _await_discovery(side: Side) -> None:
     """Wait until every writer has its reader, so that nothing is published into the void."""
-    if not side.is_managed:
+    if not side.manner.is_managed:
         time.sleep(4.0)
         return
     until_s = time.monotonic() + _START_S
@@ -258,13 +278,15 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
     results = []
     for topic, summary in received.items():
         managed = by_topic.get(topic if topic == COMMAND_TOPIC else PREFIX + topic)
+        rate_hz = _rate_hz(topic)
+        slowed = round((rate_hz - side.manner.rate_hz(topic, rate_hz)) * duration_s)  # what its source left out
         results.append(
             TopicResult(
                 topic=topic,
-                source_rate_hz=_rate_hz(topic),
-                expected=round(_rate_hz(topic) * duration_s),
-                offered=offered[topic],
-                withheld=managed["withheld"] if managed else 0,
+                source_rate_hz=rate_hz,
+                expected=round(rate_hz * duration_s),
+                offered=offered[topic] + slowed,
+                withheld=slowed + (managed["withheld"] if managed else 0),
                 sent=managed["published"] if managed else offered[topic],
                 **summary,
             )

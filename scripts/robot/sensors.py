@@ -1,6 +1,6 @@
 """The robot's sensors: ordinary rclpy nodes that know nothing of arpd.
 
-Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json
+Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
 
 Each is a process of its own, as a robot's drivers are: their send buffers are what fills the link's queue. On SIGUSR1
 they start, on SIGUSR2 they stop publishing and stay, on SIGTERM they write how many samples they published and leave.
@@ -9,9 +9,7 @@ they start, on SIGUSR2 they stop publishing and stay, on SIGTERM they write how 
 from __future__ import annotations
 
 import array
-import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import TwistStamped
@@ -30,14 +28,15 @@ from sensor_msgs.msg import (
     Temperature,
 )
 
-from scripts.robot.process import live
+from scripts.robot.process import DemoNode, live, told
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rclpy.qos import QoSProfile
+
 COMMAND_TOPIC = "/cmd_vel"
-RCLPY_DEPTH = 10  # what every rclpy tutorial passes
 
 
 def laser_scan() -> LaserScan:
@@ -85,14 +84,14 @@ BASE_DRIVER = "base_driver"
 class Sensor(Node):
     """One sensor: a timer and a publisher."""
 
-    def __init__(self, topic: str, rate_hz: float, message: Any) -> None:
+    def __init__(self, topic: str, rate_hz: float, message: Any, qos: QoSProfile) -> None:
         super().__init__(topic.strip("/").replace("/", "_"))
         self._message = message
         self._frame = topic.strip("/").replace("/", "_")
         self.topic = topic
         self.offered = 0
         self.is_publishing = False
-        self._publisher = self.create_publisher(type(message), topic, RCLPY_DEPTH)
+        self._publisher = self.create_publisher(type(message), topic, qos)
         self.create_timer(1.0 / rate_hz, self._publish)
 
     def _publish(self) -> None:
@@ -110,11 +109,11 @@ class Sensor(Node):
 class BaseDriver(Node):
     """Obeys the command topic, and notes how the commands arrive."""
 
-    def __init__(self) -> None:
+    def __init__(self, qos: QoSProfile) -> None:
         super().__init__(BASE_DRIVER)
         self.commands = StampedArrivals()
         self.is_publishing = False  # what the signals call the time in which the run is measured
-        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, RCLPY_DEPTH, raw=True)
+        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, qos, raw=True)
         self.create_timer(0.05, self._sample_age)
 
     def _sample_age(self) -> None:
@@ -122,12 +121,23 @@ class BaseDriver(Node):
             self.commands.on_age(float(self.get_clock().now().nanoseconds) * 1e-9)
 
     def result(self) -> dict[str, Any]:
-        return {"offered": {}, "received": {COMMAND_TOPIC: asdict(self.commands.reception())}}
+        return {
+            "offered": {},
+            "received": {COMMAND_TOPIC: asdict(self.commands.reception())},
+            "samples": {COMMAND_TOPIC: self.commands.samples()},
+        }
 
 
 def main() -> None:
-    name, out = sys.argv[1:3]
-    live(BaseDriver if name == BASE_DRIVER else lambda: Sensor(name, SENSORS[name][0], SENSORS[name][1]()), Path(out))
+    order = told("name", "out")
+
+    def make() -> DemoNode:
+        if order.name == BASE_DRIVER:
+            return BaseDriver(order.qos)
+        rate_hz, message = SENSORS[order.name]
+        return Sensor(order.name, order.rate_hz or rate_hz, message(), order.qos)
+
+    live(make, order.out)
 
 
 if __name__ == "__main__":

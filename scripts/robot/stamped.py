@@ -35,6 +35,13 @@ class StampedArrivals(Arrivals):
         self.recent += 1
         self.recent_worst_s = max(self.recent_worst_s, latency_s)
 
+    def samples(self) -> dict[str, list[float]]:
+        """Return every latency and every age (s), to a tenth of a millisecond."""
+        return {
+            "latencies_s": [round(seconds, 4) for seconds in self.latencies_s],
+            "ages_s": [round(seconds, 4) for seconds in self.ages_s],
+        }
+
     def take_recent(self) -> tuple[int, float]:
         """Count and worst latency since the last call."""
         taken = self.recent, self.recent_worst_s

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.sim.simlink import SimLink, available
+from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import PREFIX, REPO, robot
 from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
 
@@ -42,7 +43,7 @@ SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS)
 def side(tmp_path):
     with (
         SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link,
-        robot(link, tmp_path, is_managed=True) as side,
+        robot(link, tmp_path, WITH_ARPD) as side,
     ):
         side.signal(signal.SIGUSR1, *SOURCES)
         yield side

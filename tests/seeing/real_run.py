@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from arpd.sim.simlink import SimLink
+from scripts.robot.manner import WITH_ARPD
 from scripts.robot.proxy import window
 from scripts.robot.run import REPO, Side, robot
 from scripts.robot.sensors import BASE_DRIVER, SENSORS
@@ -163,7 +164,7 @@ def real_run(workdir: Path, *, prometheus: str) -> Iterator[RealRun]:
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(SimLink(f"seeing-{os.getpid()}", rate_bytes_per_second=FAST))
         try:
-            side = stack.enter_context(robot(link, workdir / "robot", is_managed=True))
+            side = stack.enter_context(robot(link, workdir / "robot", WITH_ARPD))
         except Exception as error:
             raise NotInTimeError(f"{error}\n{tail_of_logs(workdir / 'robot')}") from error
         _start_prometheus(side, prometheus, workdir / "prometheus")

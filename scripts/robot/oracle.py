@@ -1,0 +1,58 @@
+"""`arpd run` with an estimator that knows the link: what arpd would do if it never had to find out.
+
+Usage: python -m scripts.robot.oracle --config FILE --truth FILE
+
+The truth is a JSON file that whoever shapes the link writes anew at every change (`write_truth`); the queue is read
+from the robot's own interface. Governor, dwell, swaps and relay are arpd's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from arpd.host.backlog import read_backlog
+from arpd.sim.baselines import Oracle, Truth
+from arpd.sim.simlink import INTERFACE
+from arpd.supervisor import run_daemon
+
+
+def write_truth(path: Path, *, capacity_bytes_per_second: float, loss: float) -> None:
+    """Tell the oracle what is true from now on; it never reads half a file."""
+    fresh = path.with_suffix(".new")
+    fresh.write_text(json.dumps({"capacity_bytes_per_second": capacity_bytes_per_second, "loss": loss}))
+    fresh.replace(path)
+
+
+def read_truth(path: Path) -> Truth:
+    """Read the file, and this host's own queue."""
+    told = json.loads(path.read_text())
+    capacity = told["capacity_bytes_per_second"]
+    backlog = None
+    with suppress(OSError):
+        backlog = read_backlog(socket.if_nametoindex(INTERFACE))
+    return Truth(
+        capacity_bytes_per_second=capacity,
+        queue_delay_s=backlog.waiting_bytes / capacity if backlog else 0.0,
+        is_out=told["loss"] >= 1.0,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--config", type=Path, required=True)
+    parser.add_argument("--truth", type=Path, required=True)
+    options = parser.parse_args()
+    return run_daemon(
+        config_path=options.config,
+        log_level="info",
+        make_estimator=lambda _settings: Oracle(lambda: read_truth(options.truth)),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
