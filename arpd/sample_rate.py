@@ -7,6 +7,7 @@ from collections import deque
 
 _WINDOW_S = 5.0
 _SETTLE_S = 0.5  # a shorter look tells no rate
+_BURST_S = 0.1  # what waited for a caller that was held up comes at once, and then its rate shows
 _SILENT_PERIODS = 3.0
 
 
@@ -19,13 +20,16 @@ class SampleRate:
     def __init__(self) -> None:
         self.samples = 0
         self._last_s = -math.inf
+        self._began_s = -math.inf  # first sample after a silence
         self._marks: deque[tuple[float, int]] = deque()  # time, samples counted by then
 
     def count(self, now_s: float) -> None:
         """Count one sample."""
         self.samples += 1
         if now_s - self._last_s > _WINDOW_S:
-            # The silence before a topic starts says nothing of its rate: measure from its first sample on.
+            self._began_s = now_s
+        if now_s - self._began_s < _BURST_S:
+            # The silence before a topic starts says nothing of its rate: measure from its first samples on.
             self._marks = deque([(now_s, self.samples)])
         self._last_s = now_s
 
