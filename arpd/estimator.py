@@ -115,7 +115,7 @@ class Estimator:
         self._hearing.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
         if silence_s <= self._outage_s:
             self._state = self._judge(now_s, elapsed_s)
-        elif self._hearing.is_deaf or (
+        elif self._hearing.is_cut or (
             silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered
         ):
             self._state = LinkState.OUTAGE

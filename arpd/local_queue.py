@@ -6,14 +6,18 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.model import Direction
 from arpd.standing import StandingBacklog
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from arpd.interface import LinkCounters
     from arpd.model import Observation
 
 _BLOCKED_SHARE = 0.2  # of the time: that long publishers waited for room in the socket
 _SENT_WINDOW_S = 0.35
+_ANNOUNCED_S = 1.0  # how old what a publisher says of its waiting may be
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -21,7 +25,7 @@ class _Look:
     at_s: float
     sent_bytes: int
     dropped: int
-    blocked_s: float
+    blocked_s: Mapping[tuple[str, str], float]  # by node and topic
 
 
 class LocalQueue:
@@ -86,7 +90,12 @@ class LocalQueue:
             at_s=observation.now_s,
             sent_bytes=counters.tx_bytes,
             dropped=counters.tx_dropped,
-            blocked_s=sum(publisher.blocked_s for publisher in observation.publishers),
+            # What stands on another host waits for that host's interface.
+            blocked_s={
+                (publisher.node, publisher.topic): publisher.blocked_s
+                for publisher in observation.publishers
+                if publisher.direction is Direction.SENSING
+            },
         )
         since = self._since
         # Longer than two windows ago somebody else measured, or the interface was down: that was another time.
@@ -97,5 +106,12 @@ class LocalQueue:
         if span_s < self._window_s:
             return None
         self._since = look
-        is_late = look.blocked_s - since.blocked_s > _BLOCKED_SHARE * span_s or look.dropped > since.dropped
+        is_late = _waited_s(since, look) > _BLOCKED_SHARE * span_s or look.dropped > since.dropped
         return self.stands or is_late, (look.sent_bytes - since.sent_bytes) / span_s
+
+
+def _waited_s(since: _Look, look: _Look) -> float:
+    """Return how long publishers waited between two looks; who says more than that speaks of an earlier time (s)."""
+    most_s = look.at_s - since.at_s + _ANNOUNCED_S
+    waited = (blocked_s - since.blocked_s[who] for who, blocked_s in look.blocked_s.items() if who in since.blocked_s)
+    return sum(each for each in waited if 0.0 < each <= most_s)

@@ -177,6 +177,37 @@ def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(play, othe
     assert settled(result)
 
 
+@pytest.mark.parametrize(("trickle_kbit", "is_followed"), [(16, False), (24, False), (100, True)])
+def test_a_trickle_is_an_outage_and_a_slow_link_is_followed(play, trickle_kbit, is_followed):
+    """When the peer is long silent and frames leave one by one, nothing is planned for them; a link that is used is."""
+    rate = trickle_kbit * 1e3 / 8
+    frame, begin_s, end_s = 1514, 10.0, 26.0
+    first = []
+
+    def see(t_s, seen):
+        if not begin_s <= t_s < end_s:
+            return seen
+        first.append(seen.counters)
+        frames = int(rate * (t_s - begin_s) / frame)
+        counters = replace(
+            first[0],
+            rx_packets=first[0].rx_packets + 6 * frames,
+            tx_bytes=first[0].tx_bytes + frame * frames,
+            backlog_bytes=150_000,
+        )
+        return replace(seen, reports=(), counters=counters)
+
+    result, daemon = play(see=see, duration_s=36.0)
+    last = [moment for moment in result.moments if moment.t_s < end_s][-1]
+    assert (last.state is LinkState.OUTAGE) is not is_followed
+    assert ("down" in plans(daemon, begin_s, end_s)) is is_followed
+    if is_followed:
+        assert last.estimate_bytes_per_second == pytest.approx(rate, rel=0.15)
+    else:
+        assert plans(daemon, begin_s, 36.0) == []
+    assert settled(result)
+
+
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
 def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(play, monkeypatch, step_s):
     """Neither the far host's clock nor this one's, which stamp what is sent and received, decides anything."""

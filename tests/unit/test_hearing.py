@@ -14,20 +14,25 @@ class Interface:
     def __init__(self):
         self.now_s = 50.0
         self.packets = 1000.0
+        self.sent = 5e6
+        self.dropped = 0
         self.hearing = Hearing()
 
-    def receive(self, rate_hz, duration_s, *, is_usual=True, state=InterfaceState.UP):
+    def receive(self, rate_hz, duration_s, *, is_usual=True, state=InterfaceState.UP, sends=1e5, backlog=None, drops=0):
         for _ in range(round(duration_s / TICK_S)):
             self.now_s += TICK_S
             self.packets += rate_hz * TICK_S
+            self.sent += sends * TICK_S
+            self.dropped += drops
             counters = LinkCounters(
                 interface="w",
                 rx_bytes=0,
-                tx_bytes=0,
+                tx_bytes=int(self.sent),
                 rx_packets=int(self.packets),
-                tx_packets=0,
-                tx_dropped=0,
+                tx_packets=int(self.sent / 200),
+                tx_dropped=int(self.dropped),
                 state=state,
+                backlog_bytes=backlog,
             )
             self.hearing.note(self.now_s, counters, is_usual=is_usual)
         return self.hearing.is_answered
@@ -95,3 +100,41 @@ def test_a_robot_that_never_heard_a_peer_is_not_deaf():
     interface = Interface()
     interface.receive(0, 60.0, is_usual=False)
     assert not interface.hearing.is_deaf
+
+
+@pytest.mark.parametrize("how", [{"backlog": 150_000}, {"drops": 40}])
+@pytest.mark.parametrize(("rate", "is_cut"), [(0.0, True), (2_000.0, True), (12_500.0, False)])
+def test_a_link_that_only_trickles_is_cut(how, rate, is_cut):
+    """Some packets still come and go, but next to none of those that wait."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    interface.receive(20, 10.0, is_usual=False, sends=rate, **how)
+    assert not interface.hearing.is_deaf
+    assert interface.hearing.is_cut is is_cut
+
+
+@pytest.mark.parametrize("drops", [0, 0.1])
+def test_a_host_that_has_nothing_to_send_is_not_cut(drops):
+    """Few bytes leave, and none wait; that one is dropped now and then is nothing."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    interface.receive(20, 10.0, is_usual=False, sends=500.0, backlog=0, drops=drops)
+    assert not interface.hearing.is_cut
+
+
+@pytest.mark.parametrize("is_heard", [True, False])
+def test_a_trickle_ends_when_the_link_is_back(is_heard):
+    """Within a few ticks, whether or not the peer is heard at once."""
+    interface = Interface()
+    interface.receive(200, 20.0)
+    interface.receive(20, 100.0, is_usual=False, sends=2_000.0, backlog=150_000)
+    assert interface.hearing.is_cut
+    interface.receive(200, 0.2, is_usual=is_heard, backlog=100_000)
+    assert not interface.hearing.is_cut
+
+
+def test_a_slow_link_on_which_no_peer_was_heard_is_not_cut():
+    """Nobody knows that it was ever better."""
+    interface = Interface()
+    interface.receive(20, 60.0, is_usual=False, sends=2_000.0, backlog=150_000)
+    assert not interface.hearing.is_cut

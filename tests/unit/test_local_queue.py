@@ -38,6 +38,7 @@ class Host:
         self.sent = 5_000_000
         self.dropped = 0
         self.blocked_s = 0.0
+        self.publisher = PUBLISHER
         self.state = InterfaceState.UP
 
     def look(self, backlog=0, *, rate=RATE, after_s=TICK_S, is_there=True):
@@ -63,7 +64,7 @@ class Host:
                 now_s=self.now_s,
                 counters=self.counters,
                 reports=(),
-                publishers=(replace(PUBLISHER, blocked_s=self.blocked_s),),
+                publishers=(replace(self.publisher, blocked_s=self.blocked_s),),
                 memory=MemoryState(total_bytes=1, available_bytes=1),
                 sensing_topics=0,
                 actuation_topics=0,
@@ -179,6 +180,18 @@ def test_a_publisher_that_leaves_takes_its_waiting_along():
     host.blocked_s = 40.0
     host.told(1)
     host.blocked_s = 0.0
+    ((pushes_back, _),) = host.told(10)
+    assert not pushes_back
+
+
+@pytest.mark.parametrize("other", [{"node": "/m"}, {"direction": Direction.ACTUATION}, {}])
+def test_waiting_of_another_time_or_place_is_none(other):
+    """Of a publisher that was not there before, one on another host, or one that was silent while it waited."""
+    host = Host()
+    host.publisher = replace(PUBLISHER, direction=other.get("direction", Direction.SENSING))
+    host.told(1)
+    host.publisher = replace(PUBLISHER, **other)
+    host.blocked_s += 0.5 if other else 12.0
     ((pushes_back, _),) = host.told(10)
     assert not pushes_back
 
