@@ -13,6 +13,10 @@ _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
 # for its statistics module. All sizes here are those of captured frames.
 _RTPS_BYTES = 20 + 16 + 60
 DATA_BYTES = _RTPS_BYTES + 12 + 24  # INFO_TS and the DATA submessage's header
+_DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
+#: Largest RTPS message of arpd's writers (arpd/ros/fastdds.xml). Fast DDS keeps room for a heartbeat in each.
+_MESSAGE_BYTES = 1392
+FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
 HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
 ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
 #: Heartbeat period of arpd's writers (arpd/ros/fastdds.xml) while something is unacknowledged.
@@ -22,9 +26,9 @@ HEARTBEAT_S = 0.05
 def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     """Bytes and packets one reliable sample puts on the link, for one reader.
 
-    Fast DDS sends up to 64 kB in one UDP datagram, which IP cuts into fragments of the MTU. A heartbeat asks for an
-    acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air with the data. So a slow topic pays
-    for them with every sample, and of a fast one several samples share them.
+    Fast DDS cuts what is larger than ``FRAGMENT_BYTES`` into DATA_FRAG submessages, each a datagram of its own (RTPS
+    2.3 §8.3.7.3). A heartbeat asks for an acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air
+    with the data. So a slow topic pays for them with every sample, and of a fast one several samples share them.
 
     Parameters
     ----------
@@ -35,10 +39,10 @@ def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     -------
     Wire bytes and packets, heartbeat and acknowledgement included.
     """
-    datagram = UDP_BYTES + DATA_BYTES + payload_bytes
-    fragments = max(1, math.ceil(datagram / (MTU_BYTES - IPV4_BYTES)))
+    fragments = max(1, math.ceil(payload_bytes / FRAGMENT_BYTES))
+    headers = _HEADERS_BYTES + (DATA_BYTES if fragments == 1 else _DATA_FRAG_BYTES)
     asked = 1.0 if rate_hz * HEARTBEAT_S <= 1.0 else 1.0 / (rate_hz * HEARTBEAT_S)
-    wire_bytes = datagram + fragments * (ETHERNET_BYTES + IPV4_BYTES) + asked * (HEARTBEAT_BYTES + ACKNACK_BYTES)
+    wire_bytes = payload_bytes + fragments * headers + asked * (HEARTBEAT_BYTES + ACKNACK_BYTES)
     return wire_bytes, fragments + round(2.0 * asked)
 
 

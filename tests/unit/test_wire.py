@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
+from arpd.probe_schedule import ProbeTuning
+from arpd.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
 RATES = st.floats(0.0, 10_000.0)
@@ -32,18 +33,26 @@ def test_a_faster_topic_costs_less_a_sample_and_more_in_all(payload_bytes, one, 
 
 @given(PAYLOADS)
 def test_every_packet_fits_the_mtu(payload_bytes):
-    """The packets are enough for the datagram, and no packet is superfluous."""
+    """A sample is cut into as few parts as carry it, and IP need not cut any of them again, even under WireGuard."""
     wire_bytes, packets = wire_size(payload_bytes, rate_hz=math.inf)
-    link_bytes = wire_bytes - packets * 14
-    assert (packets - 1) * MTU_BYTES < link_bytes <= packets * MTU_BYTES
+    assert (packets - 1) * FRAGMENT_BYTES < max(1, payload_bytes) <= packets * FRAGMENT_BYTES
+    headers = (wire_bytes - payload_bytes) / packets
+    assert headers + FRAGMENT_BYTES - 14 <= 1420 < MTU_BYTES
 
 
 @pytest.mark.parametrize(
     ("payload_bytes", "rate_hz", "wire_bytes", "packets"),
-    [(324, math.inf, 498, 1), (324, 50.0, 498 + 0.4 * 336, 2), (76, 20.0, 250 + 336, 3), (76, 0.0, 250 + 336, 3)],
+    [
+        (324, math.inf, 498, 1),
+        (1216, math.inf, 1390, 1),
+        (1300, math.inf, 1402 + 270, 2),
+        (324, 50.0, 498 + 0.4 * 336, 2),
+        (76, 20.0, 250 + 336, 3),
+        (76, 0.0, 250 + 336, 3),
+    ],
 )
 def test_sizes_are_those_of_captured_frames(payload_bytes, rate_hz, wire_bytes, packets):
-    """A sample of 324 bytes was 498 on the wire, a heartbeat 170, its answer 166; both at most 20 times a second."""
+    """A sample of 324 bytes was 498 on the wire, one of 1300 bytes 1402 and 270, a heartbeat 170, its answer 166."""
     assert HEARTBEAT_BYTES + ACKNACK_BYTES == 336
     assert wire_size(payload_bytes, rate_hz=rate_hz) == (wire_bytes, packets)
 
@@ -55,5 +64,6 @@ def test_a_probe_costs_less_than_a_reliable_sample_of_its_size(data_bytes):
 
 
 def test_a_probe_packet_of_a_train_is_the_captured_frame():
-    """Trains are made of packets that need no fragment, so that each is one arrival: 1490 bytes."""
-    assert probe_wire_bytes(1300) == 1490 <= MTU_BYTES + 14
+    """Trains are made of packets that need no fragment, so that each is one arrival: 1390 bytes."""
+    assert probe_wire_bytes(ProbeTuning().packet_bytes) == 1390
+    assert ProbeTuning().packet_bytes + 16 <= FRAGMENT_BYTES
