@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from arpd.publishers import PublisherState
 from arpd.readers import ReaderState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 MOST_OF_NODE = 256  # endpoints one node may announce: more than any relay carries
 MOST = 2000  # of all nodes together: more than any robot has
@@ -76,19 +76,22 @@ class Endpoints(Generic[S]):
             if was_shown or endpoint.is_shown:
                 endpoint.shown_s = now_s
 
-    def live(self, now_s: float, *, is_flooded: bool = False) -> list[S]:
+    def live(
+        self, now_s: float, *, is_flooded: bool = False, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}
+    ) -> list[S]:
         """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic.
 
         Parameters
         ----------
         is_flooded : whether announcements may have been lost among others; who is there is then kept for longer
+        known_of : what is known of a state besides, by field; every tick makes all states anew, and none twice
         """
         kept_s = max(self._stale_s, _FLOODED_S) if is_flooded else self._stale_s
         for key, endpoint in list(self._known.items()):
             if now_s - endpoint.at_s > (kept_s if endpoint.is_shown else self._stale_s):
                 self._forget(key)
         return [
-            replace(endpoint.state, age_s=now_s - endpoint.at_s)
+            replace(endpoint.state, age_s=now_s - endpoint.at_s, **known_of(endpoint.state))
             for _, endpoint in sorted(self._known.items())
             if endpoint.is_shown or (endpoint.shown_s is not None and now_s - endpoint.shown_s <= _UNSEEN_S)
         ]

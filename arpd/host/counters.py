@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from arpd.host.backlog import read_backlog
+from arpd.host.net_device import read_device
 from arpd.interface import InterfaceState, LinkCounters, continue_counters, state_of
 from arpd.model import MemoryState
 from arpd.settings import AUTO
@@ -56,30 +57,20 @@ def read_counters(name: str) -> LinkCounters | None:
     """Return the counters an interface has now, as the kernel keeps them; None when there is none of that name.
 
     What its queue drops counts as dropped by the interface; drivers do not count it.
-
-    psutil's own correction (``nowrap``) stays off: it takes every fall for a reset, forgets a name that was away for
-    one reading, and is shared by the whole process.
     """
-    try:
-        counters = psutil.net_io_counters(pernic=True, nowrap=False).get(name)
-        stats = psutil.net_if_stats().get(name)
-    except OSError:  # it vanished between two of psutil's questions, or nothing can be opened any more
+    if (index := index_of(name)) is None or (device := read_device(index)) is None:
         return None
-    if counters is None or stats is None:
-        return None
-    index = index_of(name)
-    queue = None if index is None else read_backlog(index)
-    # IFF_UP is what the administrator wants, IFF_RUNNING what the driver has (netdevice(7)).
-    without_carrier = InterfaceState.NO_CARRIER if "up" in stats.flags.split(",") else InterfaceState.DOWN
+    queue = read_backlog(index)
+    without_carrier = InterfaceState.NO_CARRIER if device.is_up else InterfaceState.DOWN
     return LinkCounters(
         interface=name,
-        rx_bytes=counters.bytes_recv,
-        tx_bytes=counters.bytes_sent,
-        rx_packets=counters.packets_recv,
-        tx_packets=counters.packets_sent,
-        tx_dropped=counters.dropout + (queue.dropped_packets if queue else 0),
+        rx_bytes=device.rx_bytes,
+        tx_bytes=device.tx_bytes,
+        rx_packets=device.rx_packets,
+        tx_packets=device.tx_packets,
+        tx_dropped=device.tx_dropped + (queue.dropped_packets if queue else 0),
         backlog_bytes=queue.waiting_bytes if queue else None,
-        state=InterfaceState.UP if stats.isup else without_carrier,
+        state=InterfaceState.UP if device.is_running else without_carrier,
     )
 
 

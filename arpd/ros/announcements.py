@@ -17,7 +17,7 @@ from arpd.ros.intake import Intake, Pause, peek
 from arpd.ros.names import is_full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Mapping
 
     from arpd.admission import Kind
     from arpd.ros.refused import Refused
@@ -93,11 +93,16 @@ class Announcements(Generic[S]):
         with self._lock:
             return self._endpoints.topics
 
-    def live(self, now_s: float) -> list[S]:
-        """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic."""
+    def live(self, now_s: float, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}) -> list[S]:
+        """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic.
+
+        Parameters
+        ----------
+        known_of : what the graph knows of a state besides, by field
+        """
         is_flooded = self._intake.is_flooded
         with self._lock:
-            return self._endpoints.live(now_s, is_flooded=is_flooded)
+            return self._endpoints.live(now_s, is_flooded=is_flooded, known_of=known_of)
 
     def see(self, announcers: Collection[str], is_shown: Callable[[str, str], bool]) -> None:
         """Take in what the graph shows now.

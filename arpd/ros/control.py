@@ -6,7 +6,7 @@ import logging
 import secrets
 import threading
 import time
-from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from arpd.probing import PeerReport
 from arpd.ros.announce import from_status, reader_from_status
 from arpd.ros.announcements import Announcements
 from arpd.ros.daemons import Daemons
+from arpd.ros.events import no_publisher_events
 from arpd.ros.graph import read_graph
 from arpd.ros.intake import Intake, Pause, octets
 from arpd.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
@@ -34,7 +35,7 @@ from arpd.ros.rounds import Rounds
 from arpd.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from arpd.model import Transition
     from arpd.probing import ProbeRequest
@@ -106,8 +107,10 @@ class RosControl:
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest)
-        self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
+        self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest, event_callbacks=no_publisher_events())
+        self._probe_publisher = node.create_publisher(
+            UInt8MultiArray, PROBE_TOPIC, best_effort, event_callbacks=no_publisher_events()
+        )
         pause = Pause()
         self._announced = Announcements(
             node,
@@ -158,8 +161,13 @@ class RosControl:
                 peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
-        publishers, readers = self._announced.live(now_s), self._readers.live(now_s)
         crossings = self._crossings
+        readers = self._readers.live(now_s, partial(_known_of_reader, crossings=crossings))
+        driven: dict[str, set[str]] = {}
+        for reader in readers:
+            if reader.is_driven:
+                driven.setdefault(reader.topic, set()).add(reader.node)
+        publishers = self._announced.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
         pinned = self._graph_settings
         directions = [crossing.direction for crossing in crossings.values()]
         sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
@@ -167,8 +175,8 @@ class RosControl:
             now_s=now_s,
             counters=self._reader.read(),
             reports=reports,
-            publishers=_join_publishers(publishers, readers, crossings),
-            readers=_join_readers(readers, crossings),
+            publishers=tuple(publishers),
+            readers=tuple(readers),
             memory=self._memory.read(),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
@@ -254,30 +262,27 @@ class RosControl:
             self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
 
 
-def _join_publishers(
-    publishers: Iterable[PublisherState], readers: Iterable[ReaderState], crossings: Mapping[str, Crossing]
-) -> tuple[PublisherState, ...]:
-    driven: dict[str, set[str]] = {}
-    for reader in readers:
-        if reader.is_driven:
-            driven.setdefault(reader.topic, set()).add(reader.node)
-    return tuple(
-        replace(
-            state,
-            direction=crossing.direction,
-            remote_readers=crossing.remote_readers,
-            requested_deadline_ns=crossing.tightest_request_ns(besides=driven.get(state.topic, ())),
-        )
-        if (crossing := crossings.get(state.topic)) is not None
-        else state
-        for state in publishers
-    )
+def _known_of_publisher(
+    state: PublisherState, *, crossings: Mapping[str, Crossing], driven: Mapping[str, Collection[str]]
+) -> Mapping[str, Any]:
+    """Return what the graph knows of a publisher.
+
+    Parameters
+    ----------
+    crossings : what crosses the link, by topic
+    driven : nodes whose readers arpd drives, by topic
+    """
+    if (crossing := crossings.get(state.topic)) is None:
+        return {}
+    return {
+        "direction": crossing.direction,
+        "remote_readers": crossing.remote_readers,
+        "requested_deadline_ns": crossing.tightest_request_ns(besides=driven.get(state.topic, ())),
+    }
 
 
-def _join_readers(readers: Iterable[ReaderState], crossings: Mapping[str, Crossing]) -> tuple[ReaderState, ...]:
-    return tuple(
-        replace(state, requests_ns=crossing.requests_of(state.node), offers_ns=crossing.offers_ns)
-        if (crossing := crossings.get(state.topic)) is not None
-        else state
-        for state in readers
-    )
+def _known_of_reader(state: ReaderState, *, crossings: Mapping[str, Crossing]) -> Mapping[str, Any]:
+    """Do the same for a reader."""
+    if (crossing := crossings.get(state.topic)) is None:
+        return {}
+    return {"requests_ns": crossing.requests_of(state.node), "offers_ns": crossing.offers_ns}

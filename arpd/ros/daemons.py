@@ -18,6 +18,7 @@ from rclpy.serialization import deserialize_message
 
 from arpd.admission import Kind, Reason, TokenBucket
 from arpd.incumbent import LEAST_STARTED_NS, Claim, Incumbency
+from arpd.ros.events import no_publisher_events
 from arpd.ros.intake import Intake, peek
 from arpd.ros.names import DAEMONS_TOPIC, GATE_TOPIC
 from arpd.ros.refused import Refused
@@ -70,7 +71,9 @@ class Daemons:
         self._rivals = 0
         self._lock = threading.Lock()
         qos = QoSProfile(depth=100)
-        self._publisher = node.create_publisher(DiagnosticArray, DAEMONS_TOPIC, QoSProfile(depth=10))
+        self._publisher = node.create_publisher(
+            DiagnosticArray, DAEMONS_TOPIC, QoSProfile(depth=10), event_callbacks=no_publisher_events()
+        )
         self._intake = Intake(
             node,
             DiagnosticArray,

@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile
 
 from arpd.diagnosis import diagnose
 from arpd.narration import one_line
+from arpd.ros.events import no_publisher_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +54,9 @@ class Diagnostics:
         self._clock = clock
         self._host = host or platform.node()
         # Reliable, one deep, as diagnostic_updater has it: each message tells all.
-        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1))
+        self._publisher = node.create_publisher(
+            DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1), event_callbacks=no_publisher_events()
+        )
         self._published_s = -math.inf
         self._told = 0
         self._is_failing = False

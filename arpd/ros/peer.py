@@ -51,7 +51,7 @@ class Peer:
         from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415
         from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
 
-        from arpd.ros import intake, report  # noqa: PLC0415
+        from arpd.ros import events, intake, report  # noqa: PLC0415
 
         self._octets = intake.octets
         self._report = report
@@ -62,7 +62,9 @@ class Peer:
         self._schedule = ReportSchedule(clock())
         self._counters = reader.read()
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
+        self._reports = node.create_publisher(
+            UInt8MultiArray, REPORT_TOPIC, best_effort, event_callbacks=events.no_publisher_events()
+        )
         self._intake = intake.Intake(
             node,
             UInt8MultiArray,

@@ -21,6 +21,7 @@ from std_msgs.msg import Float64
 from arpd.model import TopicPlan
 from arpd.ros.announce import to_status
 from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_floor_hz, checked_rate_hz
+from arpd.ros.events import no_publisher_events, no_subscription_events
 from arpd.ros.grant import Grant
 from arpd.ros.names import (
     DEADLINE,
@@ -89,11 +90,12 @@ class NodeTuning:
         )
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
-        node.create_subscription(
-            Float64, GATE_TOPIC, self._on_gate, QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        )
+        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(Float64, GATE_TOPIC, self._on_gate, newest, event_callbacks=no_subscription_events())
         node.create_timer(_ANNOUNCE_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._announcer = node.create_publisher(DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5))
+        self._announcer = node.create_publisher(
+            DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
+        )
         self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
         self._thread.start()
         node.context.on_shutdown(self.stop)

@@ -15,6 +15,7 @@ from arpd.host.counters import (
     name_of,
     read_counters,
 )
+from arpd.host.net_device import NetDevice
 from arpd.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)
@@ -229,7 +230,7 @@ def test_an_interface_replaced_between_two_readings_does_not_jump(kernel):
     assert received(reader.read()) == (500, 5)
 
 
-# -- psutil
+# -- the kernel
 
 
 def test_loopback_reads_up():
@@ -246,31 +247,36 @@ def test_loopback_reads_up():
 
 
 @pytest.mark.parametrize(
-    ("flags", "is_up", "state"),
+    ("is_up", "is_running", "state"),
     [
-        ("up,broadcast,running,multicast", True, InterfaceState.UP),
-        ("up,broadcast,multicast", False, InterfaceState.NO_CARRIER),
-        ("broadcast,multicast", False, InterfaceState.DOWN),
+        (True, True, InterfaceState.UP),
+        (True, False, InterfaceState.NO_CARRIER),
+        (False, False, InterfaceState.DOWN),
     ],
 )
-def test_flags_tell_why_nothing_is_carried(monkeypatch, flags, is_up, state):
+def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state):
     """Switched on without carrier is not switched off."""
-    counters = SimpleNamespace(bytes_recv=1, bytes_sent=2, packets_recv=3, packets_sent=4, dropout=5)
-    monkeypatch.setattr(psutil, "net_io_counters", lambda **_: {"wlan0": counters})
-    monkeypatch.setattr(psutil, "net_if_stats", lambda: {"wlan0": SimpleNamespace(isup=is_up, flags=flags)})
+    device = NetDevice(
+        name="wlan0",
+        is_up=is_up,
+        is_running=is_running,
+        rx_bytes=1,
+        tx_bytes=2,
+        rx_packets=3,
+        tx_packets=4,
+        tx_dropped=5,
+    )
+    monkeypatch.setattr("arpd.host.counters.index_of", {"wlan0": 999_999}.get)
+    monkeypatch.setattr("arpd.host.counters.read_device", {999_999: device}.get)
     assert read_counters("wlan0") == LinkCounters(
         interface="wlan0", rx_bytes=1, tx_bytes=2, rx_packets=3, tx_packets=4, tx_dropped=5, state=state
     )
 
 
-def test_an_interface_that_vanishes_under_psutil_is_none(monkeypatch):
-    """What psutil raises between two of its questions is no error of ours."""
-
-    def vanish():
-        raise OSError(19, "No such device")
-
-    monkeypatch.setattr(psutil, "net_if_stats", vanish)
-    assert read_counters("lo") is None
+def test_an_interface_that_vanishes_between_two_questions_is_none(monkeypatch):
+    """Its number is known, and the kernel has nothing of that number any more."""
+    monkeypatch.setattr("arpd.host.counters.index_of", {"wlan0": 999_999}.get)
+    assert read_counters("wlan0") is None
 
 
 def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
@@ -289,8 +295,9 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
 
-    for name in ("net_io_counters", "net_if_stats", "net_if_addrs"):
+    for name in ("net_if_stats", "net_if_addrs"):
         monkeypatch.setattr(psutil, name, refuse)
+    monkeypatch.setattr("arpd.host.rtnetlink.socket.socket", refuse)
     assert (read_counters("lo"), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
     assert InterfaceReader("auto").read() is None
 
