@@ -11,13 +11,14 @@ from arpd.model import TopicPlan
 from arpd.pacing import DropCause, Pacer
 from arpd.publishers import FlowState
 from arpd.sample_rate import SampleRate
+from arpd.settings import Overflow
+from arpd.slow_start import SLOW_START_HZ, SlowStart
 from arpd.swap import SwapResult, SwapTiming, WriterSwap
 from arpd.writer import Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.settings import Overflow
     from arpd.writer import WriterQos
 
 # What a swap held leaves at twice the rate it came at: a burst would push samples out of a small history, the
@@ -31,7 +32,8 @@ W = TypeVar("W", bound=Writer)
 class Flow(Generic[W]):
     """Paces samples into the current writer, and swaps that writer when its QoS shall change.
 
-    Until somebody retunes it, it behaves as a plain publisher: unpaced, with the QoS it was made with.
+    Until somebody retunes it, it behaves as a plain publisher: unpaced, with the QoS it was made with. Only where a
+    daemon is heard that has not planned it yet, large samples that may be conflated wait for that plan (`SlowStart`).
 
     Parameters
     ----------
@@ -62,9 +64,12 @@ class Flow(Generic[W]):
         self._on_swap = on_swap
         self._swaps: Counter[str] = Counter()
         self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
+        self._may_conflate = overflow is Overflow.LATEST
         self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._gate = 1.0
+        self._slow_start = SlowStart()
+        self._paced_for = (1.0, False)  # gate, and whether for a slow start
         self._source, self._departures = SampleRate(), SampleRate()
         self._withheld: Counter[str] = Counter()  # by cause
         self._deadlines = DeadlineCount(self._swap.current)
@@ -187,14 +192,17 @@ class Flow(Generic[W]):
         """
         now_s = self._clock()
         self._plan = plan
+        self._slow_start.end()
         self._pace(now_s)
         self._swap.request(qos)
 
-    def set_gate(self, gate: float) -> None:
-        """Scale the paced rate, not below its floor."""
-        if gate != self._gate:
-            self._gate = gate
-            self._pace(self._clock())
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        now_s = self._clock()
+        self._slow_start.has_daemon = gate is not None
+        self._gate = 1.0 if gate is None else gate
+        if self._paced_for != (self._gate, self._slow_start.holds(now_s)):
+            self._pace(now_s)
 
     def service(self, now_s: float) -> float:
         """Do what is due: a step of the swap, samples whose time has come.
@@ -273,6 +281,9 @@ class Flow(Generic[W]):
 
     def _count(self, sample: bytes, now_s: float) -> None:
         self._source.count(now_s)
+        if not self._payload_bytes and self._may_conflate:
+            self._slow_start.begin(len(sample), now_s)
+            self._pace(now_s)
         weight = 0.1 if self._payload_bytes else 1.0
         self._payload_bytes += weight * (len(sample) - self._payload_bytes)
 
@@ -286,6 +297,9 @@ class Flow(Generic[W]):
         rate_hz = self._plan.rate_hz
         if self._gate < 1.0:
             rate_hz = max(self._flowing_hz(now_s) * self._gate, min(self._plan.min_rate_hz, rate_hz))
+        self._paced_for = self._gate, self._slow_start.holds(now_s)
+        if self._paced_for[1]:
+            rate_hz = min(rate_hz, SLOW_START_HZ)
         limit = DropCause.GATE if rate_hz < self._plan.rate_hz else DropCause.RATE
         self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s, limit=limit)
 

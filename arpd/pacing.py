@@ -22,7 +22,7 @@ class DropCause(StrEnum):
     """Why a sample of the application's was not published."""
 
     RATE = "rate"  # the application was faster than the plan's rate
-    GATE = "gate"  # the same, while the gate kept the rate below the plan's
+    GATE = "gate"  # the same, while the gate kept the rate below the plan's, or a slow start before the first plan
     BLOCKED = "blocked"  # no rate kept it back, but the writer that blocked
     FAILED = "failed"  # writing it raised
     CLOSED = "closed"  # it still waited when the publisher was destroyed

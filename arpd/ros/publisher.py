@@ -251,8 +251,8 @@ class AdaptivePublisher:
             self._flow.retune(plan, qos=qos)
         self._tuning.wake(self)
 
-    def set_gate(self, gate: float) -> None:
-        """Scale the paced rate, not below its floor."""
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
         with self._lock:
             self._flow.set_gate(gate)
         self._leave_rest()  # it may now leave sooner

@@ -204,7 +204,7 @@ class NodeTuning:
     def _expire_gate(self, now_s: float) -> None:
         if self._grant.lease.is_silent(now_s, for_s=_GATE_LEASE_S):
             for publisher in self._publishers.values():
-                publisher.set_gate(1.0)
+                publisher.set_gate(None)
 
     def _expire_plan(self) -> None:
         """Return every publisher to its application's QoS when the daemon is silent for longer than it granted."""

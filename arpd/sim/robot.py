@@ -143,8 +143,8 @@ class SimulatedPublisher:
         self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self._service()
 
-    def set_gate(self, gate: float) -> None:
-        """Scale the paced rate, not below its floor."""
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
         self._flow.set_gate(gate)
         self._service()
 

@@ -223,7 +223,7 @@ class SimulatedWorld:
         now_s = self._timeline.now_s
         if now_s - node.gate_at_s > _GATE_LEASE_S:
             for publisher in node.publishers:
-                publisher.set_gate(1.0)
+                publisher.set_gate(None)
         states = tuple(
             replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
         )

@@ -66,6 +66,7 @@ DOMAIN = {
     "writer",
     "solvers",
     "sample_rate",
+    "slow_start",
     "swap_ledger",
     "standing",
 }
