@@ -110,8 +110,8 @@ class Robot:
 
     @property
     def grain(self):
-        """What counting in whole samples may move the estimate by."""
-        return sum(2.0 * source.bytes_per_second / source.rate_hz / WINDOW_S for source in self.sources) + 10.0
+        """What counting in whole samples may move the estimate by: two, over what ticks leave of the window."""
+        return sum(2.5 * source.bytes_per_second / source.rate_hz / WINDOW_S for source in self.sources) + 10.0
 
 
 SOURCES = st.lists(
