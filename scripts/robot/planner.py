@@ -42,7 +42,6 @@ class Planner(Node):
         else:
             self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, qos)
         self.create_timer(1.0 / command_rate_hz, self._command)
-        self.create_timer(0.05, self._sample_ages)
         self.create_timer(1.0, self._report)
 
     def _command(self) -> None:
@@ -54,17 +53,13 @@ class Planner(Node):
         self.offered += 1
         self.commands.publish(command)
 
-    def _sample_ages(self) -> None:
-        now_s = float(self.get_clock().now().nanoseconds) * 1e-9
-        if self.is_publishing:
-            for arrivals in self.arrivals.values():
-                arrivals.on_age(now_s)
-
     def _report(self) -> None:
         recent = {topic: arrivals.take_recent() for topic, arrivals in self.arrivals.items()}
         print(json.dumps({topic: {"rate_hz": n, "worst_s": worst} for topic, (n, worst) in recent.items()}), flush=True)
 
-    def result(self) -> dict[str, Any]:
+    def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
+        for arrivals in self.arrivals.values():
+            arrivals.sample_ages(began_s, ended_s)
         received = {topic: asdict(arrivals.reception()) for topic, arrivals in self.arrivals.items()}
         samples = {topic: arrivals.samples() for topic, arrivals in self.arrivals.items()}
         return {"offered": {COMMAND_TOPIC: self.offered}, "received": received, "samples": samples}

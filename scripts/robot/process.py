@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -27,8 +28,8 @@ class DemoNode(Protocol):
 
     is_publishing: bool
 
-    def result(self) -> dict[str, Any]:
-        """Return what it counted."""
+    def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
+        """Return what it counted between two moments (Unix s)."""
 
 
 def told(*positional: str) -> argparse.Namespace:
@@ -51,10 +52,15 @@ def live(make: Callable[[], DemoNode], out: Path) -> None:
     rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
     node = make()
     running = True
+    began_s = ended_s = 0.0
 
     def on_signal(signum: int, _frame: Any) -> None:
-        nonlocal running
+        nonlocal running, began_s, ended_s
         running = running and signum != signal.SIGTERM
+        if signum == signal.SIGUSR1:
+            began_s = time.time()
+        elif node.is_publishing:
+            ended_s = time.time()
         node.is_publishing = signum == signal.SIGUSR1
 
     for signum in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
@@ -64,4 +70,4 @@ def live(make: Callable[[], DemoNode], out: Path) -> None:
     print("ready", flush=True)
     while running:
         executor.spin_once(timeout_sec=0.1)
-    out.write_text(json.dumps(node.result()))
+    out.write_text(json.dumps(node.result(began_s, ended_s)))

@@ -58,6 +58,7 @@ class Side:
     workdir : logs and results of the processes
     manner : how the robot publishes
     started_s : monotonic clock when the sources began to publish (s)
+    final : arpd's status document when the sources had ended; None without arpd, and before
     """
 
     link: SimLink
@@ -66,6 +67,7 @@ class Side:
     started_s: float = math.inf
     processes: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     arrivals: dict[str, Any] = field(default_factory=dict)
+    final: dict[str, Any] | None = None
     url: str = ""
 
     @property
@@ -190,12 +192,12 @@ def run(
     play(side, schedule.rate_at, duration_s, on_tick=on_tick, loss_at=loss_at, on_change=on_change)
     side.signal(signal.SIGUSR2, *_sources())
     time.sleep(_DRAIN_S)
-    final = side.status() if side.manner.is_managed else None
-    if side.manner.is_managed and final is None:
+    side.final = side.status()
+    if side.manner.is_managed and side.final is None:
         raise DemoError(f"arpd does not answer at {side.url}; see {side.workdir / 'run.log'}")
     side.stop(*_sources())
     crossed = sum(counters.rx_bytes for counters in side.link.counters().values()) - before
-    results = _results(side, final, duration_s)
+    results = _results(side, side.final, duration_s)
     delivered = sum(result.delivered_bytes for result in results)
     if crossed < delivered:
         raise DemoError(f"only {crossed} bytes crossed the link for {delivered} delivered: the link was bypassed")

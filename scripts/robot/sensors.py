@@ -102,7 +102,7 @@ class Sensor(Node):
         self.offered += 1
         self._publisher.publish(self._message)
 
-    def result(self) -> dict[str, Any]:
+    def result(self, _began_s: float, _ended_s: float) -> dict[str, Any]:
         return {"offered": {self.topic: self.offered}}
 
 
@@ -114,13 +114,9 @@ class BaseDriver(Node):
         self.commands = StampedArrivals()
         self.is_publishing = False  # what the signals call the time in which the run is measured
         self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, qos, raw=True)
-        self.create_timer(0.05, self._sample_age)
 
-    def _sample_age(self) -> None:
-        if self.is_publishing:
-            self.commands.on_age(float(self.get_clock().now().nanoseconds) * 1e-9)
-
-    def result(self) -> dict[str, Any]:
+    def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
+        self.commands.sample_ages(began_s, ended_s)
         return {
             "offered": {},
             "received": {COMMAND_TOPIC: asdict(self.commands.reception())},

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 
 from arpd.sim.arrivals import Arrivals
 
 _HEADER = struct.Struct("<iII")  # std_msgs/Header in CDR: seconds, nanoseconds, length of frame_id
 _ENCAPSULATION_BYTES = 4
+AGE_PERIOD_S = 0.05
 
 
 def read_stamp(sample: bytes) -> tuple[float, int]:
@@ -21,8 +23,15 @@ def read_stamp(sample: bytes) -> tuple[float, int]:
 
 @dataclass(slots=True)
 class StampedArrivals(Arrivals):
-    """The books of one rclpy reader, with what came lately for the live table."""
+    """The books of one rclpy reader, with what came lately for the live table.
 
+    Parameters
+    ----------
+    renewals : when the reader was handed a newer sample than it had, and that sample's stamp (Unix s, Unix s)
+    recent, recent_worst_s : what came since the live table asked last
+    """
+
+    renewals: list[tuple[float, float]] = field(default_factory=list)
     recent: int = 0
     recent_worst_s: float = 0.0
 
@@ -31,9 +40,30 @@ class StampedArrivals(Arrivals):
         stamp_s, sequence = read_stamp(sample)
         latency_s = info["received_timestamp"] * 1e-9 - stamp_s
         self.on_arrival(sequence, latency_s)
+        before_s = self.newest_stamp_s
         self.on_delivery(sequence, stamp_s, len(sample))
+        if self.newest_stamp_s > before_s:
+            self.renewals.append((time.time(), stamp_s))
         self.recent += 1
         self.recent_worst_s = max(self.recent_worst_s, latency_s)
+
+    def sample_ages(self, began_s: float, ended_s: float) -> None:
+        """Sample the age at 20 Hz from the log, so that it grows on while nothing comes or the reader itself hangs.
+
+        Before the first sample, the reader is as old as its wait.
+
+        Parameters
+        ----------
+        began_s, ended_s : when the sources began and ended (Unix s)
+        """
+        self.ages_s.clear()
+        newest_s, upcoming = began_s, 0
+        for k in range(1, int((ended_s - began_s) / AGE_PERIOD_S) + 1):
+            now_s = began_s + k * AGE_PERIOD_S
+            while upcoming < len(self.renewals) and self.renewals[upcoming][0] <= now_s:
+                newest_s = self.renewals[upcoming][1]
+                upcoming += 1
+            self.ages_s.append(now_s - newest_s)
 
     def samples(self) -> dict[str, list[float]]:
         """Return every latency and every age (s), to a tenth of a millisecond."""
