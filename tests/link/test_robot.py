@@ -1,7 +1,6 @@
-"""The whole of arpd on a real link: real rclpy and Fast DDS in two network namespaces joined by a shaped veth."""
+"""The whole of arpd on a real link, where it compares rates and times, and so needs the machine for itself."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -12,17 +11,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.sim.simlink import SimLink, available
-from scripts.robot.manner import WITH_ARPD
-from scripts.robot.run import PREFIX, REPO, robot
-from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+from arpd.sim.simlink import available
+from scripts.robot.run import REPO
+from scripts.robot.sensors import COMMAND_TOPIC
+from tests.link.live_robot import HEAVY, SLOW, SOURCES, eventually, is_confirmed, live_robot, qos, topics
 
 CAN, WHY = available()
 pytestmark = [pytest.mark.alone, pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
 
-FAST, SLOW = 20e6 / 8, 5e6 / 8
-# What 5 Mbit/s cannot carry at the source's rate; the others keep theirs, so their QoS need not change again.
-HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
 UPLOAD = 2e6 / 8
 # An application of the robot that has nothing to do with ROS: full datagrams at a constant rate of wire bytes.
 SENDER = """
@@ -36,52 +32,12 @@ while (elapsed_s := time.monotonic() - started_s) < duration_s:
         sent += 1
     time.sleep(0.005)
 """
-SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), "base_driver")
 
 
 @pytest.fixture
 def side(tmp_path):
-    with (
-        SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link,
-        robot(link, tmp_path, WITH_ARPD) as side,
-    ):
-        side.signal(signal.SIGUSR1, *SOURCES)
+    with live_robot(tmp_path) as side:
         yield side
-
-
-def topics(side):
-    status = side.status()
-    return {topic["topic"]: topic for topic in status["topics"]} if status else {}
-
-
-def eventually(condition, timeout_s=30.0):
-    until_s = time.monotonic() + timeout_s
-    while time.monotonic() < until_s:
-        if condition():
-            return
-        time.sleep(0.2)
-    assert condition(), "did not happen in time"
-
-
-def is_confirmed(side):
-    """Every topic is planned and runs what is planned."""
-    status = side.status()
-    return (
-        status is not None
-        and len(status["topics"]) == 12
-        and status["plan"]["topics"] == 12
-        and status["plan"]["confirmed"] == 12
-    )
-
-
-def qos(topic):
-    confirmed = topic["confirmed"]
-    return confirmed["rate_hz"], confirmed["depth"], confirmed["deadline_ns"]
-
-
-def received(side, name):
-    """How often a topic arrived in the planner's last second."""
-    return side.arrivals.get(name, {}).get("rate_hz", 0)
 
 
 def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(side):
@@ -121,56 +77,6 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(side
     assert commands["doubled"] == 0
 
 
-def test_the_daemon_may_die_and_return(side):
-    """After kill -9 data flows on under the last plan; a new daemon takes over, and a clean stop restores."""
-    eventually(lambda: is_confirmed(side))
-    side.link.set_rate(SLOW)
-    eventually(lambda: side.status()["link"]["capacity_bytes_per_second"] < 1.5 * SLOW)
-    eventually(lambda: is_confirmed(side))
-    before = topics(side)
-    generation = max(topic["confirmed"]["generation"] for topic in before.values())
-    baseline = {name: topic["baseline"] for name, topic in before.items()}
-
-    side.processes["run"].kill()
-    side.processes.pop("run").wait()
-    assert side.status() is None
-    time.sleep(3.0)
-    assert all(received(side, topic) > 0 for topic in ("/scan/front", "/imu", "/odom"))
-
-    side.start_daemon()
-    eventually(lambda: is_confirmed(side))
-    after = topics(side)
-    assert set(after) == set(before)
-    assert all(topic["confirmed"]["generation"] > generation for topic in after.values() if topic["topic"] in HEAVY)
-    assert all(after[name]["offered"] > before[name]["offered"] for name in before)  # the same publishers
-    assert {name: topic["baseline"] for name, topic in after.items()} == baseline
-
-    side.stop("run")
-    assert side.processes.pop("run").returncode == 0
-    assert "every publisher has its original QoS back" in (side.workdir / "run.log").read_text()
-
-
-def test_a_bad_reload_keeps_the_running_plan(side):
-    """SIGHUP with a broken file keeps plan and process; the fault is in the status, and a good file clears it."""
-    eventually(lambda: is_confirmed(side))
-    good = side.config.read_text()
-    before = side.status()["plan"]["generation"]
-    side.config.write_text(good + "\nlink:\n  headrom: 0.5\n")
-    side.signal(signal.SIGHUP, "run")
-    eventually(lambda: "headrom" in side.status()["config"]["error"])
-    assert "arpd.yaml:" in side.status()["config"]["error"]
-    assert side.status()["plan"]["generation"] == before
-    assert side.status()["totals"]["reloads"]["failed"] == 1
-
-    side.config.write_text(good + "\nlink:\n  headroom: 0.4\n")
-    side.signal(signal.SIGHUP, "run")
-    eventually(lambda: not side.status()["config"]["error"])
-    eventually(lambda: side.status()["plan"]["generation"] > before and is_confirmed(side))
-    status = side.status()
-    assert status["totals"]["reloads"]["ok"] == 1
-    assert status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"]
-
-
 def metric(side, name):
     with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
         samples = dict(line.rsplit(" ", 1) for line in answer.read().decode().splitlines() if line[0] != "#")
@@ -200,28 +106,6 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
     eventually(
         lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") > 0.9 * alone, timeout_s=100.0
     )
-
-
-def test_metrics_of_a_live_robot_are_clean(side):
-    """What a live daemon exposes passes promtool, and names every managed topic."""
-    promtool = subprocess.run(
-        [REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False
-    )
-    if promtool.returncode != 0:
-        pytest.skip(f"no promtool: {promtool.stderr.strip()}")
-    eventually(lambda: is_confirmed(side))
-    with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
-        exposition = answer.read()
-    checked = subprocess.run(
-        [promtool.stdout.strip(), "check", "metrics"], input=exposition, capture_output=True, check=False
-    )
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    text = exposition.decode()
-    for topic in (*(PREFIX + name for name in SENSORS), COMMAND_TOPIC):
-        assert f'topic="{topic}"' in text
-    for path in ("/-/healthy", "/-/ready"):
-        with urllib.request.urlopen(side.url + path, timeout=5) as answer:
-            assert answer.status == 200
 
 
 def test_the_demo_keeps_its_promise():
