@@ -13,7 +13,6 @@ With --only, --way or --quick nothing is written unless --json or --plot name a 
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import math
 import sys
@@ -34,12 +33,12 @@ from arpd.sim.scenario import ScenarioResult, run
 from scripts.bench.estimate_metrics import Metrics, measure
 from scripts.bench.estimate_report import TARGETS, scenario_table, target_table
 from scripts.bench.estimate_scenarios import SCENARIOS
+from scripts.bench.record import RESULTS, conditions, keep, target
 
 if TYPE_CHECKING:
     from arpd.settings import Settings
     from arpd.sim.scenario import EstimatorMaker
 
-RESULTS = Path(__file__).parent / "results"
 ARPD, ORACLE = "arpd", "oracle"
 WAYS = (ARPD, "average", "maximum", ORACLE)
 SEEDS = 5
@@ -150,15 +149,13 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help=f"default {RESULTS / 'estimate.json'}")
     parser.add_argument("--plot", type=Path, metavar="FILE", help=f"default {RESULTS / 'estimate.png'}")
     options = parser.parse_args()
-    partial = options.quick or options.only or options.way
     names = list(QUICK) if options.quick else list(SCENARIOS)
     names = _chosen(options.only, tuple(SCENARIOS), "scenario") if options.only else names
     ways = [ARPD, ORACLE] if options.quick else list(WAYS)
     ways = _chosen(options.way, WAYS, "way") if options.way else ways
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    json_path = options.json or (None if partial else RESULTS / "estimate.json")
-    plot_path = options.plot or (None if partial else RESULTS / "estimate.png")
-
+    is_partial = bool(options.quick or options.only or options.way)
+    noted = conditions()
     pictures: dict[str, dict[str, ScenarioResult]] = {}
     started_s = time.monotonic()
     found = measure_all(names, ways, seeds, pictures.__setitem__)
@@ -166,11 +163,13 @@ def main() -> int:
     print(scenario_table(found, seeds=seeds))
     if ARPD in ways:
         print("\n" + target_table(found, ARPD))
-    if json_path:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(document(found, seeds, took_s), indent=2, allow_nan=False) + "\n")
-        print(f"\n{json_path}")
-    if plot_path:
+    if not all(every[0]["goodput"] > 0.0 for ways in found.values() for every in ways.values()):
+        sys.exit("estimate: nothing was delivered in some scenario")
+    keep(
+        {"conditions": noted} | document(found, seeds, took_s),
+        target(options.json, "estimate.json", is_partial=is_partial),
+    )
+    if plot_path := target(options.plot, "estimate.png", is_partial=is_partial):
         from scripts.bench.estimate_plot import draw
 
         draw(pictures, plot_path)

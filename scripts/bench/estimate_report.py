@@ -87,9 +87,19 @@ class Target:
 
     def is_met(self, values: Sequence[float]) -> bool:
         """Whether the median keeps the limit, and the worst seed its own."""
-        return self._keeps(median(values), self.limit) and self._keeps(
+        return self.keeps(median(values)) and self._keeps(
             self.worst(values), self.limit if self.worst_limit is None else self.worst_limit
         )
+
+    def keeps(self, value: float | None) -> bool:
+        """Whether a median keeps the limit; what never happened (None) does not."""
+        return value is not None and self._keeps(value, self.limit)
+
+    @property
+    def unit(self) -> str:
+        """The unit of what `shown` writes."""
+        title, write, _ = (COLUMNS | EVENTS)[self.figure]
+        return "s" if write is _seconds else "%" if title.endswith("%") else ""
 
     def _keeps(self, value: float, limit: float) -> bool:
         return value >= limit if self.at_least else value <= limit

@@ -20,18 +20,21 @@ from pathlib import Path
 from statistics import mean, median
 from typing import TYPE_CHECKING, Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, disable_created_metrics
 from prometheus_client.exposition import choose_encoder as library_encoder
 
+from arpd.cli_progress import progress
 from arpd.daemon import TICK_S
 from arpd.web.exposition import choose_encoder
 from arpd.web.metrics import SnapshotCollector
 from scripts.bench.exposition_daemon import REPO, crowded_daemon
+from scripts.bench.record import conditions, keep, target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-RESULTS = Path(__file__).parent / "results"
 FORMATS = {"text": "text/plain;version=0.0.4", "OpenMetrics": "application/openmetrics-text;version=1.0.0"}
 ARPD, LIBRARY = "arpd", "prometheus_client"
 #: topics → turns
@@ -249,19 +252,21 @@ def table(races: Sequence[dict[str, Any]], ticks: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="up to a hundred topics, half a minute")
-    parser.add_argument("--json", type=Path, default=RESULTS / "exposition.json", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/exposition.json")
     options = parser.parse_args()
+    noted = conditions()
     races = []
-    for topics, turns in (QUICK_TURNS if options.quick else TURNS).items():
-        print(f"{topics} topics, {turns} turns", file=sys.stderr)
-        races.append(race(topics, turns))
+    sizes = QUICK_TURNS if options.quick else TURNS
+    with progress("writing /metrics", total=len(sizes)) as shown:
+        for topics, turns in sizes.items():
+            shown.step(f"{topics} topics")
+            races.append(race(topics, turns))
     rounds, round_s, crowd = (QUICK_ROUNDS, QUICK_ROUND_S, QUICK_CROWD) if options.quick else (ROUNDS, ROUND_S, CROWD)
-    print(f"ticks, {rounds * len(SCRAPERS) * round_s:.0f} s", file=sys.stderr)
-    ticks = ticking(crowd, rounds, round_s)
+    with progress(f"ticking, {rounds * len(SCRAPERS) * round_s:.0f} s"):
+        ticks = ticking(crowd, rounds, round_s)
     print(table(races, ticks))
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps({"races": races, "ticking": ticks}, indent=2) + "\n")
-    print(f"\n{options.json}")
+    document = {"conditions": noted, "races": races, "ticking": ticks}
+    keep(document, target(options.json, "exposition.json", is_partial=options.quick))
 
 
 if __name__ == "__main__":

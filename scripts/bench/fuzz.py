@@ -1,6 +1,6 @@
 """Coverage-guided fuzzing of everything arpd reads that it did not write.
 
-Usage: .venv/bin/python scripts/bench/fuzz.py [--seconds S] [--target NAME] [--corpus FOLDER] [--json FILE]
+Usage: .venv/bin/python scripts/bench/fuzz.py [--seconds S | --quick] [--target NAME] [--corpus FOLDER] [--json FILE]
        .venv/bin/python scripts/bench/fuzz.py --target NAME --input FILE
 
 Needs atheris: .venv/bin/pip install '.[fuzz]' (x86-64 Linux; no part of arpd needs it).
@@ -35,11 +35,12 @@ sys.path.insert(0, str(REPO))
 
 from arpd.cli_progress import progress  # noqa: E402 - the path comes first
 from scripts.bench.fuzz_targets import TARGETS  # noqa: E402 - the path comes first
+from scripts.bench.record import RESULTS, conditions, keep, target  # noqa: E402 - the path comes first
 
-RESULTS = Path(__file__).parent / "results"
 INSTRUMENTED = ["arpd", "yaml", "json", "h11"]
 _PROGRESS = re.compile(r"^#(\d+)\s.*cov: (\d+) ft: (\d+) corp: (\d+)", re.MULTILINE)
 _RSS_MIB = 2048  # libFuzzer ends a target that takes more
+_QUICK_S = 2.0
 _TIMEOUT_S = 30  # or an input that takes longer
 
 
@@ -179,10 +180,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--seconds", type=float, default=60.0, metavar="S", help="for each target (default %(default)g)"
     )
+    parser.add_argument("--quick", action="store_true", help="two seconds for each target")
     parser.add_argument("--target", choices=TARGETS, action="append", help="may be given again (default: all)")
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help="keep what was found interesting from run to run")
     parser.add_argument("--input", type=Path, metavar="FILE", help="run this input once, without atheris")
-    parser.add_argument("--json", type=Path, default=RESULTS / "fuzz.json", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/fuzz.json")
     parser.add_argument(
         "--crashes", type=Path, default=RESULTS / "crashes", metavar="FOLDER", help="where inputs are kept"
     )
@@ -204,20 +206,19 @@ def report(names: Sequence[str], options: argparse.Namespace) -> None:
         f"{'':<14}{'executions':>12}{'per s':>9}{'edges':>8}{'corpus':>8}{'crashes':>9}{'slowest ms':>13}{'bytes':>9}"
         f"{'peak MiB':>10}{'grown':>8}"
     )
+    noted = conditions()
+    seconds = _QUICK_S if options.quick else options.seconds
     targets: dict[str, Any] = {}
     with progress("fuzzing", total=len(names)) as shown:
         for name in names:
             shown.step(name)
-            targets[name] = found = fuzz(name, options.seconds, options.corpus, options.crashes)
+            targets[name] = found = fuzz(name, seconds, options.corpus, options.crashes)
             print(row(name, found), flush=True)
             for what, crash in found["crashes"].items():
                 print(f"  {what}, {crash['count']}×: {crash['message'].splitlines()[:1]}")
                 print(f"  .venv/bin/python scripts/bench/fuzz.py --target {name} --input {crash['input']}")
-    document = json.loads(options.json.read_text()) if options.json.exists() else {"targets": {}}
-    document["targets"] |= targets
-    document["load_average"] = os.getloadavg()
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps(document, indent=1) + "\n")
+    is_partial = options.quick or len(names) < len(TARGETS)
+    keep({"conditions": noted, "targets": targets}, target(options.json, "fuzz.json", is_partial=is_partial))
     if any(found["crashes"] for found in targets.values()):
         sys.exit(1)
 

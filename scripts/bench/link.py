@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
-import subprocess
 import sys
 import tempfile
 import time
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -37,11 +35,11 @@ from arpd.sim.link import LinkModel
 from arpd.sim.scenario import run as simulate
 from arpd.sim.simlink import SimLink
 from arpd.wire import probe_wire_bytes
-from scripts.bench.child import REPO, RESULTS
 from scripts.bench.link_course import SCENARIOS, Run, virtual_course, with_outages
 from scripts.bench.link_figures import figures
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import sampling
+from scripts.bench.record import conditions, target
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
 from scripts.robot.run import CONFIG, HTTP_PORT, lost_during, robot, run
 
@@ -152,28 +150,13 @@ def line(done: Run) -> str:
     return f"{done.scenario:>10} {'with' if done.is_managed else 'without':>7} load {done.load:.1f}  {found}"
 
 
-def machine() -> dict[str, Any]:
-    """Say what was measured, and on what."""
-
-    def git(*argv: str) -> str:
-        return subprocess.run(["git", *argv], cwd=REPO, capture_output=True, text=True, check=False).stdout.strip()
-
-    return {
-        "commit": git("rev-parse", "HEAD"),
-        "is_modified": bool(git("status", "--porcelain", "--untracked-files=no")),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "load_at_start": os.getloadavg()[0],
-    }
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a drop and an outage, once: four minutes")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="times each scenario runs (default 3)")
     parser.add_argument("--only", default="", metavar="TEXT", help="scenarios whose name contains this")
-    parser.add_argument("--json", type=Path, default=RESULTS / "link.json", metavar="FILE")
-    parser.add_argument("--plot", type=Path, default=RESULTS / "link.png", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/link.json")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/link.png")
     parser.add_argument("--logs", type=Path, help="folder for the processes' logs (default: a temporary one)")
     options = parser.parse_args()
     scenarios = [s for s in SCENARIOS if options.only in s.name and (not options.quick or s.name in QUICK)]
@@ -181,15 +164,27 @@ def main() -> None:
         parser.error(f"--only {options.only}: no such scenario; there are {', '.join(s.name for s in SCENARIOS)}")
     logs = options.logs or Path(tempfile.mkdtemp(prefix="arpd-link-"))
     print(f"logs in {logs}", flush=True)
-    about, runs = machine(), list[Run]()
-    for done in measure(scenarios, 1 if options.quick else options.rounds, logs):
+    about, runs = {"conditions": conditions()}, list[Run]()
+    is_partial = bool(options.quick or options.only)
+    rounds = 1 if options.quick else options.rounds
+    path, plot = (
+        target(chosen, name, is_partial=is_partial)
+        for chosen, name in ((options.json, "link.json"), (options.plot, "link.png"))
+    )
+    for done in measure(scenarios, rounds, logs):
         runs.append(done)
-        save(about, runs, options.json)
+        if path:
+            save(about, runs, path)
     if not runs:
         sys.exit("link: no run came to its end")
     print(table(scenarios, runs))
-    draw(scenarios, runs, options.plot)
-    print(f"\n{options.json}  {options.plot}")
+    if path:
+        print(path)
+    if plot:
+        draw(scenarios, runs, plot)
+        print(plot)
+    if len(runs) < 4 * len(scenarios) * rounds:
+        sys.exit("link: not every run came to its end")
 
 
 if __name__ == "__main__":

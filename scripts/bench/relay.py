@@ -32,12 +32,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import REPO, RESULTS, Child
+from scripts.bench.child import REPO, Child
+from scripts.bench.record import conditions, keep, target
+from scripts.bench.relay_report import TARGET
 
 ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")
 OTHER = "other tree"
 PREFIXES = {ARPD: "/ours", SINGLE: "/single", EVENTS: "/events", DIRECT: "/none", OTHER: "/other"}
-TARGET = 1.25
 TURN_S = 1.5
 TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 NODES = "scripts.bench.relay_nodes"
@@ -245,12 +246,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two cells, a minute")
     parser.add_argument("--rounds", type=int, default=4, metavar="N", help="turns of each side per cell (default 4)")
     parser.add_argument("--against", type=Path, metavar="TREE", help="source tree whose relay takes turns too")
-    parser.add_argument("--json", type=Path, default=RESULTS / "relay.json", metavar="FILE")
-    parser.add_argument("--plot", type=Path, default=RESULTS / "relay.png", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/relay.json")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/relay.png")
     options = parser.parse_args()
     trees = {ARPD: REPO} | ({OTHER: options.against.resolve()} if options.against else {})
     measured: list[tuple[Cell, dict[str, Tally]]] = []
-    started_s = time.monotonic()
+    noted, started_s = conditions(), time.monotonic()
     cells = QUICK if options.quick else DEFAULT
     with (
         SimLink(f"relay-{time.monotonic_ns() % 10**9}") as link,
@@ -261,19 +262,15 @@ def main() -> None:
             shown.step(f"{cell.topics} topics of {cell.payload_bytes} bytes")
             measured.append((cell, measure(cell, link, Path(workdir), trees, options.rounds)))
             print(f"{time.monotonic() - started_s:5.0f} s {table(measured[-1:]).splitlines()[2]}", flush=True)
-            options.json.parent.mkdir(parents=True, exist_ok=True)
-            document = [
-                {
-                    **asdict(c),
-                    "sides": {side: asdict(tally) for side, tally in tallies.items()},
-                    "ratio": ratio(tallies),
-                }
-                for c, tallies in measured
-            ]
-            options.json.write_text(json.dumps(document, indent=1) + "\n")
     print(table(measured))
-    draw(measured, options.plot)
-    print(f"\n{options.json}  {options.plot}")
+    found = [
+        {**asdict(cell), "sides": {side: asdict(tally) for side, tally in tallies.items()}, "ratio": ratio(tallies)}
+        for cell, tallies in measured
+    ]
+    keep({"conditions": noted, "cells": found}, target(options.json, "relay.json", is_partial=options.quick))
+    if plot := target(options.plot, "relay.png", is_partial=options.quick):
+        draw(measured, plot)
+        print(plot)
 
 
 if __name__ == "__main__":

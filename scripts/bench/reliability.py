@@ -1,7 +1,7 @@
 """A bad hour of a robot, in minutes: what arpd loses, how soon it is back, and what grows.
 
-Usage: .venv/bin/python scripts/bench/reliability.py [--minutes M | --quick] [--json FILE] [--readme FILE]
-       .venv/bin/python scripts/bench/reliability.py --report [--readme FILE]
+Usage: .venv/bin/python scripts/bench/reliability.py [--minutes M | --quick] [--json FILE]
+       .venv/bin/python scripts/bench/reliability.py --report
 
 Needs root, as the simulated link does.
 
@@ -45,10 +45,11 @@ from arpd.cli_progress import progress
 from arpd.sim.namespaces import inside
 from arpd.sim.simlink import SimLink
 from scripts.bench.child import RESULTS, Child, ChildError
+from scripts.bench.record import conditions, keep, target
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
-from scripts.bench.reliability_report import replace_block, table
+from scripts.bench.reliability_report import readme
 from scripts.bench.soak import footprint
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import CONFIG, DemoError, Side, robot
@@ -58,7 +59,6 @@ _FAST, _SLOW = 20e6 / 8, 2e6 / 8
 _AFTER_KILL_S = 1.0  # RestartSec= of the units
 _POLL_S, _FOOTPRINT_S = 0.2, 2.0
 _CALM_RESTARTS, _SETTLED_S = 5, 15.0
-_WARM_S = 60.0  # a process is warm: what it imported and allocated at the start does not count as growth
 _PUBLISHERS = len(SENSORS) + 1 + TOPICS  # the relay's, the planner's and the application's
 SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), BASE_DRIVER)
 _LOUD = re.compile(r"^(WARNING|ERROR|CRITICAL) (.*)", re.MULTILINE)
@@ -375,26 +375,23 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=HOUR_MINUTES, metavar="M", help="default %(default)g")
     parser.add_argument("--quick", action="store_true", help="about a minute and a half")
     parser.add_argument("--seed", type=int, default=1, help="another order of events")
-    parser.add_argument("--json", type=Path, default=RESULTS / "reliability.json", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/reliability.json")
     parser.add_argument("--fuzz", type=Path, default=RESULTS / "fuzz.json", metavar="FILE", help="what fuzz.py found")
-    parser.add_argument("--readme", type=Path, metavar="FILE", help="put the table between its markers there")
     parser.add_argument("--report", action="store_true", help="play nothing: print the table of what was noted last")
     options = parser.parse_args()
-    if not options.report:
+    if options.report:
+        document = json.loads((options.json or RESULTS / "reliability.json").read_text(encoding="utf-8"))
+    else:
+        document = {"conditions": conditions()}
         with tempfile.TemporaryDirectory(prefix="arpd-reliability-") as workdir:
             try:
-                document = run(1.5 if options.quick else options.minutes, Path(workdir), options.seed)
+                document |= run(1.5 if options.quick else options.minutes, Path(workdir), options.seed)
             except (ChildError, DemoError) as error:
                 sys.exit(f"reliability: {error}")
         document["security"] = security_scores()
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(document) + "\n", encoding="utf-8")
-    document = json.loads(options.json.read_text(encoding="utf-8"))
+        keep(document, target(options.json, "reliability.json", is_partial=options.quick))
     fuzz = json.loads(options.fuzz.read_text(encoding="utf-8")) if options.fuzz.exists() else None
-    text = table(document, fuzz, warm_s=10.0 if document["minutes"] < HOUR_MINUTES / 2 else _WARM_S)
-    print(text)
-    if options.readme:
-        replace_block(options.readme, text)
+    print(readme(document, fuzz))
 
 
 if __name__ == "__main__":

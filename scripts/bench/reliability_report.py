@@ -6,11 +6,12 @@ from itertools import groupby
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from scripts.bench.record import described
+from scripts.bench.reliability_course import HOUR_MINUTES
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-BEGIN, END = "<!-- reliability:begin -->", "<!-- reliability:end -->"
 TARGET_S = 5.0
 _MIB = 2**20
 _NAMES = {
@@ -25,18 +26,14 @@ _NAMES = {
 }
 
 
-def table(document: dict[str, Any], fuzz: dict[str, Any] | None, *, warm_s: float) -> str:
-    """Return everything as a Markdown table, the conditions above it.
-
-    Parameters
-    ----------
-    warm_s : age from which a process's memory counts (s)
-    """
+def readme(document: dict[str, Any], fuzz: dict[str, Any] | None = None) -> str:
+    """Return everything as a Markdown table, the conditions above it; with what `fuzz.py` found, if it is there."""
+    # Memory counts from this age of a process on; a short run has no time for more.
+    warm_s = 10.0 if document["minutes"] < HOUR_MINUTES / 2 else 60.0
     happened = ", ".join(f"{document['events'].get(kind, 0)} {words}" for kind, words in _NAMES.items())
-    load = document["load_average"][2]
     head = (
         f"{document['minutes']:g} minutes with what happens in a bad hour: {happened}; the demo robot on a link of "
-        f"2 to 20 Mbit/s, two cores, load average {load:.1f}."
+        f"2 to 20 Mbit/s ({described(document)}; {document['load_average'][2]:.1f} at the end)."
     )
     rows = [
         *_messages(document),
@@ -48,21 +45,6 @@ def table(document: dict[str, Any], fuzz: dict[str, Any] | None, *, warm_s: floa
         *_security(document.get("security", {})),
     ]
     return "\n".join([head, "", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
-
-
-def replace_block(readme: Path, text: str) -> None:
-    """Put the text between the markers of a file; the rest of it stays as it is.
-
-    Raises
-    ------
-    SystemExit
-        If the markers are not there.
-    """
-    before, begin, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise SystemExit(f"{readme} has no {BEGIN} … {END}")
-    readme.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
 
 
 def _messages(document: dict[str, Any]) -> list[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """Thousands of swaps on the simulated link: what grows, and whether a subscriber is lost.
 
-Usage: .venv/bin/python scripts/bench/soak.py [--swaps N] [--seconds S] [--json FILE] [--plot FILE]
+Usage: .venv/bin/python scripts/bench/soak.py [--quick] [--swaps N] [--seconds S] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
@@ -12,7 +12,6 @@ are noted every hundred swaps and compared with those after the first 500.
 from __future__ import annotations
 
 import argparse
-import json
 import queue
 import sys
 import threading
@@ -28,15 +27,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import RESULTS, Child, ChildError, commands, number_of, sample_of, say
+from scripts.bench.child import Child, ChildError, commands, number_of, sample_of, say
+from scripts.bench.record import conditions, keep, target
+from scripts.bench.soak_report import verdict
 
 TOPICS = 12
 RATE_HZ = 20.0
 DEPTH = 20
 PAYLOAD_BYTES = 100
 EVERY = 100
-SETTLED = 500
-RSS_TARGET_BYTES = 2 * 2**20
+SWAPS, QUICK_SWAPS = 10_000, 300
 STUCK_S = 20.0
 _POLL_S = 0.005
 
@@ -224,34 +224,6 @@ def row(note: dict[str, Any]) -> str:
     )
 
 
-def verdict(document: dict[str, Any]) -> list[str]:
-    notes = document["notes"]
-    last = notes[-1]
-    settled = next((note for note in notes if note["swaps"] >= SETTLED), notes[0])
-    lines = []
-    for name in ("writer", "reader"):
-        grown = {key: last[name][key] - settled[name][key] for key in last[name]}
-        lines.append(
-            f"{name}, from swap {settled['swaps']} to {last['swaps']}: RSS {grown['rss_bytes'] / 2**20:+.2f} MiB, "
-            f"threads {grown['threads']:+d}, open files {grown['files']:+d}"
-            + (
-                " - too much"
-                if grown["rss_bytes"] > RSS_TARGET_BYTES or grown["threads"] > 0 or grown["files"] > 0
-                else ""
-            )
-        )
-    lost = [
-        document["sent"] - (received - late)
-        for received, late in zip(document["received"], document["late"], strict=True)
-    ]
-    behind = sum(document["sent"] - 1 - highest > 0 for highest in document["highest"])
-    lines.append(
-        f"of {document['sent']} samples on each of {TOPICS} topics: {sum(lost)} lost (late ones may hide others), "
-        f"{sum(document['late'])} out of order or doubled; {TOPICS - behind} topics received the last sample"
-    )
-    return lines
-
-
 def draw(notes: Sequence[dict[str, Any]], target: Path) -> None:
     import matplotlib as mpl
 
@@ -271,10 +243,11 @@ def draw(notes: Sequence[dict[str, Any]], target: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--swaps", type=int, default=10_000, metavar="N", help="default 10000")
+    parser.add_argument("--swaps", type=int, default=SWAPS, metavar="N", help="default %(default)s")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SWAPS} swaps, some ten seconds")
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="stop earlier after this long")
-    parser.add_argument("--json", type=Path, default=RESULTS / "soak.json", metavar="FILE")
-    parser.add_argument("--plot", type=Path, default=RESULTS / "soak.png", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/soak.json")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/soak.png")
     parser.add_argument("--role", choices=("writer", "reader"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.role == "writer":
@@ -284,15 +257,18 @@ def main() -> None:
     else:
         print(f"{'':>15}{'writer':^19}{'reader':^19}")
         print(f"{'s':>7}{'swaps':>8}" + 2 * f"{'MiB':>9}{'thr':>5}{'fds':>5}" + f"{'received':>10}{'late':>6}  swaps")
+        noted = conditions()
         try:
-            document = soak(options.swaps, options.seconds)
+            document = soak(QUICK_SWAPS if options.quick else options.swaps, options.seconds)
         except ChildError as error:
             sys.exit(f"soak: {error}")
         print("\n".join(["", *verdict(document)]))
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(document) + "\n")
-        draw(document["notes"], options.plot)
-        print(f"\n{options.json}  {options.plot}")
+        keep({"conditions": noted, **document}, target(options.json, "soak.json", is_partial=options.quick))
+        if plot := target(options.plot, "soak.png", is_partial=options.quick):
+            draw(document["notes"], plot)
+            print(plot)
+        if not min(document["received"]):
+            sys.exit("soak: nothing arrived on some topic")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ machine slows all of them. Only ratios within one run mean anything.
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import subprocess
 import sys
@@ -19,18 +18,21 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
 from arpd.cli_progress import progress
 from arpd.model import Topic
 from arpd.program import Program
 from arpd.settings import Backend, ProgramSettings
 from arpd.solvers import ShareProblem, Solved, load, water_fill
 from arpd.solvers.outcome import disagreement
+from scripts.bench.record import conditions, keep, target
+from scripts.bench.solve_report import PAPER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-RESULTS = Path(__file__).parent / "results"
-PAPER, DPP, OSQP, EXACT = "cvxpy, built anew", "cvxpy, parameters", "OSQP, direct", "exact"
+DPP, OSQP, EXACT = "cvxpy, parameters", "OSQP, direct", "exact"
 #: topics → turns; in each of them every side solves as many instances as `TURN`
 TURNS = {1: 30, 12: 40, 100: 20, 1000: 10, 10_000: 7}
 QUICK = {1: 5, 12: 15}
@@ -222,10 +224,11 @@ def draw(races: Sequence[dict[str, Any]], target: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="1 and 12 topics only")
-    parser.add_argument("--json", type=Path, default=RESULTS / "solve.json", metavar="FILE")
-    parser.add_argument("--plot", type=Path, default=RESULTS / "solve.png", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/solve.json")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/solve.png")
     options = parser.parse_args()
     sizes = QUICK if options.quick else TURNS
+    noted = conditions()
     races, footprints = [], {}
     with progress("timing", total=len(sizes) + len(Backend)) as shown:
         for count, turns in sizes.items():
@@ -235,11 +238,11 @@ def main() -> None:
             shown.step(f"footprint of {backend}")
             footprints[str(backend)] = footprint(backend)
     print(table(races, footprints))
-    for path in (options.json, options.plot):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps({"races": races, "footprints": footprints}, indent=2) + "\n")
-    draw(races, options.plot)
-    print(f"\n{options.json}  {options.plot}")
+    document = {"conditions": noted, "races": races, "footprints": footprints}
+    keep(document, target(options.json, "solve.json", is_partial=options.quick))
+    if plot := target(options.plot, "solve.png", is_partial=options.quick):
+        draw(races, plot)
+        print(plot)
 
 
 if __name__ == "__main__":

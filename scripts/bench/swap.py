@@ -16,12 +16,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import sys
 import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
-from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,14 +27,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from arpd.sim.namespaces import HostName
+    from scripts.bench.swap_report import Ways
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import RESULTS, Child, ChildError, sent_bytes
+from scripts.bench.child import Child, ChildError, sent_bytes
+from scripts.bench.record import conditions, keep, target
+from scripts.bench.swap_report import ADAPTIVE, EVENTS, WAYS, beyond, verdict
 
-STILL, ADAPTIVE, RECREATE = WAYS = ("no swaps", "adaptive", "destroy+create")
 LINK_BYTES_PER_SECOND = 100e6 / 8
 WIRE_OVERHEAD = 180  # bytes of headers around a payload
 MOST_DELIVERIES_HZ = 4000  # what a writer and its readers do on two cores
@@ -45,8 +45,6 @@ STILL_S, SPACING_S, SWAPS = 1.0, 0.5, 6
 # fragments of large samples fill the kernel's reassembly memory within half a minute, swaps or none.
 SETTLE_S = 3.2
 START_S = 20.0  # on a lossy link a reader may learn of its writer seconds late, swap or no swap
-EVENTS = ("lost", "doubled", "reordered")
-PROMISED_DEPTH = 10
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -242,15 +240,12 @@ def measure(cell: Cell, bench: Bench, rounds: int, turn: int) -> dict[str, Tally
     return tallies
 
 
-def beyond(tallies: dict[str, Tally], way: str) -> list[str]:
-    """Name what a way shows that the baseline does not, beyond the scatter of the baseline's own losses."""
-    found = []
-    longer = tallies[way].expected / max(1, tallies[STILL].expected)  # swaps that took their time
-    for event in EVENTS:
-        ours, still = getattr(tallies[way], event), getattr(tallies[STILL], event) * longer
-        if ours > still + (3 * sqrt(ours + still) if still else 0):
-            found.append(event)
-    return found
+def as_ways(tallies: dict[str, Tally]) -> Ways:
+    return {way: asdict(tally) for way, tally in tallies.items()}
+
+
+def as_cells(measured: list[tuple[Cell, dict[str, Tally]]]) -> list[dict[str, Any]]:
+    return [{**asdict(cell), "ways": as_ways(tallies)} for cell, tallies in measured]
 
 
 def table(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str]) -> str:
@@ -274,7 +269,7 @@ def table(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str
     ]
     for cell, tallies in measured:
         tested = [tallies[way] for way in WAYS[1:]]
-        flags = {way: "!" if beyond(tallies, way) else "" for way in WAYS}
+        flags = {way: "!" if beyond(as_ways(tallies), way) else "" for way in WAYS}
         lines.append(
             f"{cell.setting!s:>14}{cell.readers:>3}{cell.rate_hz:>5}{cell.depth:>6}{cell.payload_bytes:>6}"
             f"{tallies[ADAPTIVE].expected:>9}"
@@ -287,25 +282,7 @@ def table(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str
     lines += [
         f"skipped: {cell.setting} {cell.rate_hz} Hz {cell.payload_bytes} B: {why}" for cell, why in skipped.items()
     ]
-    return "\n".join([*lines, "", *verdict(measured)])
-
-
-def verdict(measured: list[tuple[Cell, dict[str, Tally]]]) -> list[str]:
-    lines = []
-    promised = [(cell, tallies) for cell, tallies in measured if cell.depth >= PROMISED_DEPTH]
-    for way in (ADAPTIVE, RECREATE):
-        broken = sum(bool(beyond(tallies, way)) for _cell, tallies in promised)
-        sums = ", ".join(
-            f"{sum(getattr(tallies[way], event) for _, tallies in promised)} {event}"
-            f" ({sum(getattr(tallies[STILL], event) for _, tallies in promised)} without swaps)"
-            for event in EVENTS
-        )
-        swaps = sum(tallies[way].swaps for _, tallies in promised)
-        lines.append(
-            f"{way}: {broken} of {len(promised)} cells with depth >= {PROMISED_DEPTH} are worse than the baseline; "
-            f"{swaps} swaps: {sums}"
-        )
-    return lines
+    return "\n".join([*lines, "", *verdict(as_cells(measured))])
 
 
 def draw(measured: list[tuple[Cell, dict[str, Tally]]], target: Path) -> None:
@@ -333,18 +310,6 @@ def draw(measured: list[tuple[Cell, dict[str, Tally]]], target: Path) -> None:
     plt.close(figure)
 
 
-def save(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str], target: Path) -> None:
-    document = {
-        "cells": [
-            {**asdict(cell), "ways": {way: asdict(tally) for way, tally in tallies.items()}}
-            for cell, tallies in measured
-        ],
-        "skipped": [{**asdict(cell), "why": why} for cell, why in skipped.items()],
-    }
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(json.dumps(document, indent=1) + "\n")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     extent = parser.add_mutually_exclusive_group()
@@ -354,13 +319,13 @@ def main() -> None:
     parser.add_argument(
         "--only", default="", metavar="TEXT", help="cells whose setting contains this: local, link, loss"
     )
-    parser.add_argument("--json", type=Path, default=RESULTS / "swap.json", metavar="FILE")
-    parser.add_argument("--plot", type=Path, default=RESULTS / "swap.png", metavar="FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/swap.json")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/swap.png")
     options = parser.parse_args()
     wanted = [cell for cell in cells(options.which or "default") if options.only in str(cell.setting)]
     skipped = {cell: why for cell in wanted if (why := cell.why_not())}
     measured: list[tuple[Cell, dict[str, Tally]]] = []
-    started_s = time.monotonic()
+    noted, started_s = conditions(), time.monotonic()
     with (
         SimLink(
             f"swap-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=LINK_BYTES_PER_SECOND, queue_bytes=1_000_000
@@ -380,10 +345,19 @@ def main() -> None:
                         break
                     measured.append((cell, tallies))
                     print(f"{time.monotonic() - started_s:5.0f} s", table([(cell, tallies)], {}).splitlines()[4])
-                    save(measured, skipped, options.json)
     print(table(measured, skipped))
-    draw(measured, options.plot)
-    print(f"\n{options.json}  {options.plot}")
+    is_partial = options.which == "quick" or bool(options.only)
+    document = {
+        "conditions": noted,
+        "cells": as_cells(measured),
+        "skipped": [{**asdict(cell), "why": why} for cell, why in skipped.items()],
+    }
+    keep(document, target(options.json, "swap.json", is_partial=is_partial))
+    if plot := target(options.plot, "swap.png", is_partial=is_partial):
+        draw(measured, plot)
+        print(plot)
+    if len(measured) < len(wanted) - len(skipped):
+        sys.exit("swap: not every cell could be measured")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,148 @@
+"""What `estimate.py` and `link.py` measured of the capacity's estimate, as the README shows it."""
+
+from __future__ import annotations
+
+import math
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from scripts.bench.estimate_report import TARGETS, Target
+from scripts.bench.record import described
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+#: What the real link shows of a target's figure: scenarios of `link.py`, and the figure there.
+_REAL = {
+    "reaction of the estimate to 20→5": (("20→5",), "reaction_s"),
+    "reaction of the gate to 20→5": (("20→5",), "gate_half_s"),
+    "queue peak, 20→5": (("20→5",), "peak_queue_s"),
+    "rise 5→20 to 80 %, estimate": (("5→20",), "rise_s"),
+    "steady error, p90": (("steady 20", "steady 5"), "error_p90"),
+    "levels per minute, steady": (("steady 20", "steady 5"), "levels_per_minute"),
+    "probes and reports, any scenario": ((), "measuring"),
+    "outage, gate closed within": (("outage",), "gate_closed_s"),
+    "outage, recovery to 80 %": (("outage",), "recovery_s"),
+}
+_WAYS = {
+    "arpd": "arpd",
+    "average": "the average of the throughput",
+    "maximum": "its maximum over 8 s",
+}
+
+
+def readme(estimate: dict[str, Any], link: dict[str, Any]) -> str:
+    """Return a row per target, which of them were missed, and how far throughput alone gets."""
+    measured = {entry["target"]: entry for entry in estimate["targets"]}
+    targets = [target for target in TARGETS if target.title in measured]
+    rounds = max((run["round"] for run in link["runs"]), default=0)
+    rows = []
+    for target in targets:
+        what, limit = _parts(target)
+        simulated = _middle_and_worst(target, measured[target.title]["median"], measured[target.title]["worst"])
+        rows.append(f"| {what} | {limit} | {simulated} | {_real(target, what, link['runs'])} |")
+    missed = [target for target in targets if not measured[target.title]["met"]]
+    return "\n".join(
+        [
+            (
+                f"`scripts/bench/estimate.py` in virtual time, {estimate['seeds']} seeds, a robot that wants more than "
+                f"the link carries ({described(estimate)}); `scripts/bench/link.py` with real rclpy over namespaces "
+                f"and a token bucket, the demo robot, {_times(rounds)} ({described(link)}): median (worst)."
+            ),
+            "",
+            "| | target | simulated | real link |",
+            "|---|---|---:|---:|",
+            *rows,
+            "",
+            _on_targets(missed, len(targets), measured),
+            _on_throughput(estimate["scenarios"]),
+        ]
+    )
+
+
+def _parts(target: Target) -> tuple[str, str]:
+    what, _, limit = target.title.rpartition(": ")
+    return what, limit.replace("<=", "≤").replace(">=", "≥")
+
+
+def _middle_and_worst(target: Target, middle: float | None, worst: float | None) -> str:
+    first, second = (target.shown(math.inf if value is None else value) for value in (middle, worst))
+    text = first if middle is None else f"{first} {target.unit}".rstrip()
+    return text if first == second else f"{text} ({second})"
+
+
+def _real(target: Target, what: str, runs: Sequence[dict[str, Any]]) -> str:
+    if what not in _REAL:
+        return "–"
+    scenarios, figure = _REAL[what]
+    values = [
+        value
+        for run in runs
+        if run["side"] == "real" and run["with_arpd"] and (not scenarios or run["scenario"] in scenarios)
+        for value in [_figure(run["figures"], figure)]
+    ]
+    if not values:
+        return "–"
+    known = sorted(math.inf if value is None else value for value in values)
+    middle, worst = (value if math.isfinite(value) else None for value in (median(known), known[-1]))
+    return _middle_and_worst(target, middle, worst)
+
+
+def _figure(figures: dict[str, Any], name: str) -> float | None:
+    if name == "measuring":
+        return float(figures["probe_share"] + figures["report_share"])
+    value = figures.get(name)
+    return None if value is None else float(value)
+
+
+def _times(rounds: int) -> str:
+    return "one run each" if rounds == 1 else f"{rounds} runs each"
+
+
+def _on_targets(missed: Sequence[Target], count: int, measured: dict[str, dict[str, Any]]) -> str:
+    if not missed:
+        return f"Simulated, all {count} targets are met by the median and by the worst seed."
+    by_median = [t for t in missed if not t.keeps(measured[t.title]["median"])]
+    by_worst = [t for t in missed if t not in by_median]
+    text = f"Simulated, {count - len(missed)} of {count} targets are met by the median and by the worst seed."
+    if by_worst:
+        text += f" The worst seed misses: {'; '.join(_parts(target)[0] for target in by_worst)}."
+    if by_median:
+        text += f" The median, too, misses: {'; '.join(_parts(target)[0] for target in by_median)}."
+    return text
+
+
+def _on_throughput(scenarios: dict[str, dict[str, list[dict[str, float | None]]]]) -> str:
+    """Compare with estimates from throughput alone, over all scenarios."""
+    said = []
+    for way, words in _WAYS.items():
+        played = [ways[way] for ways in scenarios.values() if way in ways]
+        if not played:
+            continue
+        goodput = _over(played, "utilisation", median)
+        queue = _over(played, "queue peak", max)
+        said.append(f"{words} {_share(goodput)} of the oracle's goodput with {_queues(queue)}")
+    return (
+        f"Over all {len(scenarios)} scenarios, the medians of their seeds: {'; '.join(said)} "
+        "(scripts/bench/results/estimate.png)."
+    )
+
+
+def _over(
+    played: Sequence[list[dict[str, float | None]]], figure: str, of_all: Callable[[Sequence[float]], float]
+) -> float:
+    """Sum up a figure: the median of each scenario's seeds, then ``of_all`` scenarios; never is infinite."""
+    medians = [
+        median([math.inf if value is None else value for value in values])
+        for every in played
+        if (values := [metrics[figure] for metrics in every if figure in metrics])
+    ]
+    return of_all(medians)
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.0f} %"
+
+
+def _queues(longest_s: float) -> str:
+    return f"queues of up to {longest_s:.1f} s" if math.isfinite(longest_s) else "queues without end"

@@ -1,0 +1,146 @@
+"""Every benchmark, one after the other, and then the README from what they found.
+
+Usage: scripts/bench/all [--quick] [--only NAME,...]
+
+Needs root, as the simulated link does, and a machine that does nothing else for as long as it says. What a benchmark
+prints goes to the folder that is named at the start; when one fails, the others go on, and the exit code is 1. With
+--quick their short forms run, into that folder only: results and README stay as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.cli_progress import progress
+from scripts.bench.record import REPO
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Benchmark:
+    """A benchmark: module of scripts/bench, what it draws beside its JSON, and about how long it takes (s)."""
+
+    name: str
+    lasts_s: float
+    quick_s: float
+    has_plot: bool = False
+
+    def command(self, folder: Path, *, is_quick: bool) -> list[str]:
+        """Return what runs it; a quick one leaves its results in the folder, a whole one where they belong."""
+        command = [sys.executable, "-u", "-m", f"scripts.bench.{self.name}"]
+        if is_quick:
+            command += ["--quick", "--json", str(folder / f"{self.name}.json")]
+            if self.has_plot:
+                command += ["--plot", str(folder / f"{self.name}.png")]
+        return command
+
+
+#: Fuzz comes before reliability, whose table has what it found.
+BENCHMARKS = (
+    Benchmark(name="demo", lasts_s=110, quick_s=110),
+    Benchmark(name="solve", lasts_s=60, quick_s=15, has_plot=True),
+    Benchmark(name="estimate", lasts_s=520, quick_s=60, has_plot=True),
+    Benchmark(name="link", lasts_s=1800, quick_s=240, has_plot=True),
+    Benchmark(name="swap", lasts_s=2700, quick_s=120, has_plot=True),
+    Benchmark(name="relay", lasts_s=500, quick_s=90, has_plot=True),
+    Benchmark(name="soak", lasts_s=190, quick_s=20, has_plot=True),
+    Benchmark(name="fuzz", lasts_s=760, quick_s=60),
+    Benchmark(name="reliability", lasts_s=920, quick_s=280),
+    Benchmark(name="exposition", lasts_s=330, quick_s=30),
+    Benchmark(name="paper", lasts_s=1800, quick_s=30),
+    Benchmark(name="adapt", lasts_s=2100, quick_s=60),
+    Benchmark(name="overhead", lasts_s=720, quick_s=50),
+)
+
+
+def run(benchmarks: Sequence[Benchmark], folder: Path, *, is_quick: bool) -> dict[str, str]:
+    """Run them; return what went wrong, by name."""
+    wrong: dict[str, str] = {}
+    lasts_s = [each.quick_s if is_quick else each.lasts_s for each in benchmarks]
+    with progress("benchmarks", total=sum(lasts_s)) as shown:
+        for number, each in enumerate(benchmarks):
+            shown.reach(sum(lasts_s[:number]), each.name)
+            print(f"{each.name:<12} ", end="", flush=True)
+            if importlib.util.find_spec(f"scripts.bench.{each.name}") is None:
+                wrong[each.name] = "not there"
+                print(wrong[each.name])
+                continue
+            started_s, log = time.monotonic(), folder / f"{each.name}.log"
+            with log.open("w", encoding="utf-8") as written:
+                code = subprocess.run(
+                    each.command(folder, is_quick=is_quick),
+                    cwd=REPO,
+                    stdout=written,
+                    stderr=subprocess.STDOUT,
+                    check=False,
+                ).returncode
+            took = f"{time.monotonic() - started_s:6.0f} s"
+            print(took if not code else f"{took}  failed with {code}: {_last_line(log)}", flush=True)
+            if code:
+                wrong[each.name] = str(log)
+    return wrong
+
+
+def _last_line(log: Path) -> str:
+    said = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    return said[-1][:160] if said else "it said nothing"
+
+
+def chosen(only: str) -> list[Benchmark]:
+    """Return the benchmarks that were asked for, in their own order.
+
+    Raises
+    ------
+    ValueError
+        If there is none of a name.
+    """
+    names = {name.strip() for name in only.split(",") if name.strip()}
+    known = [each.name for each in BENCHMARKS]
+    if unknown := sorted(names - {*known}):
+        raise ValueError(f"{', '.join(unknown)}: no such benchmark; there are {', '.join(known)}")
+    return [each for each in BENCHMARKS if not names or each.name in names]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="scripts/bench/all", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="the short form of each; nothing is kept")
+    parser.add_argument("--only", default="", metavar="NAME,...", help="these of the benchmarks")
+    options = parser.parse_args()
+    try:
+        benchmarks = chosen(options.only)
+    except ValueError as error:
+        parser.error(f"--only: {error}")
+    folder = Path(tempfile.mkdtemp(prefix="arpd-bench-"))
+    minutes = sum(each.quick_s if options.quick else each.lasts_s for each in benchmarks) / 60
+    print(
+        f"{len(benchmarks)} benchmarks, about {minutes:.0f} minutes; load average {os.getloadavg()[0]:.1f}; "
+        f"what they print goes to {folder}",
+        flush=True,
+    )
+    wrong = run(benchmarks, folder, is_quick=options.quick)
+    if not options.quick:
+        code = subprocess.run([sys.executable, "-m", "scripts.bench.readme"], cwd=REPO, check=False).returncode
+        if code:
+            wrong["README.md"] = "not written"
+    if wrong:
+        print(f"failed: {', '.join(f'{name} ({why})' for name, why in wrong.items())}")
+        return 1
+    print("all went well" + ("" if options.quick else "; README.md says what they found"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
