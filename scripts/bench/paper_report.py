@@ -1,0 +1,231 @@
+"""The report of the paper's experiment: what each configuration came to, and whether the optimum wins as published."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from scripts.bench.paper_cells import ARPD, DEFAULT, FIGURES, HEARTBEAT_S, LOSS
+from scripts.bench.paper_numbers import milliseconds, percent
+from scripts.bench.paper_summary import REACHED_RATIO
+from scripts.bench.paper_verdict import LIKE, Cell, cells, misses, rounds, verdicts
+from scripts.bench.record import described
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scripts.bench.paper_verdict import Verdict
+
+
+def nonsense(document: dict[str, Any]) -> list[str]:
+    """Return everything that makes the document worthless; whether a turn is void is not among it."""
+    if not document["runs"]:
+        return ["no turn came to its end"]
+    found = []
+    for run in document["runs"]:
+        name = f"{run['link']}, {_named(run)}"
+        if "failed" in run:
+            found.append(f"{name}: {run['failed']}")
+            continue
+        if not run["sensing"]["count"]:
+            found.append(f"{name}: nothing arrived")
+        elif not run["end_to_end"]["count"] and run["sensing"]["lost_ratio"] < 0.5:
+            found.append(f"{name}: nothing was answered")
+        if run["robot_sent_bytes"] < run["sensing"]["count"] * run["payload_bytes"]:
+            found.append(f"{name}: more arrived than the link carried; it was bypassed")
+        if any(not math.isfinite(number) for number in _numbers(run)):
+            found.append(f"{name}: a figure is not a number")
+    return found
+
+
+def voids(document: dict[str, Any]) -> list[str]:
+    """Return the turns that say nothing, and which process had no time left."""
+    return [
+        f"{run['link']}, {_named(run)}, round {run['round']}: the {run['void']} could not keep up"
+        for run in document["runs"]
+        if run.get("void")
+    ]
+
+
+def table(document: dict[str, Any]) -> str:
+    """Return every configuration's figures, the verdicts, and what a lost packet costs."""
+    head = (
+        f"{'link':>8} {'B':>5} {'Hz':>5} {'DEPTH':>5} {'mean ms':>9} {'p50':>9} {'p95':>9} {'p99 ms':>27}"
+        f" {'sensing p99':>11} {'lost %':>7} {'unanswered':>10} {'rate %':>7} {'blocked':>7} {'link %':>6}"
+    )
+    what = "end to end: median over rounds (range); rate: of what was asked for, blocked: of the time, in publish()"
+    rows = [what, head]
+    for cell in cells(document, FIGURES):
+        name = f"{cell.link:>8} {cell.payload_bytes:>5} {cell.deadline_hz:>5} {cell.depth:>5}"
+        if not cell.runs:
+            rows.append(f"{name} {cell.why_void}")
+            continue
+        mean, p50, p95 = (milliseconds(cell.middle("end_to_end", key)) for key in ("mean_s", "p50_s", "p95_s"))
+        sensing = milliseconds(cell.middle("sensing", "p99_s"))
+        shares = (cell.middle(*keys) for keys in (("end_to_end", "lost_ratio"), ("reached_ratio",), ("blocked_ratio",)))
+        unanswered, reached, blocked = map(percent, shares)
+        rows.append(
+            f"{name} {mean:>9} {p50:>9} {p95:>9} {_shown_p99(cell):>27} {sensing:>11} {percent(cell.lost_ratio):>7}"
+            f" {unanswered:>10} {reached:>7} {blocked:>7} {percent(cell.used_ratio):>6}"
+        )
+    return "\n".join([*rows, "", *_judged(document), "", *_loss_table(document)])
+
+
+def readme(document: dict[str, Any]) -> str:
+    """Return the README's block."""
+    links = "; ".join(
+        f"{link['name']}: {link['rate_bytes_per_second'] * 8 / 1e6:g} Mbit/s, queue {link['queue_bytes'] / 1e3:g} kB, "
+        f"loss {percent(link['loss'])} %"
+        for link in document["links"]
+    )
+    head = (
+        f"{rounds(document)} a configuration; {described(document)}. Links: {links} "
+        "(what is left of Wi-Fi's frame errors after seven attempts). Latency is end to end, "
+        "sensor → planner → actuator, in ms (range over rounds); lost is the share of all samples of the twelve "
+        "topics. Void: this machine could not generate the load, or plan for it."
+    )
+    titles = (
+        "| link | payload B | Rmax Hz | optimum R Hz, D | p50 | p99 | lost % | DEPTH 1 at Rmax: p99 | lost % "
+        "| DEPTH 5000 at Rmax: p99 | lost % | rate reached % |"
+    )
+    rows = [
+        titles,
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        *map(_row, verdicts(document)),
+    ]
+    return "\n".join(
+        [
+            head,
+            "",
+            *_judged(document),
+            "",
+            "<details><summary>Every optimum beside the fixed configurations at its Rmax</summary>",
+            "",
+            *rows,
+            "",
+            "</details>",
+            "",
+            *_loss_markdown(document),
+        ]
+    )
+
+
+def _row(verdict: Verdict) -> str:
+    best, (shallow, deep) = verdict.optimum, verdict.at_rmax
+    cells_of_row = [
+        *(best.link, str(best.payload_bytes), str(verdict.rmax_hz), f"{best.deadline_hz}, {best.depth}"),
+        *(milliseconds(best.p50_s), _shown_p99(best), percent(best.lost_ratio)),
+        *(_shown_p99(shallow), percent(shallow.lost_ratio)),
+        *(_shown_p99(deep), percent(deep.lost_ratio), percent(deep.middle("reached_ratio"))),
+    ]
+    return f"| {' | '.join(cells_of_row)} |"
+
+
+def _judged(document: dict[str, Any]) -> list[str]:
+    """Return how many optima keep both targets, and where one does not, why not."""
+    found = verdicts(document)
+    judged = [each for each in found if each.optimum.runs]
+    lines = []
+    for link in dict.fromkeys(each.optimum.link for each in judged):
+        here = [each for each in judged if each.optimum.link == link]
+        quick, safe = sum(not each.slower_than for each in here), sum(not each.lossier_than for each in here)
+        lines.append(
+            f"- {link}: p99 of the optimum below that of every fixed configuration that loses nothing: {quick} of "
+            f"{len(here)} (payload × Rmax); loss not above that of any with a like latency (p99 within a factor "
+            f"{LIKE:g}): {safe} of {len(here)}."
+        )
+        lines += [f"  - Not so: {miss}" for miss in misses(document, here)]
+    lines += [*_held_back(cells(document, FIGURES)), *_overflowed(cells(document, FIGURES))]
+    if void := [each.optimum for each in found if not each.optimum.runs]:
+        lines.append(f"- No verdict on {', '.join(f'{c.link} {c.name}' for c in void)}: void.")
+    if void := [cell for cell in cells(document, FIGURES) if not cell.runs]:
+        lines.append(f"- Void: {'; '.join(f'{c.link} {c.name} ({c.why_void})' for c in void)}.")
+    return lines
+
+
+def _held_back(found: list[Cell]) -> list[str]:
+    """Say where sensors could not keep their rate although this machine could have."""
+    slowed = [cell for cell in found if (cell.middle("reached_ratio") or 1.0) < REACHED_RATIO]
+    if not slowed:
+        return []
+    worst = min(slowed, key=lambda cell: cell.middle("reached_ratio") or 0.0)
+    reached, used = percent(worst.middle("reached_ratio")), percent(worst.used_ratio)
+    what = (
+        f"- In {len(slowed)} of {len(found)} configurations publish() blocked for so long that sensors reached less "
+        f"than {percent(REACHED_RATIO)} % of their rate; least, {reached} %, {worst.link} {worst.name}, the link "
+        f"{used} % full."
+    )
+    return [what]
+
+
+def _overflowed(found: list[Cell]) -> list[str]:
+    """Say where packets were lost that the link had carried."""
+    if not (flooded := [cell for cell in found if cell.overflows]):
+        return []
+    worst = max(flooded, key=lambda cell: cell.overflows)
+    what = (
+        f"- In {len(flooded)} of {len(found)} configurations a reader's socket overflowed, this machine's doing and "
+        f"not the link's; most often with {worst.link} {worst.name}, {worst.overflows} datagrams."
+    )
+    return [what]
+
+
+def _loss_cells(document: dict[str, Any]) -> Iterator[tuple[float, list[Cell]]]:
+    """Yield each loss of the link with its configurations: by heartbeat, the optimum before the deeper one."""
+    found = cells(document, LOSS)
+    for loss in sorted({cell.link_loss for cell in found}):
+        here = [cell for cell in found if cell.link_loss == loss]
+        yield loss, sorted(here, key=lambda cell: ((DEFAULT, ARPD).index(cell.heartbeat), cell.depth))
+
+
+def _loss_table(document: dict[str, Any]) -> list[str]:
+    return [
+        f"loss {percent(loss):>5} %, {cell.heartbeat:>15} heartbeat, {cell.name}: p50 "
+        f"{milliseconds(cell.p50_s)} ms, p99 {_shown_p99(cell)} ms, lost {percent(cell.lost_ratio)} %"
+        for loss, found in _loss_cells(document)
+        for cell in found
+    ]
+
+
+def _loss_markdown(document: dict[str, Any]) -> list[str]:
+    table_of = list(_loss_cells(document))
+    if not table_of:
+        return []
+    columns = table_of[0][1]
+    what = (
+        f"What a lost packet costs, {columns[0].payload_bytes} B over {columns[0].link}: p50, p99 in ms (range over "
+        f"rounds) of the optimum and of the same rate at the largest DEPTH, with rclpy's heartbeat of "
+        f"{HEARTBEAT_S[DEFAULT]:g} s and the {milliseconds(HEARTBEAT_S[ARPD])} ms of arpd's Fast DDS profile."
+    )
+    return [
+        what,
+        "",
+        "| packets lost % |" + "".join(f" {cell.heartbeat}: {cell.name_in_link} |" for cell in columns),
+        "|---:|" + "---:|" * len(columns),
+        *(
+            f"| {percent(loss)} |" + "".join(f" {milliseconds(cell.p50_s)}, {_shown_p99(cell)} |" for cell in found)
+            for loss, found in table_of
+        ),
+    ]
+
+
+def _shown_p99(cell: Cell) -> str:
+    return f"{milliseconds(cell.p99_s)}{_range(cell)}" if cell.runs else cell.why_void
+
+
+def _range(cell: Cell) -> str:
+    """Return the range in brackets, nothing where there is but one round."""
+    shown = [milliseconds(value) for value in cell.p99_range_s]
+    return f" ({'–'.join(shown)})" if len(cell.runs) > 1 else ""
+
+
+def _named(run: dict[str, Any]) -> str:
+    return f"{run['payload_bytes']} B at {run['deadline_hz']} Hz, DEPTH {run['depth']}"
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from _numbers(each)
+    elif isinstance(value, float):
+        yield value

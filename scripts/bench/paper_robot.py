@@ -1,0 +1,141 @@
+"""The robot of the paper's experiment and its planner, on both ends of a simulated link."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.sim.namespaces import inside
+from arpd.sim.simlink import SimLink
+from scripts.bench.child import Child, ChildError, sent_bytes
+from scripts.bench.paper_cells import ARPD, SENSORS
+from scripts.bench.paper_summary import summary
+
+if TYPE_CHECKING:
+    from arpd.sim.simlink import Host
+    from scripts.bench.paper_cells import LinkProfile, Turn
+
+QUIET_S = 3.2  # a lost sample is sent again after a heartbeat, 3 s by default
+DRAIN_S = 8.0
+_LEAD_S = 0.2
+_POLL_S = 0.1
+_PROCESSES = 3  # that share the sensors: publish() holds the GIL
+_MODULE = "scripts.bench.paper_nodes"
+
+
+class Robot:
+    """Five processes on a link of their own, from `open` to `close`.
+
+    Parameters
+    ----------
+    link : the link
+    heartbeat : whose heartbeat period the writers have
+    folder : where the processes leave their files
+    """
+
+    def __init__(self, link: LinkProfile, heartbeat: str, folder: Path) -> None:
+        self._profile, self._heartbeat, self._folder = link, heartbeat, folder
+        self._turns = 0
+        self._stack = ExitStack()
+
+    def open(self) -> None:
+        """Make the link and start the processes."""
+        with ExitStack() as stack:
+            self._link = stack.enter_context(
+                SimLink(
+                    f"paper-{os.getpid()}-{time.monotonic_ns() % 10**6}",
+                    rate_bytes_per_second=self._profile.rate_bytes_per_second,
+                    queue_bytes=self._profile.queue_bytes,
+                )
+            )
+            self._sensors = [self._child(stack, "robot", "sensors", str(k)) for k in range(1, _PROCESSES + 1)]
+            self._actuator = self._child(stack, "robot", "actuator")
+            self._planner = self._child(stack, "ceddp", "planner")
+            self._stack = stack.pop_all()
+
+    def close(self) -> None:
+        """End the processes and remove the link."""
+        self._stack.close()
+
+    def play(self, turn: Turn, *, seconds: float) -> dict[str, Any]:
+        """Run one turn and return what came of it.
+
+        Raises
+        ------
+        ChildError
+            If a process ended, or not all topics found both ends.
+        """
+        self._turns += 1
+        order = {
+            **asdict(turn.configuration),
+            "turn": self._turns,
+            "sensors": SENSORS,
+            "seconds": seconds,
+            "folder": str(self._folder),
+        }
+        children = [*self._sensors, self._planner, self._actuator]
+        for number, child in enumerate(children):
+            child.tell(**order, indices=list(range(number, SENSORS, _PROCESSES)))
+        matched = [child.hear()["matched"] for child in children]
+        if not all(matched):
+            raise ChildError("not all topics found both ends")
+        self._link.set_loss(turn.loss)  # discovery is no part of the experiment
+        hosts = self._link.hosts
+        sent_before, overflows_before = self._sent_bytes(), sum(map(overflows, hosts))
+        start_ns = time.time_ns() + round(_LEAD_S * 1e9)
+        for child in self._sensors:
+            child.tell(start_ns=start_ns)
+        told = [child.hear(timeout_s=60.0 + seconds) for child in self._sensors]
+        sent_in_load = self._sent_bytes()
+        drained_s = self._drain(told)
+        sent = self._sent_bytes()
+        arrived, actuated = self._planner.ask(stop=True), self._actuator.ask(stop=True)
+        self._link.set_loss(0.0)
+        for child in children:
+            child.tell(close=True)
+        for child in children:
+            child.hear()
+        return {
+            **summary(turn.configuration, seconds, told, arrived, actuated),
+            "used_ratio": (sent_in_load - sent_before) / seconds / self._profile.rate_bytes_per_second,
+            "robot_sent_bytes": sent - sent_before,
+            "receive_buffer_overflows": sum(map(overflows, hosts)) - overflows_before,
+            "drained_s": drained_s,
+        }
+
+    def _drain(self, told: list[dict[str, Any]]) -> float:
+        """Wait until all has arrived, or nothing has for a while, or for long enough; return how long it took (s)."""
+        published = sum(Path(sensor["left"]).stat().st_size // 8 for process in told for sensor in process["sensors"])
+        began_s = changed_s = time.monotonic()
+        last = None
+        while (now_s := time.monotonic()) < began_s + DRAIN_S:
+            planner, actuator = self._planner.ask(count=True), self._actuator.ask(count=True)
+            seen = (planner["arrived"], planner["answered"], actuator["arrived"])
+            if planner["arrived"] >= published and actuator["arrived"] >= planner["answered"]:
+                break
+            if seen != last:
+                last, changed_s = seen, now_s
+            elif now_s - changed_s > QUIET_S:
+                break
+            time.sleep(_POLL_S)
+        return time.monotonic() - began_s
+
+    def _sent_bytes(self) -> int:
+        return sent_bytes(self._link, self._link.robot)
+
+    def _child(self, stack: ExitStack, host: Any, *argv: str) -> Child:
+        plain = {} if self._heartbeat == ARPD else {"FASTRTPS_DEFAULT_PROFILES_FILE": ""}
+        child = Child(self._link, host, _MODULE, *argv, environment=plain)
+        stack.callback(child.end)
+        return child
+
+
+def overflows(host: Host) -> int:
+    """Return how many datagrams found the buffer of their socket full on a host so far."""
+    text = inside(host.namespace, lambda: Path("/proc/thread-self/net/snmp").read_text(encoding="ascii"))
+    names, values = (line.split() for line in text.splitlines() if line.startswith("Udp:"))
+    return int(values[names.index("RcvbufErrors")])

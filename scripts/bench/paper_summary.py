@@ -1,0 +1,124 @@
+"""What one turn of the paper's experiment came to: latency per sample, loss, and whether the machine was up to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scripts.bench.paper_cells import SENSORS
+
+if TYPE_CHECKING:
+    from scripts.bench.paper_cells import Configuration
+
+    Numbers = np.ndarray[Any, np.dtype[np.int64]]
+    Seconds = np.ndarray[Any, np.dtype[np.float64]]
+
+REACHED_RATIO = 0.95  # of the rate asked for; below, somebody is to blame
+BUSY_RATIO = 0.95  # of the time on a core or waiting for one: a thread that has no time left
+
+
+def summary(
+    configuration: Configuration,
+    seconds: float,
+    told: list[dict[str, Any]],
+    arrived: dict[str, Any],
+    actuated: dict[str, Any],
+) -> dict[str, Any]:
+    """Put numbers and moments of one turn together.
+
+    Parameters
+    ----------
+    seconds : how long the sensors were to publish (s)
+    told : what each process of sensors said: ``sensors`` with the file of moments, ``spent``
+    arrived : what the planner said: ``arrived`` per sensor, ``commands``, ``spent``
+    actuated : what the actuator said: files of numbers and moments
+    """
+    left = {sensor["index"]: _read(sensor["left"]) for process in told for sensor in process["sensors"]}
+    sensing = [_delays(each, left[index]) for index, each in enumerate(arrived["arrived"])]
+    commands, received = _first(actuated)
+    begun = np.array([left[number % SENSORS][number] for number in commands], dtype=np.int64)
+    published = sum(map(len, left.values()))
+    asked = sum(len(range(index, len(moments), SENSORS)) for index, moments in left.items())
+    answered = len(np.unique(_read(arrived["commands"])))
+    lost = published - sum(map(len, sensing)) + answered - len(commands)
+    spent = [process["spent"] for process in told]
+    return {
+        **_reached(configuration, seconds, told, published),
+        "void": _void(configuration, seconds, told, arrived["spent"]),
+        "sensors_cpu": sum(each["process_cpu_s"] for each in spent) / seconds,
+        "planner_cpu": arrived["spent"]["process_cpu_s"] / arrived["spent"]["wall_s"],
+        "sensors_core_wait": sum(each["core_wait_s"] for each in spent) / seconds,
+        "planner_core_wait": arrived["spent"]["core_wait_s"] / arrived["spent"]["wall_s"],
+        "published": published + answered,
+        "lost": lost,
+        "sensing": {
+            "count": sum(map(len, sensing)),
+            "lost_ratio": 1.0 - sum(map(len, sensing)) / published if published else None,
+            **latency(np.concatenate(sensing)),
+        },
+        "end_to_end": {
+            "count": len(commands),
+            "lost_ratio": 1.0 - len(commands) / asked if asked else None,
+            **latency((received - begun) / 1e9),
+        },
+    }
+
+
+def latency(values_s: Seconds) -> dict[str, float | None]:
+    """Return mean and percentiles (s); None where nothing arrived."""
+    if not len(values_s):
+        return dict.fromkeys(("mean_s", "p50_s", "p95_s", "p99_s"))
+    p50, p95, p99 = np.percentile(values_s, (50, 95, 99))
+    return {"mean_s": float(values_s.mean()), "p50_s": float(p50), "p95_s": float(p95), "p99_s": float(p99)}
+
+
+def _reached(
+    configuration: Configuration, seconds: float, told: list[dict[str, Any]], published: int
+) -> dict[str, Any]:
+    """Return the rate that was reached, and the share of the sensors' time that publish() slept in a call."""
+    spent = [process["spent"] for process in told]
+    blocked_s = sum(max(0.0, each["publish_s"] - each["cpu_s"] - each["core_wait_s"]) for each in spent)
+    return {
+        "reached_ratio": published / wanted(configuration, seconds, SENSORS),
+        "blocked_ratio": blocked_s / sum(each["wall_s"] for each in spent),
+    }
+
+
+def wanted(configuration: Configuration, seconds: float, sensors: int) -> float:
+    """Return how many samples so many sensors should publish."""
+    return configuration.deadline_hz * seconds * sensors
+
+
+def _void(configuration: Configuration, seconds: float, told: list[dict[str, Any]], planner: dict[str, float]) -> str:
+    """Say why the turn says nothing of the link; empty when it does.
+
+    A process of sensors that fell behind had time enough if, at what a sample cost it on a core and waiting for one,
+    the time would have sufficed for all: then it was publish() that blocked, which is the middleware's answer to a full
+    link. Else this machine cannot generate that load.
+    """
+    for process in told:
+        published = sum(len(_read(sensor["left"])) for sensor in process["sensors"])
+        should = wanted(configuration, seconds, len(process["sensors"]))
+        busy_s = process["spent"]["cpu_s"] + process["spent"]["core_wait_s"]
+        if published < REACHED_RATIO * should and (not published or should * busy_s / published > seconds):
+            return "generator"
+    if planner["cpu_s"] + planner["core_wait_s"] > BUSY_RATIO * planner["wall_s"]:
+        return "planner"
+    return ""
+
+
+def _read(path: str) -> Numbers:
+    return np.fromfile(path, dtype=np.int64)
+
+
+def _first(files: dict[str, str]) -> tuple[Numbers, Numbers]:
+    """Return the numbers that arrived, each once, and when each did for the first time (ns)."""
+    numbers, at = np.unique(_read(files["numbers"]), return_index=True)
+    return numbers, _read(files["received"])[at]
+
+
+def _delays(files: dict[str, str], left: Numbers) -> Seconds:
+    numbers, received = _first(files)
+    delays: Seconds = (received - left[numbers]) / 1e9
+    return delays

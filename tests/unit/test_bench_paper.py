@@ -1,0 +1,427 @@
+"""The paper's experiment: what a turn comes to, which turns say nothing, and whether the optimum wins."""
+
+from array import array
+
+import pytest
+
+from scripts.bench.paper_cells import (
+    DEFAULT,
+    FIGURES,
+    LOSS,
+    PAYLOADS_BYTES,
+    RMAX_HZ,
+    SENSORS,
+    Configuration,
+    configurations,
+    figure_turns,
+    loss_turns,
+    optimum,
+    quick_turns,
+    shuffled,
+)
+from scripts.bench.paper_figures import draw
+from scripts.bench.paper_report import nonsense, readme, table, voids
+from scripts.bench.paper_summary import summary
+from scripts.bench.paper_verdict import cells, verdicts
+
+MS = 1_000_000
+SECONDS = 1.0
+IDLE = {"process_cpu_s": 0.3, "cpu_s": 0.1, "core_wait_s": 0.01, "wall_s": 1.2, "publish_s": 0.1}
+
+
+class Files:
+    """Files as the processes leave them: each sensor publishes at 22 Hz for a second, and two samples are answered."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.left = {index: [index + number * 45 * MS for number in range(22)] for index in range(SENSORS)}
+        self.arrived = {index: [(n, at + 2 * MS) for n, at in enumerate(left)] for index, left in self.left.items()}
+        self.commands = [n for n in range(22) for index in range(SENSORS) if n % SENSORS == index]
+        self.actuated = [(n, self.left[n % SENSORS][n] + 5 * MS) for n in self.commands]
+        self.spent = dict(IDLE)
+        self.planner = dict(IDLE)
+
+    def summary(self):
+        told = [
+            {
+                "sensors": [{"index": i, "left": self.keep(f"left-{i}", left)} for i, left in self.left.items()],
+                "spent": self.spent,
+            }
+        ]
+        arrived = {
+            "arrived": [self.pairs(f"arrived-{i}", pairs) for i, pairs in self.arrived.items()],
+            "commands": self.keep("commands", self.commands),
+            "spent": self.planner,
+        }
+        cell = Configuration(depth=10, deadline_hz=22, payload_bytes=100)
+        return summary(cell, SECONDS, told, arrived, self.pairs("actuated", self.actuated))
+
+    def pairs(self, name, pairs):
+        return {
+            "numbers": self.keep(f"{name}-n", [n for n, _ in pairs]),
+            "received": self.keep(f"{name}-r", [at for _, at in pairs]),
+        }
+
+    def keep(self, name, values):
+        path = self.folder / f"{name}.i64"
+        path.write_bytes(array("q", values).tobytes())
+        return str(path)
+
+
+@pytest.fixture
+def files(tmp_path):
+    return Files(tmp_path)
+
+
+def test_latency_is_that_of_the_sample_that_was_answered(files):
+    """Sensing ends at the planner, end to end at the robot; nothing is lost and every sensor is answered."""
+    run = files.summary()
+    assert run["sensing"] == pytest.approx(
+        {"count": 242, "lost_ratio": 0.0, **dict.fromkeys(("mean_s", "p50_s", "p95_s", "p99_s"), 0.002)}
+    )
+    assert run["end_to_end"]["count"] == 22
+    assert run["end_to_end"]["p99_s"] == pytest.approx(0.005)
+    assert (run["published"], run["lost"], run["reached_ratio"], run["void"]) == (264, 0, 1.0, "")
+    assert (run["sensors_cpu"], run["planner_cpu"]) == pytest.approx((0.3, 0.25))
+
+
+def test_a_sample_that_does_not_arrive_is_lost_once(files):
+    """A lost sample that was to be answered is missing on its topic, and its command was never sent."""
+    files.arrived[3].pop(3)
+    files.commands.remove(3)
+    files.actuated = [pair for pair in files.actuated if pair[0] != 3]
+    run = files.summary()
+    assert (run["published"], run["lost"]) == (263, 1)
+    assert run["sensing"]["lost_ratio"] == pytest.approx(1 / 242)
+    assert run["end_to_end"]["lost_ratio"] == pytest.approx(1 / 22)
+
+
+def test_a_lost_command_counts_on_the_way_back_only(files):
+    """What the planner sent and the robot never got is lost, while sensing lost nothing."""
+    files.actuated.pop()
+    run = files.summary()
+    assert (run["lost"], run["sensing"]["lost_ratio"]) == (1, 0.0)
+    assert run["end_to_end"]["lost_ratio"] == pytest.approx(1 / 22)
+
+
+def test_a_doubled_sample_counts_when_it_first_came(files):
+    """A sample that arrives twice neither makes up for a lost one nor counts with its second arrival."""
+    files.arrived[0].append((0, files.left[0][0] + 900 * MS))
+    files.arrived[0].remove((1, files.left[0][1] + 2 * MS))
+    run = files.summary()
+    assert run["lost"] == 1
+    assert run["sensing"]["p99_s"] == pytest.approx(0.002)
+
+
+def test_nothing_at_all_gives_no_latency(files):
+    """Where nothing arrived there is no latency, and everything is lost."""
+    files.arrived = {index: [] for index in files.arrived}
+    files.commands, files.actuated = [], []
+    run = files.summary()
+    assert (run["lost"], run["published"]) == (242, 242)
+    assert run["end_to_end"]["p99_s"] is None
+    assert run["end_to_end"]["lost_ratio"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("spent", "void"),
+    [
+        ({"cpu_s": 0.2, "core_wait_s": 0.1, "publish_s": 0.95, "wall_s": 1.0}, ""),  # slept in publish(): a full link
+        ({"cpu_s": 0.6, "core_wait_s": 0.1, "publish_s": 0.95, "wall_s": 1.0}, "generator"),  # twice that is too much
+        ({"cpu_s": 0.2, "core_wait_s": 0.5, "publish_s": 0.95, "wall_s": 1.0}, "generator"),  # others had the core
+    ],
+)
+def test_half_the_rate_is_void_unless_publish_blocked(files, spent, void):
+    """A sensor with half its rate had time for all of it if publish() slept, and had not if it was busy."""
+    files.left = {index: left[:11] for index, left in files.left.items()}
+    files.arrived = {index: pairs[:11] for index, pairs in files.arrived.items()}
+    files.commands, files.actuated = files.commands[:11], files.actuated[:11]
+    files.spent = {**IDLE, **spent}
+    run = files.summary()
+    assert (run["reached_ratio"], run["void"]) == (0.5, void)
+    assert run["blocked_ratio"] == pytest.approx(0.95 - spent["cpu_s"] - spent["core_wait_s"])
+
+
+def test_sensors_that_publish_nothing_are_void(files):
+    """Without a single sample there is nothing to judge by."""
+    files.left = {index: [] for index in files.left}
+    files.arrived = {index: [] for index in files.arrived}
+    files.commands, files.actuated = [], []
+    assert files.summary()["void"] == "generator"
+
+
+def test_a_planner_without_a_moment_left_makes_a_turn_void(files):
+    """Its own queue would be taken for the link's."""
+    files.planner = {**IDLE, "cpu_s": 0.9, "core_wait_s": 0.29}
+    assert files.summary()["void"] == "planner"
+
+
+def test_the_configurations_are_the_papers():
+    """Table 2's optima, and with DEPTH 1 and 5000 at both rates 24 configurations for each payload and link."""
+    assert [optimum(hz) for hz in RMAX_HZ] == [(7, 365), (15, 390), (40, 405), (82, 410)]
+    assert len(set(configurations(10))) == 24
+    assert {(1, 7), (5000, 1000), (410, 1000), (410, 82)} <= {(c.depth, c.deadline_hz) for c in configurations(10)}
+    assert len(figure_turns()) == 2 * 3 * 24
+    assert {turn.loss for turn in loss_turns()} == {0.0, 0.0001, 0.001, 0.01}
+
+
+def test_a_round_has_every_turn_once_in_an_order_of_its_own():
+    """The same seed gives the same order, another one another."""
+    turns = figure_turns()
+    one, two = shuffled(turns, seed=1), shuffled(turns, seed=2)
+    assert one == shuffled(turns, seed=1) != two
+    assert sorted(map(repr, one)) == sorted(map(repr, two)) == sorted(map(repr, turns))
+
+
+def test_the_quick_form_stays_below_what_a_busy_machine_can_generate():
+    """All at 100 Hz at most, an optimum among them."""
+    cell = {(turn.configuration.depth, turn.configuration.deadline_hz) for turn in quick_turns()}
+    assert max(hz for _, hz in cell) <= 100
+    assert optimum(1000)[::-1] in cell
+
+
+def made_up(turn, number, p99_s, lost):
+    """Return a turn as `paper.py` writes it."""
+    figures = {"mean_s": p99_s / 3, "p50_s": p99_s / 4, "p95_s": p99_s / 2, "p99_s": p99_s}
+    cell = turn.configuration
+    return {
+        "experiment": turn.experiment,
+        "link": turn.link.name,
+        "link_loss": turn.loss,
+        "heartbeat": turn.heartbeat,
+        "round": number,
+        "load": 0.5,
+        "depth": cell.depth,
+        "deadline_hz": cell.deadline_hz,
+        "payload_bytes": cell.payload_bytes,
+        "reached_ratio": 1.0,
+        "blocked_ratio": 0.0,
+        "void": "",
+        "published": 10_000,
+        "lost": lost,
+        "sensing": {"count": 1000, "lost_ratio": lost / 10_000, **figures},
+        "end_to_end": {"count": 100, "lost_ratio": lost / 10_000, **figures},
+        "used_ratio": 1.0 if cell.deadline_hz >= 100 else 0.3,
+        "robot_sent_bytes": 10**7,
+        "receive_buffer_overflows": 0,
+    }
+
+
+@pytest.fixture
+def document():
+    """Two rounds in which the optimum is as published: quick where DEPTH 5000 queues, and whole where DEPTH 1 loses."""
+    runs = []
+    for number in (1, 2):
+        for turn in [*figure_turns(), *loss_turns()]:
+            cell = turn.configuration
+            is_full = cell.deadline_hz >= 100
+            p99_s = (2.0 if cell.depth == 5000 else 0.02) if is_full else 0.004
+            lost = 5000 if is_full and cell.depth == 1 else 0
+            runs.append(made_up(turn, number, p99_s + number * 1e-4, lost))
+    return {
+        "conditions": {
+            "date": "2026-01-02T03:04:05+00:00",
+            "machine": "x86_64, Linux 6",
+            "cpu_count": 2,
+            "load_average": [0.1, 0.1, 0.1],
+            "seconds": 3.0,
+        },
+        "links": [
+            {"name": "2.4 GHz", "rate_bytes_per_second": 1e6, "queue_bytes": 256_000, "loss": 0.0002},
+            {"name": "wired", "rate_bytes_per_second": 1.25e8, "queue_bytes": 1_000_000, "loss": 0.0},
+        ],
+        "optima": [
+            dict(zip(("rmax_hz", "rate_hz", "depth"), (hz, *optimum(hz)), strict=True)) for hz in RMAX_HZ
+        ],
+        "runs": runs,
+    }  # fmt: skip
+
+
+def of(document, link, payload_bytes, deadline_hz, depth):
+    """Return the rounds of one configuration."""
+    named = {"link": link, "payload_bytes": payload_bytes, "deadline_hz": deadline_hz, "depth": depth}
+    found = [
+        run for run in document["runs"] if run["experiment"] == FIGURES and named.items() <= run.items()
+    ]  # fmt: skip
+    assert len(found) == 2
+    return found
+
+
+def set_p99(runs, *values_s):
+    for run, value_s in zip(runs, values_s, strict=True):
+        run["end_to_end"]["p99_s"] = value_s
+
+
+def test_what_the_paper_says_is_found_to_hold(document):
+    """Every optimum is below all that lose nothing and loses no more than its like, and no miss is named."""
+    assert len(verdicts(document)) == 2 * len(PAYLOADS_BYTES) * len(RMAX_HZ)
+    text = readme(document)
+    for link in ("2.4 GHz", "wired"):
+        assert (
+            f"- {link}: p99 of the optimum below that of every fixed configuration that loses nothing: 12 of 12" in text
+        )
+    assert "loss not above that of any with a like latency (p99 within a factor 2): 12 of 12." in text
+    assert "Not so" not in text
+    assert "No verdict" not in text
+    assert (
+        "| wired | 1000 | 1000 | 82, 410 | 1 | 4.2 (4.1–4.2) | 0 | 20 (20–20) | 50 | 2000 (2000–2000) | 0 | 100 |"
+        in text
+    )
+    assert nonsense(document) == voids(document) == []
+
+
+def test_an_optimum_that_is_slower_is_named_with_both_numbers(document):
+    """The README says which optimum is not below which configuration, by how much, and that nothing explains it."""
+    set_p99(of(document, "wired", 10, 200, 5000), 0.003, 0.003)
+    text = readme(document)
+    assert "- wired: p99 of the optimum below that of every fixed configuration that loses nothing: 8 of 12" in text
+    assert (
+        "Not so: p99, for a reason these figures do not tell: 4 optima, most 10 B (82 Hz, 410) 4.2 ms against "
+        "(200 Hz, 5000) 3 ms." in text
+    )
+
+
+def test_a_fixed_configuration_on_an_idle_link_leaves_nothing_to_gain(document):
+    """Where the faster configuration does not fill the link, that is the reason."""
+    runs = of(document, "wired", 100, 100, 5000)
+    set_p99(runs, 0.003, 0.003)
+    for run in runs:
+        run["used_ratio"] = 0.02
+    assert "the fixed configuration does not fill the link either, so nothing queues: 4 optima, most 100 B (" in readme(
+        document
+    )
+
+
+def test_a_difference_within_the_rounds_spread_is_called_that(document):
+    """Two configurations whose rounds overlap cannot be told apart."""
+    set_p99(of(document, "wired", 100, 100, 5000), 0.003, 0.005)
+    assert "p99, the two differ by less than the rounds do: 4 optima, most 100 B (" in readme(document)
+
+
+def test_a_wait_for_the_heartbeat_is_no_queue(document):
+    """On a link that loses packets, a p99 of seconds at a third of its capacity is a resend that waits."""
+    set_p99(of(document, "2.4 GHz", 100, 7, 365), 2.4, 2.5)
+    text = readme(document)
+    assert "p99, a lost packet is sent again only after a heartbeat of 3 s: 100 B (7 Hz, 365) 2450 ms" in text
+    assert "- 2.4 GHz: p99 of the optimum below that of every fixed configuration that loses nothing: 11 of 12" in text
+
+
+def test_a_socket_that_overflowed_is_not_the_links_doing(document):
+    """Where a link that loses nothing has a p99 of seconds, the machine dropped the packets; the README counts them."""
+    runs = of(document, "wired", 100, 7, 365)
+    set_p99(runs, 2.4, 2.5)
+    for run in runs:
+        run["receive_buffer_overflows"], run["lost"] = 21, 1
+    text = readme(document)
+    assert "p99, what a full socket of this machine dropped is sent again only after a heartbeat of 3 s: 100 B" in text
+    assert "loss, sockets of this machine overflowed (42 datagrams): 100 B (7 Hz, 365) 0.01 % against" in text
+    assert "- In 1 of 144 configurations a reader's socket overflowed" in text
+    assert "wired 100 B (7 Hz, 365), 42 datagrams." in text
+
+
+def test_an_optimum_that_fills_the_link_is_no_optimum_of_that_link(document):
+    """An Rmax above what the link has makes an optimum that queues as the others do."""
+    runs = of(document, "2.4 GHz", 1000, 82, 410)
+    set_p99(runs, 3.0, 3.0)
+    for run in runs:
+        run["used_ratio"], run["lost"] = 0.99, 40
+    text = readme(document)
+    assert "p99, the optimum fills the link itself, which has less than this Rmax" in text
+    assert "loss, the optimum fills the link itself" in text
+    assert "1000 B (82 Hz, 410) 0.4 % against (100 Hz, 5000) 0 %" in text
+
+
+def test_loss_is_compared_with_a_like_latency_only(document):
+    """A configuration that is slower by more than a factor of two may lose less."""
+    for run in of(document, "wired", 10, 7, 365):
+        run["lost"] = 1
+    assert "loss, " not in readme(document)
+    set_p99(of(document, "wired", 10, 100, 5000), 0.008, 0.008)
+    assert "loss, for a reason these figures do not tell: 10 B (7 Hz, 365) 0.01 % against (100 Hz, 5000)" in readme(
+        document
+    )
+
+
+def test_an_optimum_that_never_answers_is_not_below_any(document):
+    """No latency is the worst latency."""
+    set_p99(of(document, "wired", 10, 7, 365), None, None)
+    verdict = next(v for v in verdicts(document) if v.optimum.link == "wired")
+    assert {cell.deadline_hz for cell in verdict.slower_than} == {100, 200, 500, 1000}
+    assert "10 B (7 Hz, 365) – ms against (100 Hz, 5000) 2000 ms" in readme(document)
+
+
+def test_a_void_cell_has_no_figures_and_no_verdict(document):
+    """It is marked so, and neither an optimum nor a rival; a void round beside a good one is left out."""
+    for run in of(document, "wired", 10, 82, 410):
+        run["void"] = "generator"
+    rival = of(document, "wired", 10, 1000, 5000)
+    set_p99(rival, 0.0, 0.0)
+    for run in rival:
+        run["void"] = "planner"
+    of(document, "wired", 100, 82, 410)[0].update(void="generator", lost=5000)
+    text = readme(document)
+    assert "11 of 11 (payload × Rmax)" in text
+    assert "- No verdict on wired 10 B (82 Hz, 410): void." in text
+    assert "wired 10 B (1000 Hz, 5000) (void: planner)" in text
+    assert "Not so" not in text
+    assert "void: generator" in table(document)
+    assert next(c for c in cells(document, FIGURES) if c.name == "100 B (82 Hz, 410)" and c.link == "wired").lost == 0
+    assert len(voids(document)) == 5
+
+
+def test_where_publish_blocked_the_rate_that_was_reached_is_said(document):
+    """A sensor below its rate in a turn that is not void was held back by the middleware."""
+    for run in [*of(document, "2.4 GHz", 1000, 1000, 5000), *of(document, "2.4 GHz", 1000, 500, 5000)]:
+        run["reached_ratio"] = 300 / run["deadline_hz"]
+    text = readme(document)
+    assert "- In 2 of 144 configurations publish() blocked" in text
+    assert "less than 95 % of their rate; least, 30 %, 2.4 GHz 1000 B (1000 Hz, 5000), the link 100 % full." in text
+
+
+def test_what_a_lost_packet_costs_is_laid_side_by_side(document):
+    """One row for each loss, with both heartbeats and both depths."""
+    for run in document["runs"]:
+        if run["experiment"] == LOSS and run["link_loss"] == 0.01 and run["heartbeat"] == DEFAULT:
+            set_p99([run], 3.1)
+    text = readme(document)
+    assert "rclpy's default: (82 Hz, 410) | rclpy's default: (82 Hz, 5000) | arpd's: (82 Hz, 410) | arpd's: (82" in text
+    assert "| 1 | 1, 3100 (3100–3100) | 1, 3100 (3100–3100) | 1, 4.2 (4.1–4.2) | 1, 4.2 (4.1–4.2) |" in text
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"failed": "planner ended with code 1"}, "planner ended with code 1"),
+        ({"sensing": {"count": 0, "p99_s": None}}, "nothing arrived"),
+        ({"end_to_end": {"count": 0, "p99_s": None}}, "nothing was answered"),
+        ({"robot_sent_bytes": 50_000}, "bypassed"),
+        ({"used_ratio": float("nan")}, "not a number"),
+        ({"end_to_end": {"count": 9, "p99_s": float("inf")}}, "not a number"),
+    ],
+)
+def test_nonsense_is_found(document, fault, said):
+    """A turn that failed, gave nothing, went past the link or is not a number makes the document worthless."""
+    document["runs"][70].update(payload_bytes=100, **fault)
+    (found,) = nonsense(document)
+    assert said in found
+
+
+def test_nothing_may_be_answered_where_nearly_all_is_lost(document):
+    """A flooded DEPTH 1 may lose every sample that was to be answered."""
+    document["runs"][70].update(sensing={"count": 9, "lost_ratio": 0.99}, end_to_end={"count": 0, "p99_s": None})
+    assert nonsense(document) == []
+
+
+def test_no_turn_at_all_is_nonsense(document):
+    """An empty document says so."""
+    assert nonsense({**document, "runs": []}) == ["no turn came to its end"]
+
+
+def test_both_figures_are_drawn_with_void_and_empty_cells(document, tmp_path):
+    """A picture for latency and one for loss, whatever is missing."""
+    for run in of(document, "wired", 10, 82, 410):
+        run["void"] = "generator"
+    set_p99(of(document, "wired", 10, 7, 365), None, None)
+    paths = draw(document, tmp_path / "paper.png")
+    assert [path.name for path in paths] == ["paper-latency.png", "paper-loss.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
