@@ -1,0 +1,218 @@
+"""Adaptation against everything a user would do instead: the demo robot over links that change.
+
+Usage: .venv/bin/python -m scripts.bench.adapt [--quick] [--rounds N] [--only LINK,...] [--side SIDE,...] [--json FILE]
+       .venv/bin/python -m scripts.bench.adapt --side SIDE,... --into FILE
+       .venv/bin/python -m scripts.bench.adapt --report FILE
+
+Needs root, as the simulated link does.
+
+Twelve topics between two network namespaces, real rclpy and Fast DDS, a real rate-limited link. Each side is a run of
+its own with a robot of its own, over the same schedule; their order is random in every round. A sample that has not
+arrived four seconds after the end never does. Ages are those of the newest sample at the reader, 20 times a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.cli_progress import progress
+from arpd.errors import ArpdError
+from arpd.sim.simlink import SimLink
+from scripts.bench.adapt_figures import check, document
+from scripts.bench.adapt_links import SEED, links, quick_link
+from scripts.bench.adapt_plot import draw
+from scripts.bench.adapt_report import table
+from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
+from scripts.bench.adapt_watch import Processors, Reassembly
+from scripts.bench.record import conditions, keep, target
+from scripts.robot.oracle import write_truth
+from scripts.robot.run import robot, run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from scripts.bench.adapt_links import Link
+
+
+def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
+    """Let one side's robot work over one link, and return what came of it."""
+    folder.mkdir(parents=True)
+    truth = folder / "truth.json"
+    start_rate = link.rates.rate_at(0.0)
+    write_truth(truth, capacity_bytes_per_second=start_rate, loss=link.loss_at(0.0))
+    processors = Processors()
+
+    def on_tick(_elapsed_s: float) -> None:
+        processors.read(side)
+        reassembly.read()
+
+    with (
+        SimLink(f"adapt-{os.getpid()}-{time.monotonic_ns() % 10**6}", rate_bytes_per_second=start_rate) as wire,
+        robot(wire, folder, manner(side_name, link, truth)) as side,
+    ):
+        reassembly = Reassembly(wire.ceddp)
+        topics = run(
+            side,
+            link.rates,
+            link.duration_s,
+            on_tick=on_tick,
+            loss_at=link.loss_at,
+            on_change=lambda rate, loss: write_truth(truth, capacity_bytes_per_second=rate, loss=loss),
+        )
+        results = [json.loads(path.read_text()) for path in (folder / "planner.json", folder / "base_driver.json")]
+        final, fragments = side.final, reassembly.figures()
+    samples = {topic: values for result in results for topic, values in result["samples"].items()}
+    return {
+        **document(topics, samples, link.duration_s),
+        "cpu": processors.shares(),
+        "swaps": sum(sum(topic["swaps"].values()) for topic in final["topics"]) if final else 0,
+        "reassembly": fragments,
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def measure(
+    chosen: Sequence[Link], sides: Sequence[str], rounds: int, seed: int, logs: Path
+) -> Iterator[dict[str, Any]]:
+    """Yield every run as it ends; in each round, links and the sides of each come in random order."""
+    rng = random.Random(seed)
+    turns = [
+        (number, link, side)
+        for number in range(1, rounds + 1)
+        for link in rng.sample(chosen, len(chosen))
+        for side in rng.sample(sides, len(sides))
+    ]
+    began_s = time.monotonic()
+    with progress("measuring", total=len(turns)) as shown:
+        for number, link, side in turns:
+            shown.step(f"{link.name}, {side}, round {number}")
+            folder = logs / f"{number}-{link.name}-{side}"
+            try:
+                done = {"link": link.name, "side": side, "round": number, **play(link, side, folder)}
+            except ArpdError as error:
+                print(f"{link.name}, {side}, round {number}: {error}", file=sys.stderr, flush=True)
+                continue
+            shutil.rmtree(folder, ignore_errors=True)
+            print(f"{time.monotonic() - began_s:5.0f} s  {line(done)}", flush=True)
+            yield done
+
+
+def line(done: dict[str, Any]) -> str:
+    """Say in a line what came of a run."""
+    figures = done["all"]
+    p99, age = (math.inf if figures[name] is None else figures[name] for name in ("latency_p99_s", "age_p99_s"))
+    return (
+        f"{done['link']:>11} {done['side']:>14}  latency p99 {p99:.3f} s  age p99 {age:.3f} s"
+        f"  late {100 * figures['command_late_share']:.1f} %  {figures['goodput_bytes_per_second'] * 8e-6:.1f} Mbit/s"
+        f"  machine {100 * done['cpu']['machine']:.0f} %"
+    )
+
+
+def assembled(
+    chosen: Sequence[Link], sides: Sequence[str], runs: Sequence[dict[str, Any]], about: dict[str, Any], seed: int
+) -> dict[str, Any]:
+    """Return the document of all runs."""
+    return {
+        "conditions": about,
+        "seed": seed,
+        "links": [
+            {
+                "name": link.name,
+                "what": link.what,
+                "duration_s": link.duration_s,
+                "rates": [(step.start_s, step.rate_bytes_per_second) for step in link.rates.steps],
+                "losses": [(step.start_s, step.loss) for step in link.losses],
+            }
+            for link in chosen
+        ],
+        "sides": {side: SIDES[side] for side in SIDES if side in sides},
+        "runs": list(runs),
+    }
+
+
+def renewed(old: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
+    """Return a document in which the fresh runs stand for those of the same links and sides, and that says so.
+
+    Raises
+    ------
+    ValueError
+        If the links are not the same: what their sides did could not be compared.
+    """
+    courses = {link["name"]: json.dumps(link) for link in old["links"]}
+    if other := [link["name"] for link in fresh["links"] if courses.get(link["name"]) != json.dumps(link)]:
+        raise ValueError(f"{', '.join(other)}: not the links of the document")
+    places = {(run["link"], run["side"]) for run in fresh["runs"]}
+    kept = [run for run in old["runs"] if (run["link"], run["side"]) not in places]
+    apart = {"sides": list(fresh["sides"]), "conditions": fresh["conditions"]}
+    return {**old, "runs": [*kept, *fresh["runs"]], "apart": apart}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a short step down with two sides, as CI runs it")
+    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="times everything runs (default 1)")
+    parser.add_argument("--only", default="", metavar="LINK,...", help="these links")
+    parser.add_argument("--side", default="", metavar="SIDE,...", help=f"these sides of {', '.join(SIDES)}")
+    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of bursts and order (default %(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="where the results go")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="where the picture goes")
+    parser.add_argument("--logs", type=Path, metavar="DIR", help="folder for logs of runs that fail")
+    parser.add_argument("--into", type=Path, metavar="FILE", help="replace the runs of these sides in a document")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing: print the table of this file")
+    options = parser.parse_args()
+    if options.report:
+        read = json.loads(options.report.read_text(encoding="utf-8"))
+        print(table(read))
+        if options.plot:
+            draw(read, options.plot)
+        return
+    known = {link.name: link for link in ((quick_link(),) if options.quick else links(options.seed))}
+    chosen = _chosen(parser, "--only", options.only, known)
+    every = (DEFAULTS, ARPD) if options.quick else SIDES
+    sides = list(_chosen(parser, "--side", options.side, {side: side for side in every}))
+    is_partial = options.quick or bool(options.only) or bool(options.side)
+    to_json, to_plot = (
+        target(path, name, is_partial=is_partial)
+        for path, name in ((options.json, "adapt.json"), (options.plot, "adapt.png"))
+    )
+    logs = options.logs or Path(tempfile.mkdtemp(prefix="arpd-adapt-"))
+    about, runs = conditions(), list[dict[str, Any]]()
+    rounds = 1 if options.quick else options.rounds
+    for done in measure(chosen, sides, rounds, seed=options.seed, logs=logs):
+        runs.append(done)
+    found = assembled(chosen, sides, runs, about, options.seed)
+    if options.into:
+        found = renewed(json.loads(options.into.read_text(encoding="utf-8")), json.loads(json.dumps(found)))
+        to_json = options.into
+    if runs:
+        print(table(found))
+        keep(found, to_json)
+    wrong = [f"{done['link']}, {done['side']}: {what}" for done in runs for what in check(done)]
+    if len(runs) < rounds * len(chosen) * len(sides):
+        wrong.append(f"only {len(runs)} of {rounds * len(chosen) * len(sides)} runs came to their end; logs in {logs}")
+    if wrong:
+        sys.exit("adapt: " + "\n       ".join(wrong))
+    if to_plot:
+        draw(found, to_plot)
+        print(to_plot)
+
+
+def _chosen(parser: argparse.ArgumentParser, option: str, text: str, known: dict[str, Any]) -> list[Any]:
+    names = [name for name in text.split(",") if name] or list(known)
+    if unknown := [name for name in names if name not in known]:
+        parser.error(f"{option}: no {', '.join(unknown)}; there are {', '.join(known)}")
+    return [known[name] for name in names]
+
+
+if __name__ == "__main__":
+    main()

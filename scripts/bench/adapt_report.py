@@ -1,0 +1,223 @@
+"""The tables of `adapt.py`, as text and as the README has them, from its document alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from scripts.bench.adapt_sides import ARPD, DEFAULTS, ORACLE, PAPER
+from scripts.bench.adapt_targets import SUFFICES, TARGETS, figures_of, judge, seconds, topics_of
+from scripts.bench.record import described
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from scripts.bench.adapt_targets import Verdict
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"
+
+
+def _mbit(bytes_per_second: float) -> str:
+    return f"{bytes_per_second * 8e-6:.2f}"
+
+
+def _count(count: float) -> str:
+    return f"{count:.0f}"
+
+
+_COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("latency p50", "latency_p50_s", seconds),
+    ("latency p99", "latency_p99_s", seconds),
+    ("of those that came", "survivors_p99_s", seconds),
+    ("max", "latency_max_s", seconds),
+    ("age p50", "age_p50_s", seconds),
+    ("age p99", "age_p99_s", seconds),
+    ("beyond period", "beyond_p99_s", seconds),
+    ("Mbit/s", "goodput_bytes_per_second", _mbit),
+    ("lost %", "loss_ratio", _percent),
+    ("withheld %", "withheld_ratio", _percent),
+    ("stalled %", "stalled_ratio", _percent),
+    ("late cmd %", "command_late_share", _percent),
+    ("unassembled", "unassembled", _count),
+    ("swaps", "swaps", _count),
+    ("run %", "cpu_run", _percent),
+    ("relay %", "cpu_relay", _percent),
+    ("peer %", "cpu_peer", _percent),
+    ("sources %", "cpu_sources", _percent),
+    ("machine %", "cpu_machine", _percent),
+)
+_STARVED = 0.9  # of the machine: above, /imu's 50 ms of history no longer outlast the planner's waits
+_LEGEND = (
+    "A lost sample, or one that has not come four seconds after the end, never arrives, so a p99 with more than 1 % "
+    "lost is never; beside it, the p99 of those that came. Age: of the newest sample at the reader, which even on "
+    "a perfect link is up to a period of its source ({slowest}); beyond period: how much more than that, at p99. "
+    "Withheld: pacing chose a fresher sample. Stalled: not published because publish() blocked, or the processor was "
+    "busy. Late commands took over 100 ms or were lost. Unassembled: datagrams of which the receiving kernel missed "
+    "fragments; while they fill its memory for that, no large sample arrives. CPU in per cent of a core, "
+    "machine: of all its cores."
+)
+
+
+def table(document: Mapping[str, Any]) -> str:
+    """Return every figure of every link and side, p99 latency and age of every topic, and the targets, as text."""
+    figures = figures_of(document)
+    heads = [head for head, _, _ in _COLUMNS]
+    widths = [max(9, len(head) + 1) for head in heads]
+    lines = []
+    for link in document["links"]:
+        name = link["name"]
+        sides = [side for side in document["sides"] if (name, side) in figures]
+        lines += [f"{name}: {link['what']}", f"{'':<15}" + "".join(map(_right, heads, widths))]
+        lines += [f"{side:<15}" + "".join(map(_right, _cells(figures[name, side]), widths)) for side in sides]
+        lines += ["", f"{'p99 latency / age':<26}" + "".join(f"{side:>20}" for side in sides)]
+        for topic, by_side in topics_of(document, name).items():
+            lines.append(f"{topic:<26}" + "".join(f"{_p99s(by_side[side]):>20}" for side in sides))
+        lines.append("")
+    verdicts = judge(document)
+    lines += [f"{'met' if one.is_met else _missed(one)}: {one.link}, {one.target}: {one.why}" for one in verdicts]
+    return "\n".join([*lines, "", _spread(document)])
+
+
+def readme(document: Mapping[str, Any]) -> str:
+    """Return the README's block."""
+    verdicts = judge(document)
+    links = {link["name"]: link for link in document["links"]}
+    lines = [
+        "Latency and age over all twelve topics, each weighing the same; a lost sample never arrives:",
+        "",
+        *_crossed(document, list(document["sides"])),
+        "",
+        *(f"- **{name}**: {what}" for name, what in document["sides"].items()),
+        *(f"- `{name}`: {link['what']}" for name, link in links.items()),
+        "",
+        _spread(document) + f" ({described(dict(document))}).{_apart(document)}",
+        "",
+        f"Targets: {sum(one.is_met for one in verdicts)} of {len(verdicts)} met (–: by no side, not even the oracle).",
+        "",
+        *_target_table(verdicts),
+        "",
+        *(f"- {letter}: {what}" for letter, what in zip("ABCDEFGH", TARGETS.values(), strict=True)),
+        "",
+        SUFFICES,
+        "",
+        *_shortfalls(verdicts),
+        "",
+        "<details><summary>All figures</summary>",
+        "",
+        _LEGEND.format(slowest=_slowest(document)),
+        "",
+        *_details(document),
+        "",
+        "</details>",
+    ]
+    return "\n".join(lines)
+
+
+def summary(document: Mapping[str, Any]) -> str:
+    """Return the small table of the README's top."""
+    return "\n".join(
+        _crossed(document, [side for side in (DEFAULTS, PAPER, ARPD, ORACLE) if side in document["sides"]])
+    )
+
+
+def _crossed(document: Mapping[str, Any], sides: list[str]) -> list[str]:
+    figures = figures_of(document)
+    lines = [
+        "| p99 latency / p99 age | " + " | ".join(sides) + " |",
+        "|---|" + "---:|" * len(sides),
+    ]
+    for link in document["links"]:
+        cells = []
+        for side in sides:
+            found = figures.get((link["name"], side))
+            cell = "" if found is None else _p99s(found)
+            cells.append(f"**{cell}**" if side == ARPD and cell else cell)
+        lines.append(f"| {link['name']} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _target_table(verdicts: list[Verdict]) -> list[str]:
+    by_place = {(one.link, one.target): one for one in verdicts}
+    lines = ["| | " + " | ".join("ABCDEFGH") + " |", "|---|" + ":-:|" * len(TARGETS)]
+    rows = dict.fromkeys(one.link for one in verdicts)
+    return lines + [f"| {link} | {' | '.join(_mark(by_place[link, target]) for target in TARGETS)} |" for link in rows]
+
+
+def _shortfalls(verdicts: list[Verdict]) -> list[str]:
+    """Say every target that was not met, with its numbers."""
+    letters = dict(zip(TARGETS, "ABCDEFGH", strict=True))
+    missed = [one for one in verdicts if not one.is_met]
+    ours, physics = ([one for one in missed if one.is_possible is is_possible] for is_possible in (True, False))
+    lines = []
+    for title, those in (("Missed", ours), ("Met by no side", physics)):
+        if those:
+            lines.append(
+                f"{title}: " + "; ".join(f"{one.link} {letters[one.target]} ({one.why})" for one in those) + "."
+            )
+            lines.append("")
+    return lines[:-1] or ["Every target is met."]
+
+
+def _details(document: Mapping[str, Any]) -> list[str]:
+    figures = figures_of(document)
+    lines = ["| link | side | " + " | ".join(head for head, _, _ in _COLUMNS) + " |"]
+    lines.append("|---|---|" + "---:|" * len(_COLUMNS))
+    for link in document["links"]:
+        for side in document["sides"]:
+            if (link["name"], side) in figures:
+                cells = _cells(figures[link["name"], side])
+                lines.append(f"| {link['name']} | {side} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _cells(figures: Mapping[str, float]) -> list[str]:
+    return [show(figures[name]) if name in figures else "" for _, name, show in _COLUMNS]
+
+
+def _p99s(figures: Mapping[str, float]) -> str:
+    return f"{seconds(figures['latency_p99_s'])} / {seconds(figures['age_p99_s'])}"
+
+
+def _mark(verdict: Verdict) -> str:
+    return "✓" if verdict.is_met else ("✗" if verdict.is_possible else "–")
+
+
+def _missed(verdict: Verdict) -> str:
+    return "MISSED" if verdict.is_possible else "not met, by no side"
+
+
+def _spread(document: Mapping[str, Any]) -> str:
+    """Say how far rounds lie apart, and how busy the machine was."""
+    rounds = max((run["round"] for run in document["runs"]), default=0)
+    busy = [run["cpu"]["machine"] for run in document["runs"]]
+    machine = f"the machine was {100 * min(busy):.0f} to {100 * max(busy):.0f} % busy" if busy else "nothing ran"
+    if starved := sum(share > _STARVED for share in busy):
+        machine += f", in {starved} of {len(busy)} runs so much that readers may have starved"
+    if rounds < 2:
+        return f"One round; {machine}"
+    ratios = []
+    for link in document["links"]:
+        ages = [r["all"]["age_p99_s"] for r in document["runs"] if (r["link"], r["side"]) == (link["name"], ARPD)]
+        known = [age for age in ages if age is not None]
+        if len(known) > 1:
+            ratios.append(max(known) / min(known))
+    apart = f"arpd's p99 age differs between rounds by a factor of up to {max(ratios):.2f}" if ratios else ""
+    return "; ".join(filter(None, [f"Medians of {rounds} rounds", apart, machine]))
+
+
+def _apart(document: Mapping[str, Any]) -> str:
+    """Say which sides were measured again after the others, and when."""
+    if not (apart := document.get("apart")):
+        return ""
+    return f" Measured again after the others: {', '.join(apart['sides'])} ({described(apart)})."
+
+
+def _slowest(document: Mapping[str, Any]) -> str:
+    topics = document["runs"][0]["topics"] if document["runs"] else {}
+    name, topic = min(topics.items(), key=lambda item: item[1]["source_rate_hz"], default=("", None))
+    return f"{seconds(1.0 / topic['source_rate_hz'])} for {name}" if topic else "no topic"
+
+
+def _right(text: str, width: int) -> str:
+    return f"{text:>{width}}"

@@ -1,0 +1,87 @@
+"""The sides of `adapt.py`: what a user could do about a link that changes."""
+
+from __future__ import annotations
+
+import math
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+from arpd.config import load_settings
+from arpd.model import NANOSECONDS_PER_SECOND
+from arpd.offline import OfflinePlanner
+from arpd.paper import Eq4Problem, Eq4Status, solve_eq4
+from arpd.topics import assumed_traffic
+from arpd.wire import DATA_BYTES, ETHERNET_BYTES, IPV4_BYTES, MTU_BYTES, UDP_BYTES
+from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD, Manner
+from scripts.robot.run import CONFIG, PREFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from scripts.bench.adapt_links import Link
+
+#: Every side by name, and what it is.
+SIDES = {
+    "defaults": "rclpy's defaults, KEEP_LAST 10",
+    "keep-last-1": "KEEP_LAST 1",
+    "keep-last-5000": "KEEP_LAST 5000",
+    "paper": "the paper's optimum, computed once for the rate at the start",
+    "throttle": "every topic throttled by hand, by what `arpd solve` gives for the link's mean rate",
+    "arpd": "arpd, with its Fast DDS profile (heartbeats every 50 ms; the sides above have the default, 3 s)",
+    "oracle": "arpd, told the truth about the link at once",
+}
+DEFAULTS, PAPER, ARPD, ORACLE = "defaults", "paper", "arpd", "oracle"
+
+
+def manner(side: str, link: Link, truth: Path) -> Manner:
+    """Return how the robot publishes.
+
+    Parameters
+    ----------
+    side : one of SIDES
+    link : what it will meet; all but arpd and the oracle may know something of it before
+    truth : the file in which the oracle is told
+    """
+    makers: dict[str, Callable[[], Manner]] = {
+        "defaults": lambda: RCLPY_DEFAULTS,
+        "keep-last-1": lambda: Manner(depth=1),
+        "keep-last-5000": lambda: Manner(depth=5000),
+        "paper": lambda: papers_optimum(link.rates.rate_at(0.0)),
+        "throttle": lambda: throttle(link.mean_bytes_per_second),
+        "arpd": lambda: WITH_ARPD,
+        "oracle": lambda: Manner(daemon=("scripts.robot.oracle", "--truth", str(truth))),
+    }
+    return makers[side]()
+
+
+def papers_optimum(capacity_bytes_per_second: float) -> Manner:
+    """Return Eq. (4)'s one R and one D for all topics.
+
+    Rmax, "the maximum rate when only one topic is used", is that of a message of the topics' mean size, so that all N
+    topics at Rmax/N fill the link exactly. The few bytes of acknowledgements, three seconds apart, are left out.
+    """
+    traffic = assumed_traffic(load_settings(CONFIG, interfaces=None))
+    mean_bytes = fmean(plain_wire_bytes(topic.payload_bytes) for topic in traffic)
+    answer = solve_eq4(Eq4Problem(max_rate_hz=capacity_bytes_per_second / mean_bytes, topics=len(traffic)))
+    if answer.status is not Eq4Status.OPTIMAL:
+        raise ValueError(f"Eq. (4) has no solution at {capacity_bytes_per_second:g} B/s: {answer.binding}")
+    rate_hz = NANOSECONDS_PER_SECOND / answer.deadline_ns
+    return Manner(
+        depth=answer.depth_applied,
+        deadline_ns=answer.deadline_ns,
+        rates_hz={topic.topic.removeprefix(PREFIX): rate_hz for topic in traffic},
+    )
+
+
+def plain_wire_bytes(payload_bytes: float) -> float:
+    """Return what a sample of plain rclpy costs on the wire: a datagram of up to 64 kB, in fragments of IP (bytes)."""
+    datagram = UDP_BYTES + DATA_BYTES + payload_bytes
+    return datagram + math.ceil(datagram / (MTU_BYTES - IPV4_BYTES)) * (ETHERNET_BYTES + IPV4_BYTES)
+
+
+def throttle(mean_bytes_per_second: float) -> Manner:
+    """Return the rates that `arpd solve` prints for a capacity, with rclpy's own depth."""
+    settings = load_settings(CONFIG, interfaces=None)
+    plan = OfflinePlanner(settings, assumed_traffic(settings)).plan(mean_bytes_per_second)
+    return Manner(rates_hz={row.topic.name.removeprefix(PREFIX): row.rate_hz for row in plan.topics})

@@ -1,0 +1,357 @@
+"""What the benchmark of adaptation makes of schedules and samples; the runs themselves need the link."""
+
+import json
+import math
+from itertools import pairwise
+
+import pytest
+
+from arpd.config import load_settings
+from arpd.sim.result import TopicResult
+from arpd.topics import assumed_traffic
+from scripts.bench.adapt import renewed
+from scripts.bench.adapt_figures import beyond_period, check, document, due, late_share, over_time, pooled
+from scripts.bench.adapt_links import CALM_S, MBIT, SEED, links, quick_link
+from scripts.bench.adapt_plot import draw
+from scripts.bench.adapt_report import readme, summary, table
+from scripts.bench.adapt_sides import SIDES, manner, papers_optimum, plain_wire_bytes, throttle
+from scripts.bench.adapt_targets import TARGETS, figures_of, judge
+from scripts.bench.adapt_walk import TRACE, text, walk
+from scripts.robot.run import CONFIG
+from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+from scripts.robot.stamped import StampedArrivals
+
+# -- the links
+
+
+def test_every_link_is_calm_first_and_then_changes():
+    """For five seconds nothing happens to a link, then its rate or its loss changes before the run ends."""
+    for link in links(seed=SEED):
+        changes = [step.start_s for step in link.rates.steps[1:]]
+        changes += [step.start_s for step in link.losses if step.start_s > 0]
+        assert link.loss_at(CALM_S - 0.1) == 0.0, link.name
+        assert min(changes) >= CALM_S, link.name
+        assert max(changes) < link.duration_s, link.name
+
+
+def test_the_same_seed_brings_the_same_links_and_another_other_bursts():
+    """Every side meets the same schedule; only the seed moves the bursts."""
+    assert links(seed=1) == links(seed=1)
+    (bursts,), (others,) = ([link.losses for link in links(seed) if link.name == "burst-loss"] for seed in (SEED, 1))
+    assert bursts != others
+
+
+def test_the_bursts_are_bad_as_often_as_their_chain_is():
+    """After the calm, 9 % of the time is bad, 0.3 s of 3.3 s; half is lost then or all, and at the end nothing."""
+    (bursts,) = (link.losses for link in links(SEED) if link.name == "burst-loss")
+    bad_s = sum(end.start_s - begin.start_s for begin, end in pairwise(bursts) if begin.loss)
+    assert bad_s / (28.0 - 1.0 - CALM_S) == pytest.approx(0.3 / 3.3, rel=0.05)
+    assert {step.loss for step in bursts} == {0.0, 0.5, 1.0}
+    assert bursts[-1].loss == 0.0
+
+
+def test_in_the_outage_nothing_passes():
+    """The outage takes the rate as well as the packets, for five seconds."""
+    outage = next(link for link in links(seed=SEED) if link.name == "outage")
+    assert [outage.loss_at(at_s) for at_s in (7.9, 8.0, 12.9, 13.0)] == [0, 1, 1, 0]
+    assert [outage.rates.rate_at(at_s) for at_s in (7.9, 8.0, 12.9, 13.0)] == [20 * MBIT, 10, 10, 20 * MBIT]
+
+
+@pytest.mark.parametrize(("name", "mbit"), [("step-down", (20 * 5 + 5 * 23) / 28), ("step-up", (5 * 5 + 20 * 23) / 28)])
+def test_the_mean_rate_is_that_over_the_whole_run(name, mbit):
+    """What the hand-made throttle is set for weighs every rate by how long it lasts."""
+    link = next(link for link in links(seed=SEED) if link.name == name)
+    assert link.mean_bytes_per_second == pytest.approx(mbit * MBIT)
+
+
+def test_the_walk_in_the_tree_is_what_its_generator_makes():
+    """The committed trace comes from the committed generator and seed, between 1.5 and 20.2 Mbit/s."""
+    assert TRACE.read_text() == text()
+    rates = [rate for _, rate, _ in walk()]
+    assert 1.5e6 <= min(rates) < 3e6
+    assert 19e6 < max(rates) <= 20.2e6
+
+
+# -- the sides
+
+
+def test_the_papers_optimum_fills_the_link_at_the_start_with_one_rate_and_one_depth():
+    """All topics at R + Rmin (2) cost exactly what the link carries; the depth is that of (3) at this rate."""
+    chosen = papers_optimum(20 * MBIT)
+    (rate_hz,) = set(chosen.rates_hz.values())
+    topics = assumed_traffic(load_settings(CONFIG, interfaces=None))
+    costs = [plain_wire_bytes(topic.payload_bytes) for topic in topics]
+    assert chosen.rates_hz.keys() == {*SENSORS, COMMAND_TOPIC}
+    assert rate_hz == pytest.approx(1e9 / chosen.deadline_ns)
+    assert (rate_hz + 1.0) * sum(costs) == pytest.approx(20 * MBIT)
+    assert chosen.depth == math.floor(5000 / 12 * rate_hz / (rate_hz + 1.0) - 1)
+    assert chosen.rate_hz("/battery", 1.0) == 1.0
+
+
+@pytest.mark.parametrize(("payload_bytes", "frames"), [(76, 1), (1300, 1), (1400, 2), (30_060, 21)])
+def test_a_plain_sample_costs_its_headers_once_and_a_frame_for_every_fragment(payload_bytes, frames):
+    """UDP 8 and RTPS 132 bytes come once, Ethernet 14 and IPv4 20 with each frame of at most 1500 bytes."""
+    assert plain_wire_bytes(payload_bytes) == payload_bytes + 8 + 132 + frames * 34
+
+
+def test_the_throttle_gives_every_topic_what_solve_prints():
+    """At 5 Mbit/s the heavy topics are slowed by hand and the light ones are not."""
+    slowed = throttle(5 * MBIT)
+    assert slowed.rate_hz("/camera/image/compressed", 30.0) < 10.0
+    assert slowed.rate_hz(COMMAND_TOPIC, 20.0) == pytest.approx(20.0)
+    assert slowed.depth == 10
+
+
+def test_every_side_has_a_manner(tmp_path):
+    """Only arpd and the oracle have a daemon, and only the oracle is told the truth."""
+    manners = {side: manner(side, quick_link(), tmp_path / "truth.json") for side in SIDES}
+    assert [side for side, each in manners.items() if each.is_managed] == ["arpd", "oracle"]
+    assert str(tmp_path / "truth.json") in manners["oracle"].daemon
+    assert {side: each.depth for side, each in manners.items() if "keep" in side} == {
+        "keep-last-1": 1,
+        "keep-last-5000": 5000,
+    }
+
+
+# -- ages
+
+
+def test_an_age_grows_while_nothing_comes_from_before_the_first_sample_to_the_end():
+    """The log gives an age every 50 ms: the wait before the first sample, and what the last one comes to."""
+    arrivals = StampedArrivals(renewals=[(100.1, 100.09), (100.22, 100.2)])
+    arrivals.sample_ages(100.0, 100.4)
+    assert arrivals.ages_s == pytest.approx([0.05, 0.01, 0.06, 0.11, 0.05, 0.10, 0.15, 0.20], abs=1e-6)
+
+
+def test_a_reader_that_never_got_anything_is_as_old_as_the_run():
+    """Nothing at all arrives, and the age still grows."""
+    arrivals = StampedArrivals()
+    arrivals.sample_ages(5.0, 6.0)
+    assert arrivals.ages_s[-1] == pytest.approx(1.0)
+
+
+def test_the_age_beyond_the_period_is_zero_on_a_perfect_link():
+    """A topic of 1 Hz is up to a second old by nature."""
+    assert beyond_period([0.3, 1.0, 1.5], 1.0) == [0.0, 0.0, 0.5]
+
+
+def test_ages_over_time_are_means_over_all_topics():
+    """Half a second holds ten ages of each topic."""
+    assert over_time([[0.1] * 20, [0.3] * 10 + [0.5] * 10]) == pytest.approx([0.2, 0.3])
+
+
+# -- pooling
+
+
+def test_every_topic_weighs_the_same_however_many_samples_it_has():
+    """A slow topic of two samples makes half of a percentile over two topics."""
+    samples = [([0.001] * 998, 998), ([1.0, 2.0], 2)]
+    assert pooled(samples, 0.5) == 0.001
+    assert pooled(samples, 0.75) == 1.0
+    assert pooled(samples, 0.99) == 2.0
+
+
+def test_what_is_lost_never_arrives():
+    """With two of a hundred lost, p98 is a number and p99 is never; nothing at all is never, too."""
+    samples = [([0.01] * 98, 100)]
+    assert pooled(samples, 0.98) == 0.01
+    assert pooled(samples, 0.99) is None
+    assert pooled([([], 5)], 0.5) is None
+
+
+def test_a_late_command_and_a_lost_one_count_alike():
+    """One of four is later than 100 ms and one is lost: half are late."""
+    assert late_share([0.01, 0.1, 0.2], 4) == 0.5
+
+
+def result(topic, **changes):
+    counts = {"expected": 100, "offered": 100, "withheld": 0, "sent": 100, "received": 100}
+    return TopicResult(
+        topic=topic,
+        source_rate_hz=SENSORS[topic][0] if topic in SENSORS else 20.0,
+        doubled=0,
+        reordered=0,
+        delivered_bytes=1000,
+        latency_p50_s=None,
+        latency_p99_s=None,
+        latency_max_s=None,
+        age_p50_s=None,
+        age_p99_s=None,
+        **(counts | changes),
+    )
+
+
+def test_what_the_robot_lost_itself_is_due_and_what_pacing_withheld_is_not():
+    """Of 100 offered with 30 withheld, 70 are due though only 60 left."""
+    assert due(result("/imu", withheld=30, sent=60, received=60)) == 70
+
+
+# -- the document and what the report makes of it
+
+
+def made_run(link, side, *, latency_s=0.01, age_s=0.1, received=100, number=1):
+    topics = [result(topic, received=received) for topic in (*SENSORS, COMMAND_TOPIC)]
+    samples = {t.topic: {"latencies_s": [latency_s] * received, "ages_s": [age_s] * 40} for t in topics}
+    return {
+        "link": link,
+        "side": side,
+        "round": number,
+        **document(topics, samples, 2.0),
+        "cpu": {"sources": 0.5, "machine": 0.5, **({"run": 0.05, "relay": 0.1, "peer": 0.01} if "a" in side else {})},
+        "swaps": 3,
+        "reassembly": {"failed": 7, "peak_bytes": 4096},
+        "load_average": 1.0,
+    }
+
+
+def made(*runs):
+    names = list(dict.fromkeys(run["link"] for run in runs))
+    return {
+        "conditions": {
+            "date": "2026-01-01T00:00:00",
+            "python": "3.11",
+            "machine": "x86_64, Linux 6",
+            "cpu_count": 2,
+            "load_average": [0.1, 0.1, 0.1],
+        },
+        "links": [
+            {"name": name, "what": "it changes", "duration_s": 2.0, "rates": [[0.0, 2.5e6]], "losses": [[1.0, 0.5]]}
+            for name in names
+        ],
+        "sides": {side: what for side, what in SIDES.items() if any(run["side"] == side for run in runs)},
+        "runs": json.loads(json.dumps(list(runs), allow_nan=False)),
+    }
+
+
+def four(**changed):
+    """One link with four sides: the defaults lose, the paper's optimum is late, arpd and the oracle are well."""
+    sides = {
+        "defaults": {"received": 50, "age_s": 10.0},
+        "paper": {"latency_s": 0.5, "age_s": 5.0},
+        "arpd": {},
+        "oracle": {},
+    }
+    return made(*(made_run("drop", side, **(how | changed.get(side, {}))) for side, how in sides.items()))
+
+
+def met(found):
+    return {verdict.target: verdict.is_met for verdict in judge(found)}
+
+
+def test_arpd_meets_every_target_where_it_is_as_good_as_the_oracle():
+    """Lossless and quick beside a link the others choke: all eight are met."""
+    assert met(four()) == dict.fromkeys(TARGETS, True)
+
+
+@pytest.mark.parametrize(
+    ("sides", "missed"),
+    [
+        ({"arpd": {"latency_s": 0.09}}, {"latency/oracle"}),
+        ({"arpd": {"latency_s": 0.4}}, {"latency/paper", "latency/oracle", "commands"}),
+        ({"arpd": {"age_s": 2.1}}, {"age/defaults", "age/paper", "age/oracle"}),
+        ({"arpd": {"received": 98}}, {"latency/defaults", "latency/paper", "latency/oracle", "commands"}),
+    ],
+)
+def test_a_missed_target_is_named_and_was_possible(sides, missed):
+    """What arpd does worse than allowed is missed, and the oracle shows that it need not be."""
+    verdicts = judge(four(**sides))
+    assert {verdict.target for verdict in verdicts if not verdict.is_met} == missed
+    assert all(verdict.is_possible for verdict in verdicts)
+
+
+def test_what_no_side_meets_is_told_apart():
+    """Where every side loses as much, the losses are the link's, and what arrived is compared."""
+    verdicts = judge(four(arpd={"received": 90}, oracle={"received": 90}, paper={"received": 90, "age_s": 5.0}))
+    assert {one.target: one.is_possible for one in verdicts if not one.is_met} == {
+        "latency/defaults": False,
+        "latency/paper": False,
+        "commands": False,
+    }
+
+
+def test_what_any_side_meets_was_possible():
+    """Where the oracle is slow and the paper's optimum is not, the link is no excuse."""
+    found = four(paper={"latency_s": 0.05}, arpd={"latency_s": 0.3}, oracle={"latency_s": 0.3})
+    (verdict,) = (one for one in judge(found) if one.target == "latency/paper")
+    assert (verdict.is_met, verdict.is_possible) == (False, True)
+
+
+def test_where_the_papers_optimum_suffices_arpd_must_only_be_no_worse():
+    """As old as the paper's optimum is allowed where the oracle gains less than half; a fifth older is not."""
+    suffices = {"paper": {"latency_s": 0.01, "age_s": 0.1}}
+    assert met(four(**suffices))["age/paper"]
+    assert not met(four(**suffices, arpd={"age_s": 0.12}))["age/paper"]
+
+
+def test_rounds_are_summed_up_by_their_medians_and_never_is_worst():
+    """Of three rounds, the middle one counts."""
+    runs = [made_run("drop", "arpd", latency_s=at, number=k) for k, at in enumerate((0.03, 0.01, 0.02), start=1)]
+    lossy = [made_run("drop", "oracle", received=count, number=k) for k, count in enumerate((50, 50, 100), start=1)]
+    figures = figures_of(made(*runs, *lossy))
+    assert figures["drop", "arpd"]["latency_p99_s"] == 0.02
+    assert figures["drop", "oracle"]["latency_p99_s"] == math.inf
+
+
+def test_the_report_says_what_was_missed_with_its_numbers():
+    """README, summary and table come from the document alone, and name what was not met."""
+    found = four(arpd={"age_s": 2.1})
+    block = readme(found)
+    assert "5 of 8 met" in block
+    assert "drop B (2.1 s, allowed 2.0 s, the oracle 100 ms)" in block
+    assert "| drop | never / 10.0 s | 500 ms / 5.0 s | **10 ms / 2.1 s** | 10 ms / 100 ms |" in summary(found)
+    assert len(summary(found).splitlines()) == 3
+    assert "MISSED: drop, age/defaults" in table(found)
+    (battery,) = (line for line in table(found).splitlines() if line.startswith("/battery"))
+    assert " ".join(battery.split()) == "/battery never / 10.0 s 500 ms / 5.0 s 10 ms / 2.1 s 10 ms / 100 ms"
+    assert "One round" in block
+
+
+def test_the_report_says_when_the_machine_was_too_busy():
+    """Figures of a starved machine are shown as what they are."""
+    found = four()
+    assert "starved" not in table(found)
+    found["runs"][0]["cpu"]["machine"] = 0.97
+    assert "in 1 of 4 runs" in table(found)
+
+
+def test_a_partial_run_is_reported_without_targets():
+    """Two sides have a table, and nothing is judged."""
+    found = made(made_run("drop", "defaults"), made_run("drop", "arpd"))
+    assert judge(found) == []
+    assert "defaults" in table(found)
+    assert "| drop |" in readme(found)
+
+
+def test_the_picture_shows_every_link(tmp_path):
+    """A PNG comes out, with never at its edge."""
+    pytest.importorskip("matplotlib")
+    draw(four(), tmp_path / "adapt.png")
+    assert (tmp_path / "adapt.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_in_which_a_topic_never_came_is_nonsense():
+    """Sides may lose much, but a topic without a single sample means that the run did not work."""
+    assert check(made_run("drop", "arpd")) == []
+    assert "/imu was never received" in check(made_run("drop", "arpd", received=0))
+
+
+# -- measuring some sides again
+
+
+def test_runs_measured_again_stand_for_those_of_their_side_and_are_named():
+    """The other sides keep theirs, and the report says who was measured later."""
+    old = made(made_run("drop", "defaults"), made_run("drop", "arpd", age_s=0.4), made_run("drop", "oracle"))
+    fresh = made(made_run("drop", "arpd", age_s=0.2))
+    found = renewed(old, fresh)
+    ages = {run["side"]: run["all"]["age_p99_s"] for run in found["runs"]}
+    assert ages == {"defaults": 0.1, "oracle": 0.1, "arpd": 0.2}
+    assert "Measured again after the others: arpd (2026-01-01, x86_64, 2 cores" in readme(found)
+    assert "Measured again" not in readme(old)
+
+
+def test_runs_over_another_link_stand_for_none():
+    """Sides are compared over the same course of the link only."""
+    old, fresh = made(made_run("drop", "arpd")), made(made_run("drop", "arpd"))
+    fresh["links"][0]["rates"] = [[0.0, 1e6]]
+    with pytest.raises(ValueError, match="drop: not the links"):
+        renewed(old, fresh)
