@@ -1,0 +1,168 @@
+"""What processes cost: CPU and memory by /proc, and bytes on the link by the kernel's count of every flow."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.sim.namespaces import executable, inside
+from scripts.bench.relay import cpu_by_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.sim.namespaces import HostName
+    from arpd.sim.simlink import SimLink
+
+CONTROL = ("run", "peer")
+DISCOVERY, PROBES, REPORTS, ORDERS, ANSWERS = KINDS = ("discovery", "probes", "reports", "orders", "answers")
+_PORT_BASE, _DOMAIN_GAIN, _MULTICAST_OFFSET, _UNICAST_OFFSET = 7400, 250, 0, 10  # OMG DDSI-RTPS 2.3, 9.6.1
+_ETHERNET_BYTES = 14
+_TABLE = "arpd_overhead"
+_SOCKET = re.compile(r"socket:\[(\d+)\]")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reading:
+    """What everything has cost so far.
+
+    Parameters
+    ----------
+    at_s : monotonic clock (s)
+    cpu_s : CPU time by process (s)
+    interface_bytes : what both ends of the link have sent (bytes)
+    control_bytes : what arpd's control plane has sent over it, both ways, by kind (bytes)
+    """
+
+    at_s: float
+    cpu_s: Mapping[str, float]
+    interface_bytes: int
+    control_bytes: Mapping[str, int]
+
+
+class Meter:
+    """Reads what the processes of a robot cost.
+
+    Of a datagram on the link, the ports tell which process sent it and which will have it: Fast DDS gives every
+    process ports of its own. Whatever `arpd run` or `arpd peer` sends or gets is control plane, discovery included.
+
+    Parameters
+    ----------
+    link : whose flows are counted from now on
+    """
+
+    def __init__(self, link: SimLink) -> None:
+        self._link = link
+        for host in link.hosts:
+            inside(host.namespace, partial(_count_flows, host.interface))
+
+    def read(self, processes: Mapping[str, tuple[HostName, int]]) -> Reading:
+        """Return everything so far.
+
+        Parameters
+        ----------
+        processes : host and process id by name
+        """
+        control: Counter[str] = Counter(dict.fromkeys(KINDS, 0))
+        cpu_s = {name: sum(cpu_by_thread(pid).values()) for name, (_, pid) in processes.items()}
+        at_s = time.monotonic()
+        owners = {
+            host.name: {
+                port: name for name, (at, pid) in processes.items() if at == host.name for port in udp_ports(pid)
+            }
+            for host in self._link.hosts
+        }
+        for here, there in (self._link.hosts, self._link.hosts[::-1]):
+            for (source, target), sent in inside(here.namespace, _flows).items():
+                kind = self._kind(owners[here.name].get(source, ""), owners[there.name].get(target, ""), target)
+                if kind:
+                    control[kind] += sent
+        sent_bytes = sum(counters.tx_bytes for counters in self._link.counters().values())
+        return Reading(at_s=at_s, cpu_s=cpu_s, interface_bytes=sent_bytes, control_bytes=control)
+
+    def _kind(self, sender: str, receiver: str, port: int) -> str:
+        return kind_of(sender, receiver, port, domain_id=self._link.domain_id)
+
+
+def kind_of(sender: str, receiver: str, port: int, *, domain_id: int) -> str:
+    """Say what a datagram is, empty when it is not the control plane's.
+
+    Parameters
+    ----------
+    sender, receiver : processes at its two ends; of a multicast, the receiver means nothing
+    port : to which it goes
+    """
+    offset = port - _PORT_BASE - _DOMAIN_GAIN * domain_id
+    is_multicast = offset == _MULTICAST_OFFSET
+    if sender not in CONTROL and (is_multicast or receiver not in CONTROL):
+        return ""
+    # Below all ports of the standard, from 7000 on, rmw_fastrtps receives ROS's own graph: ros_discovery_info.
+    if is_multicast or port < _PORT_BASE or (offset >= _UNICAST_OFFSET and offset % 2 == 0):
+        return DISCOVERY
+    if sender == "run":
+        return PROBES if receiver == "peer" else ORDERS
+    return REPORTS if sender == "peer" else ANSWERS
+
+
+def udp_ports(pid: int) -> set[int]:
+    """Return the UDP ports a process has bound."""
+    inodes = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            found = _SOCKET.fullmatch(str(descriptor.readlink()))
+        except OSError:
+            continue  # closed meanwhile
+        if found:
+            inodes.add(found[1])
+    lines = Path(f"/proc/{pid}/net/udp").read_text(encoding="utf-8").splitlines()[1:]
+    return {int(field[1].rpartition(":")[2], 16) for field in map(str.split, lines) if field[9] in inodes}
+
+
+def memory_bytes(pid: int) -> int:
+    """Return the resident memory of a process (bytes)."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    found = re.search(r"^VmRSS:\s+(\d+) kB", status, re.MULTILINE)
+    assert found is not None
+    return 1024 * int(found[1])
+
+
+def has_cvxpy(pid: int) -> bool:
+    """Whether a process has loaded cvxpy: importing it maps its compiled core."""
+    return "/cvxpy/" in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
+
+
+def _count_flows(interface: str) -> None:
+    # Where datagrams leave they are still whole; a fragment would not tell its ports.
+    _nft(
+        f"""
+        table inet {_TABLE} {{
+            set flows {{ type inet_service . inet_service; flags dynamic; size 65535; counter; }}
+            chain out {{
+                type filter hook output priority 0;
+                oifname "{interface}" update @flows {{ udp sport . udp dport }};
+            }}
+        }}"""
+    )
+
+
+def _flows() -> dict[tuple[int, int], int]:
+    """Return what was sent over the link by its two ports, Ethernet headers included (bytes)."""
+    said: list[dict[str, Any]] = json.loads(_nft("", "-j", "list", "set", "inet", _TABLE, "flows"))["nftables"]
+    (found,) = (item["set"] for item in said if "set" in item)
+    flows = {}
+    for item in found.get("elem", []):
+        counter, (source, target) = item["elem"]["counter"], item["elem"]["val"]["concat"]
+        flows[source, target] = counter["bytes"] + _ETHERNET_BYTES * counter["packets"]
+    return flows
+
+
+def _nft(script: str, *argv: str) -> str:
+    command = [executable("nft"), *(argv or ("-f", "-"))]
+    return subprocess.run(command, input=script, capture_output=True, text=True, check=True).stdout
