@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.config import load_settings
 from arpd.daemon import TICK_S, Daemon
-from arpd.estimator import Estimator
 from arpd.garbage import Garbage
 from arpd.host.locators import Locators
 from arpd.logs import configure_logging, log_event
@@ -184,19 +183,14 @@ class Supervisor:
             self._notifier.status(status)
 
 
-def run_daemon(
-    *,
-    config_path: Path,
-    log_level: str,
-    make_estimator: Callable[[Settings], CapacityEstimator] = lambda settings: Estimator(settings.link),
-) -> int:
+def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimator | None = None) -> int:
     """Run the daemon until SIGTERM or SIGINT.
 
     Parameters
     ----------
     config_path : YAML configuration
     log_level : name of a logging level
-    make_estimator : makes what tells the capacity, arpd's own unless a benchmark brings another
+    estimator : what tells the capacity, arpd's own unless a benchmark brings another
 
     Raises
     ------
@@ -230,7 +224,7 @@ def run_daemon(
             settings,
             interface=link,
             config_path=str(config_path),
-            estimator=make_estimator(settings),
+            estimator=estimator,
             tell=log_event,
         )
         Diagnostics(node, lambda: daemon.snapshot)

@@ -23,6 +23,7 @@ from arpd.errors import LinkError
 from arpd.sim import link_end
 from arpd.sim.link_end import Bucket, Host
 from arpd.sim.namespaces import HOST_NAMES, HostName, claim, cleanup_stale, executable, inside, namespace_of, release
+from arpd.wire import MTU_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +37,6 @@ __all__ = ["Host", "SimLink", "available", "cleanup_stale", "user_namespace_argv
 DEFAULT_RATE_BYTES_PER_SECOND = 2_500_000.0  # 20 Mbit/s
 DEFAULT_QUEUE_BYTES = 256_000  # about what a Wi-Fi driver queues; 102 ms at 20 Mbit/s, 410 ms at 5 Mbit/s
 INTERFACE = "link0"
-MTU_BYTES = 1500
 MIN_BURST_BYTES = MTU_BYTES + 40  # a full frame and the rounding of tbf, which drops frames above its bucket size
 
 _TIMER_SLACK_S = 100e-6  # how late the kernel's timer may wake the bucket before credit is lost

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import psutil
 
 from arpd.sim.namespaces import inside
+from scripts.bench.child import kernel_count
 
 if TYPE_CHECKING:
     from arpd.sim.simlink import Host
     from scripts.robot.run import Side
 
 _DAEMONS = ("run", "relay", "peer")
-_NETWORK = Path("/proc/thread-self/net")  # this thread's namespace, which /proc/net is not
+_SOCKETS = Path("/proc/thread-self/net/sockstat")  # of this thread's namespace, which /proc/net is not
 
 
 class Processors:
@@ -64,7 +65,7 @@ class Reassembly:
 
     def read(self) -> None:
         """Note the memory that incomplete datagrams take now."""
-        sockets = inside(self._host.namespace, (_NETWORK / "sockstat").read_text)
+        sockets = inside(self._host.namespace, _SOCKETS.read_text)
         frag = next(line.split() for line in sockets.splitlines() if line.startswith("FRAG:"))
         self._peak_bytes = max(self._peak_bytes, int(frag[frag.index("memory") + 1]))
 
@@ -73,6 +74,4 @@ class Reassembly:
         return {"failed": self._failed() - self._failed_before, "peak_bytes": self._peak_bytes}
 
     def _failed(self) -> int:
-        lines = inside(self._host.namespace, (_NETWORK / "snmp").read_text).splitlines()
-        names, values = (line.split() for line in lines if line.startswith("Ip:"))
-        return int(values[names.index("ReasmFails")])
+        return kernel_count(self._host, "Ip", "ReasmFails")

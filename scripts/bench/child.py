@@ -14,13 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.ros.runtime import FASTDDS_PROFILE
 from arpd.sim.namespaces import inside
+from scripts.bench.record import REPO
 
 if TYPE_CHECKING:
     from arpd.sim.namespaces import HostName
     from arpd.sim.simlink import Host, SimLink
-
-REPO = Path(__file__).resolve().parents[2]
-RESULTS = Path(__file__).parent / "results"
 
 
 class ChildError(Exception):
@@ -121,6 +119,19 @@ def sent_bytes(link: SimLink, host: Host, interface: str | None = None) -> int:
         if line.strip().startswith(f"{name}:"):
             return int(line.split(":", 1)[1].split()[8])
     raise ChildError(f"no interface {name} on {host.name}")
+
+
+def kernel_count(host: Host, protocol: str, name: str) -> int:
+    """Return what a host's kernel has counted of a protocol so far (/proc/net/snmp, the counters of RFC 1213).
+
+    Parameters
+    ----------
+    protocol, name : as /proc/net/snmp calls them, like ``Udp`` and ``RcvbufErrors``
+    """
+    # This thread's namespace, which /proc/net is not.
+    lines = inside(host.namespace, Path("/proc/thread-self/net/snmp").read_text).splitlines()
+    names, values = (line.split() for line in lines if line.startswith(f"{protocol}:"))
+    return int(values[names.index(name)])
 
 
 def sample_of(number: int, payload_bytes: int) -> bytes:

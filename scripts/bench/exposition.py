@@ -29,8 +29,8 @@ from arpd.cli_progress import progress
 from arpd.daemon import TICK_S
 from arpd.web.exposition import choose_encoder
 from arpd.web.metrics import SnapshotCollector
-from scripts.bench.exposition_daemon import REPO, crowded_daemon
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.exposition_daemon import crowded_daemon
+from scripts.bench.record import REPO, conditions, keep, target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from arpd.settings import GraphSettings
     from arpd.snapshot import Snapshot
 
-REPO = Path(__file__).resolve().parents[2]
 _TOPICS_PER_NODE = 10
 _CAPACITY = 2.5e6  # bytes/s
 _MANY = MappingProxyType({"matching": 40.5, "watching": 2.25, "holding": 0.125, "proving": 1.5, "draining": 9.75})

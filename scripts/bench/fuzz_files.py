@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 
-from scripts.bench.fuzz_target import FAULT, REPO, Fuzzable, insist, memory_file
+from scripts.bench.fuzz_target import FAULT, Fuzzable, insist, memory_file
+from scripts.bench.record import REPO
 
 
 def config() -> Fuzzable:

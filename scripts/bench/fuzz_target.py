@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-REPO = Path(__file__).resolve().parents[2]
 FAULT = re.compile(r"[^\n]+?:[1-9]\d*:[1-9]\d*: [^ \n][^\n]*?: [^\n]+; [^\n]+")
 
 

@@ -26,8 +26,9 @@ from arpd.probing import ProbeRequest
 from arpd.sim.result import percentile
 from arpd.sim.simlink import SimLink
 from arpd.wire import probe_wire_bytes
-from scripts.bench.child import RESULTS, Child, commands, say
+from scripts.bench.child import Child, commands, say
 from scripts.bench.link_course import MBIT
+from scripts.bench.record import RESULTS
 
 RATES_MBIT = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 PACKET_BYTES = (1300, 200)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.sim.namespaces import executable, inside
+from arpd.wire import ETHERNET_BYTES
 from scripts.bench.relay import cpu_by_thread
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 CONTROL = ("run", "peer")
 DISCOVERY, PROBES, REPORTS, ORDERS, ANSWERS = KINDS = ("discovery", "probes", "reports", "orders", "answers")
 _PORT_BASE, _DOMAIN_GAIN, _MULTICAST_OFFSET, _UNICAST_OFFSET = 7400, 250, 0, 10  # OMG DDSI-RTPS 2.3, 9.6.1
-_ETHERNET_BYTES = 14
 _TABLE = "arpd_overhead"
 _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
@@ -125,14 +125,6 @@ def udp_ports(pid: int) -> set[int]:
     return {int(field[1].rpartition(":")[2], 16) for field in map(str.split, lines) if field[9] in inodes}
 
 
-def memory_bytes(pid: int) -> int:
-    """Return the resident memory of a process (bytes)."""
-    status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-    found = re.search(r"^VmRSS:\s+(\d+) kB", status, re.MULTILINE)
-    assert found is not None
-    return 1024 * int(found[1])
-
-
 def has_cvxpy(pid: int) -> bool:
     """Whether a process has loaded cvxpy: importing it maps its compiled core."""
     return "/cvxpy/" in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
@@ -159,7 +151,7 @@ def _flows() -> dict[tuple[int, int], int]:
     flows = {}
     for item in found.get("elem", []):
         counter, (source, target) = item["elem"]["counter"], item["elem"]["val"]["concat"]
-        flows[source, target] = counter["bytes"] + _ETHERNET_BYTES * counter["packets"]
+        flows[source, target] = counter["bytes"] + ETHERNET_BYTES * counter["packets"]
     return flows
 
 

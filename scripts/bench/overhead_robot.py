@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+import psutil
+
 from arpd.errors import ArpdError
 from arpd.ros.runtime import FASTDDS_PROFILE
 from arpd.sim.namespaces import inside
 from scripts.bench.child import Child
-from scripts.bench.overhead_meter import Meter, Reading, has_cvxpy, memory_bytes
+from scripts.bench.overhead_meter import Meter, Reading, has_cvxpy
 from scripts.bench.record import REPO
 
 if TYPE_CHECKING:
@@ -156,7 +158,9 @@ class Robot:
             "link_bytes_per_second": self.link.rate_bytes_per_second,
             "load_average": os.getloadavg()[0],
             **_costs(before, after),
-            "rss_bytes": {name: memory_bytes(process.pid) for name, (_, process) in self.processes.items()},
+            "rss_bytes": {
+                name: psutil.Process(process.pid).memory_info().rss for name, (_, process) in self.processes.items()
+            },
             "has_cvxpy": any(has_cvxpy(process.pid) for _, process in self.processes.values()),
             **_supply(asked, answered),
             **(_paced(status, self.status()) if has_control else {}),

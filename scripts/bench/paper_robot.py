@@ -9,9 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.sim.namespaces import inside
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import Child, ChildError, sent_bytes
+from scripts.bench.child import Child, ChildError, kernel_count, sent_bytes
 from scripts.bench.paper_cells import ARPD, SENSORS
 from scripts.bench.paper_summary import summary
 
@@ -136,6 +135,4 @@ class Robot:
 
 def overflows(host: Host) -> int:
     """Return how many datagrams found the buffer of their socket full on a host so far."""
-    text = inside(host.namespace, lambda: Path("/proc/thread-self/net/snmp").read_text(encoding="ascii"))
-    names, values = (line.split() for line in text.splitlines() if line.startswith("Udp:"))
-    return int(values[names.index("RcvbufErrors")])
+    return kernel_count(host, "Udp", "RcvbufErrors")

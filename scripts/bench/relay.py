@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli_progress import progress
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import REPO, Child
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.child import Child
+from scripts.bench.record import REPO, conditions, keep, target
 from scripts.bench.relay_report import TARGET
 
 ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")

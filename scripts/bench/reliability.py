@@ -44,8 +44,8 @@ from pyroute2 import IPRoute
 from arpd.cli_progress import progress
 from arpd.sim.namespaces import inside
 from arpd.sim.simlink import SimLink
-from scripts.bench.child import RESULTS, Child, ChildError
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.child import Child, ChildError
+from scripts.bench.record import RESULTS, conditions, keep, target
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name

@@ -6,6 +6,7 @@ from math import sqrt
 from statistics import quantiles
 from typing import TYPE_CHECKING, Any
 
+from arpd.wire import MTU_BYTES
 from scripts.bench.record import described
 
 if TYPE_CHECKING:
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
 STILL, ADAPTIVE, RECREATE = WAYS = ("no swaps", "adaptive", "destroy+create")
 EVENTS = ("lost", "doubled", "reordered")
 PROMISED_DEPTH = 10
-MTU_BYTES = 1500
 
 Ways = dict[str, dict[str, Any]]
 

@@ -50,7 +50,7 @@ def main() -> int:
     return run_daemon(
         config_path=options.config,
         log_level="info",
-        make_estimator=lambda _settings: Oracle(lambda: read_truth(options.truth)),
+        estimator=Oracle(lambda: read_truth(options.truth)),
     )
 
 

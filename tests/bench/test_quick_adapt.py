@@ -1,35 +1,21 @@
 """The quick form of the benchmark of adaptation, as CI runs it: real rclpy over a real, if short-lived, link."""
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.sim.simlink import available
+from tests.bench.quick import played
 
 CAN, WHY = available()
 pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
-REPO = Path(__file__).resolve().parents[2]
 PLAIN, MANAGED = "defaults", "arpd"
 
 
 def test_the_quick_form_measures_both_sides_of_a_step_down(tmp_path):
     """Two robots meet a step down; every topic arrives, arpd withholds and swaps, and both pictures of it are there."""
     found, picture = tmp_path / "adapt.json", tmp_path / "adapt.png"
-    done = subprocess.run(
-        [sys.executable, "-m", "scripts.bench.adapt", "--quick", "--json", str(found), "--plot", str(picture)],
-        check=False,
-        cwd=REPO,
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    document = json.loads(found.read_text())
+    document, printed = played(tmp_path, "adapt", "--plot", picture)
     runs = {run["side"]: run for run in document["runs"]}
     assert runs.keys() == {PLAIN, MANAGED}
     for run in runs.values():
@@ -42,4 +28,4 @@ def test_the_quick_form_measures_both_sides_of_a_step_down(tmp_path):
     assert runs[MANAGED]["all"]["withheld_ratio"] > 0.0
     assert picture.read_bytes().startswith(b"\x89PNG")
     for text in (str(found), str(picture), "defaults", "arpd"):
-        assert text in done.stdout
+        assert text in printed

@@ -1,35 +1,20 @@
 """The short forms of the older benchmarks run to their end, and what they leave is sound."""
 
-import json
-import subprocess
-import sys
-
 import pytest
 
 from arpd.sim.simlink import available
 from scripts.bench.exposition import ARPD, FORMATS, LIBRARY
 from scripts.bench.exposition_report import readme as exposition_text
-from scripts.bench.record import REPO
 from scripts.bench.soak import QUICK_SWAPS, TOPICS
 from scripts.bench.soak_report import readme as soak_text
+from tests.bench.quick import played
 
 CAN, WHY = available()
 
 
-def played(tmp_path, name, *arguments):
-    """Run a benchmark as `scripts/bench/all --quick` does; return its document."""
-    path = tmp_path / f"{name}.json"
-    command = [sys.executable, "-m", f"scripts.bench.{name}", "--quick", "--json", path, *arguments]
-    finished = subprocess.run(command, cwd=REPO, capture_output=True, text=True, timeout=240, check=False)
-    assert finished.returncode == 0, finished.stdout + finished.stderr
-    document = json.loads(path.read_text())
-    assert {"date", "python", "machine", "cpu_count", "load_average"} <= set(document["conditions"])
-    return document
-
-
 def test_estimate(tmp_path):
     """One fall, arpd and the oracle: both deliver, and the estimate follows the link."""
-    document = played(tmp_path, "estimate", "--only", "fall 20 to 5", "--seeds", "1")
+    document, _ = played(tmp_path, "estimate", "--only", "fall 20 to 5", "--seeds", "1")
     ((_, ways),) = document["scenarios"].items()
     assert set(ways) == {"arpd", "oracle"}
     assert all(every[0]["goodput"] > 0.0 for every in ways.values())
@@ -39,7 +24,7 @@ def test_estimate(tmp_path):
 
 def test_exposition(tmp_path):
     """Both encoders write, and a daemon under scrapers ticks and answers."""
-    document = played(tmp_path, "exposition")
+    document, _ = played(tmp_path, "exposition")
     for race in document["races"]:
         assert all(race["median_s"][form][side] > 0.0 for form in FORMATS for side in (ARPD, LIBRARY))
     assert all(found["ticks"] > 0 for found in document["ticking"]["by_scrapers"].values())
@@ -53,7 +38,7 @@ def test_exposition(tmp_path):
 def test_soak(tmp_path):
     """Hundreds of swaps on a link that loses nothing: every topic goes on to its last sample, and none is lost."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    document = played(tmp_path, "soak")
+    document, _ = played(tmp_path, "soak")
     assert document["notes"][-1]["swaps"] == QUICK_SWAPS
     assert document["received"] == [document["sent"]] * TOPICS
     assert sum(document["late"]) == 0

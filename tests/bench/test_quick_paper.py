@@ -1,10 +1,5 @@
 """The quick form of the paper's experiment, with real ROS 2 over the simulated link."""
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
@@ -12,6 +7,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
 from arpd.sim.simlink import available
+from tests.bench.quick import played
 
 CAN, WHY = available()
 pytestmark = [
@@ -19,19 +15,15 @@ pytestmark = [
     pytest.mark.ros,
     pytest.mark.skipif(not CAN, reason=f"no simulated link here: {WHY}"),
 ]
-REPO = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
 def document(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    target = folder / "paper.json"
-    argv = [sys.executable, "scripts/bench/paper.py", "--quick", "--json", target, "--plot", folder / "paper.png"]
-    done = subprocess.run(argv, cwd=REPO, capture_output=True, text=True, check=False, timeout=240)
-    print(done.stdout)
-    assert done.returncode == 0, done.stdout + done.stderr
+    document, printed = played(folder, "paper", "--plot", folder / "paper.png")
+    print(printed)
     assert {path.name for path in folder.iterdir()} == {"paper.json", "paper-latency.png", "paper-loss.png"}
-    return json.loads(target.read_text())
+    return document
 
 
 def test_every_sensor_reaches_the_rate_it_was_told(document):

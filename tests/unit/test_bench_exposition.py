@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from scripts.bench.exposition import ARPD, FORMATS, LIBRARY, SCRAPERS, digest, race, table
-from scripts.bench.exposition_daemon import REPO, crowded_daemon
+from scripts.bench.exposition_daemon import crowded_daemon
+from scripts.bench.record import REPO
 
 
 @pytest.fixture(scope="module")
