@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from arpd.ros.publisher import AdaptivePublisher
-    from arpd.ros.subscription import AdaptiveSubscription
+    from arpd.adapters.ros.publisher import AdaptivePublisher
+    from arpd.adapters.ros.subscription import AdaptiveSubscription
 
 __all__ = ["AdaptivePublisher", "AdaptiveSubscription"]
 
@@ -14,11 +14,11 @@ __all__ = ["AdaptivePublisher", "AdaptiveSubscription"]
 def __getattr__(name: str) -> Any:
     """Import what needs ROS on first use, so that `import arpd` works where ROS does not."""
     if name == "AdaptivePublisher":
-        from arpd.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
+        from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
 
         return AdaptivePublisher
     if name == "AdaptiveSubscription":
-        from arpd.ros.subscription import AdaptiveSubscription  # noqa: PLC0415 - the same
+        from arpd.adapters.ros.subscription import AdaptiveSubscription  # noqa: PLC0415 - the same
 
         return AdaptiveSubscription
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

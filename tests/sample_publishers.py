@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from arpd.model import Direction
-from arpd.ordering import Ordering
-from arpd.publishers import PublisherState
-from arpd.readers import ReaderState
+from arpd.apply.ordering import Ordering
+from arpd.model.publishers import PublisherState
+from arpd.model.readers import ReaderState
+from arpd.model.values import Direction
 
 
 def publisher(node: str, topic: str, **fields) -> PublisherState:

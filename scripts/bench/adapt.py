@@ -25,9 +25,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli_progress import progress
-from arpd.errors import ArpdError
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
+from arpd.model.errors import ArpdError
 from scripts.bench.adapt_figures import check, document
 from scripts.bench.adapt_links import SEED, links, quick_link
 from scripts.bench.adapt_plot import draw
@@ -35,6 +34,7 @@ from scripts.bench.adapt_report import table
 from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
 from scripts.bench.adapt_watch import Processors, Reassembly
 from scripts.bench.record import conditions, keep, target
+from scripts.netns.simlink import SimLink
 from scripts.robot.oracle import write_truth
 from scripts.robot.run import robot, run
 

@@ -13,7 +13,7 @@ from scripts.robot.stamped import AGE_PERIOD_S
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from arpd.sim.result import TopicResult
+    from arpd.adapters.sim.result import TopicResult
 
 LATE_S = 0.1  # a command later than this is late
 TIMELINE_S = 0.5

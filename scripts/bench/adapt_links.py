@@ -6,9 +6,9 @@ import random
 from bisect import bisect_right
 from dataclasses import dataclass
 
-from arpd.sim.loss import LossStep
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.trace import read_trace
+from arpd.adapters.sim.loss import LossStep
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.trace import read_trace
 from scripts.bench.adapt_walk import DURATION_S, TRACE
 
 MBIT = 125_000.0  # bytes/s

@@ -6,12 +6,12 @@ import math
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from arpd.config import load_settings
-from arpd.model import NANOSECONDS_PER_SECOND
-from arpd.offline import OfflinePlanner
-from arpd.paper import Eq4Problem, Eq4Status, solve_eq4
-from arpd.topics import assumed_traffic
-from arpd.wire import DATA_BYTES, ETHERNET_BYTES, IPV4_BYTES, MTU_BYTES, UDP_BYTES
+from arpd.adapters.config.load import load_settings
+from arpd.govern.what_if import OfflinePlanner
+from arpd.model.values import NANOSECONDS_PER_SECOND
+from arpd.model.wire import DATA_BYTES, ETHERNET_BYTES, IPV4_BYTES, MTU_BYTES, UDP_BYTES
+from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
+from arpd.solve.topics import assumed_traffic
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD, Manner
 from scripts.robot.run import CONFIG, PREFIX
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from arpd.sim.namespaces import inside
 from scripts.bench.child import kernel_count
+from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
-    from arpd.sim.simlink import Host
+    from scripts.netns.simlink import Host
     from scripts.robot.run import Side
 
 _DAEMONS = ("run", "relay", "peer")

@@ -12,13 +12,13 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.ros.runtime import FASTDDS_PROFILE
-from arpd.sim.namespaces import inside
+from arpd.adapters.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.record import REPO
+from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
-    from arpd.sim.namespaces import HostName
-    from arpd.sim.simlink import Host, SimLink
+    from scripts.netns.namespaces import HostName
+    from scripts.netns.simlink import Host, SimLink
 
 
 class ChildError(Exception):

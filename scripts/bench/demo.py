@@ -16,7 +16,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
+from arpd.cli.progress import progress
 from scripts.bench.demo_report import readme
 from scripts.bench.record import REPO, conditions, keep, target
 from scripts.robot.demo import QUICK

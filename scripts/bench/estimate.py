@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.sim.baselines import Oracle, ThroughputAverage, WindowMaximum
-from arpd.sim.scenario import ScenarioResult, run
+from arpd.adapters.sim.baselines import Oracle, ThroughputAverage, WindowMaximum
+from arpd.cli.progress import progress
+from arpd.daemon.scenario import ScenarioResult, run
 from scripts.bench.estimate_metrics import Metrics, measure
 from scripts.bench.estimate_report import TARGETS, scenario_table, target_table
 from scripts.bench.estimate_scenarios import SCENARIOS
 from scripts.bench.record import RESULTS, conditions, keep, target
 
 if TYPE_CHECKING:
-    from arpd.settings import Settings
-    from arpd.sim.scenario import EstimatorMaker
+    from arpd.daemon.scenario import EstimatorMaker
+    from arpd.model.settings import Settings
 
 ARPD, ORACLE = "arpd", "oracle"
 WAYS = (ARPD, "average", "maximum", ORACLE)

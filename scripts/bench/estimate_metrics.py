@@ -34,15 +34,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from arpd.model import Direction
-from arpd.sim.compare import WARM_UP_S, between, summarize
-from arpd.sim.result import percentile
-from arpd.wire import wire_size
+from arpd.adapters.sim.result import percentile
+from arpd.daemon.compare import WARM_UP_S, between, summarize
+from arpd.model.values import Direction
+from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.sim.scenario import Moment, ScenarioResult
+    from arpd.daemon.scenario import Moment, ScenarioResult
     from scripts.bench.estimate_scenarios import Scenario
 
 _HOLDS_S = 1.0

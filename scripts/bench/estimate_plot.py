@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from arpd.sim.scenario import ScenarioResult
+    from arpd.daemon.scenario import ScenarioResult
 
 _COLUMNS = 4
 _SHOWN_S = 140.0  # nothing happens later in the longest ones

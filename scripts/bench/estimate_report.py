@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
-from arpd.cli_columns import aligned
+from arpd.cli.columns import aligned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import TYPE_CHECKING
 
-from arpd.model import Direction
-from arpd.settings import Settings, TopicSettings
-from arpd.sim.foreign import Contention, ForeignFlow, contended
-from arpd.sim.link import LinkModel
-from arpd.sim.loss import GilbertElliott
-from arpd.sim.robot import DEMO_TOPICS, PREFIX, SimTopic
-from arpd.sim.scenario import demo_settings
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.foreign import Contention, ForeignFlow, contended
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.loss import GilbertElliott
+from arpd.adapters.sim.robot import DEMO_TOPICS, PREFIX, SimTopic
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.daemon.scenario import demo_settings
+from arpd.model.settings import Settings, TopicSettings
+from arpd.model.values import Direction
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from prometheus_client import CollectorRegistry, Counter, Gauge, disable_created_metrics
 from prometheus_client.exposition import choose_encoder as library_encoder
 
-from arpd.cli_progress import progress
-from arpd.daemon import TICK_S
-from arpd.web.exposition import choose_encoder
-from arpd.web.metrics import SnapshotCollector
+from arpd.adapters.http.exposition import choose_encoder
+from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.cli.progress import progress
+from arpd.daemon.tick import TICK_S
 from scripts.bench.exposition_daemon import crowded_daemon
 from scripts.bench.record import REPO, conditions, keep, target
 

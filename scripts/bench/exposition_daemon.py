@@ -19,23 +19,23 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from arpd.daemon import Daemon
-from arpd.garbage import Garbage
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import Direction, MemoryState, Observation
-from arpd.publishers import PublisherState, SwapRecord
-from arpd.settings import HttpSettings, LinkSettings, Settings
-from arpd.supervisor import Signals, Supervisor
-from arpd.systemd import Notifier
-from arpd.web.service import serving
+from arpd.adapters.http.service import serving
+from arpd.adapters.systemd.notify import Notifier
+from arpd.daemon.gc import Garbage
+from arpd.daemon.supervisor import Signals, Supervisor
+from arpd.daemon.tick import Daemon
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.publishers import PublisherState, SwapRecord
+from arpd.model.settings import HttpSettings, LinkSettings, Settings
+from arpd.model.values import Direction, MemoryState, Observation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.model import Transition
-    from arpd.probing import ProbeRequest
-    from arpd.settings import GraphSettings
-    from arpd.snapshot import Snapshot
+    from arpd.model.probing import ProbeRequest
+    from arpd.model.settings import GraphSettings
+    from arpd.model.values import Transition
+    from arpd.report.snapshot import Snapshot
 
 _TOPICS_PER_NODE = 10
 _CAPACITY = 2.5e6  # bytes/s
@@ -45,7 +45,7 @@ _DROPS = MappingProxyType({"rate": 170_000, "gate": 1_234})
 
 
 class Crowd:
-    """The daemon's `arpd.world.World` of so many publishers, each with everything a publisher announces."""
+    """The daemon's `arpd.daemon.world.World` of so many publishers, each with everything a publisher announces."""
 
     def __init__(self, topics: int) -> None:
         self._random = random.Random(topics)

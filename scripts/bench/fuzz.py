@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 REPO = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(REPO))
 
-from arpd.cli_progress import progress  # noqa: E402 - the path comes first
+from arpd.cli.progress import progress  # noqa: E402 - the path comes first
 from scripts.bench.fuzz_targets import TARGETS  # noqa: E402 - the path comes first
 from scripts.bench.record import RESULTS, conditions, keep, target  # noqa: E402 - the path comes first
 

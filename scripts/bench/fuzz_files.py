@@ -13,9 +13,9 @@ def config() -> Fuzzable:
     """Feed a configuration: it becomes settings, or faults of one clear line each."""
     import yaml
 
-    from arpd.config import load_settings
-    from arpd.config_schema import SECTIONS
-    from arpd.errors import ConfigError
+    from arpd.adapters.config.load import load_settings
+    from arpd.adapters.config.schema import SECTIONS
+    from arpd.model.errors import ConfigError
 
     path = memory_file()
 
@@ -55,8 +55,8 @@ def config() -> Fuzzable:
 
 def status_file() -> Fuzzable:
     """Feed a saved status: it becomes publishers, or one line says why not."""
-    from arpd.errors import ArpdError
-    from arpd.status_file import read_status
+    from arpd.cli.status_file import read_status
+    from arpd.model.errors import ArpdError
 
     path = memory_file()
 
@@ -85,8 +85,8 @@ def status_file() -> Fuzzable:
 
 def trace() -> Fuzzable:
     """Feed a link trace: it becomes rates and losses, or one line says why not."""
-    from arpd.errors import TraceError
-    from arpd.sim.trace import read_trace
+    from arpd.adapters.sim.trace import read_trace
+    from arpd.model.errors import TraceError
 
     path = memory_file()
 
@@ -111,8 +111,8 @@ def trace() -> Fuzzable:
 
 def web_config() -> Fuzzable:
     """Feed a web-config: it becomes a protection, or faults of one clear line each."""
-    from arpd.errors import ConfigError
-    from arpd.web.web_config import load_protection
+    from arpd.adapters.http.web_config import load_protection
+    from arpd.model.errors import ConfigError
 
     path = memory_file()
 

@@ -15,13 +15,13 @@ def http() -> Fuzzable:
 
     from prometheus_client import CollectorRegistry
 
-    from arpd.web.answers import Answers
-    from arpd.web.exchange import Exchange
-    from arpd.web.exposition import Exposition
-    from arpd.web.http_metrics import HttpCounts
-    from arpd.web.passwords import Passwords
-    from arpd.web.places import Places
-    from arpd.web.web_config import Protection
+    from arpd.adapters.http.answers import Answers
+    from arpd.adapters.http.exchange import Exchange
+    from arpd.adapters.http.exposition import Exposition
+    from arpd.adapters.http.http_metrics import HttpCounts
+    from arpd.adapters.http.passwords import Passwords
+    from arpd.adapters.http.places import Places
+    from arpd.adapters.http.web_config import Protection
 
     failures: list[logging.LogRecord] = []
 
@@ -29,7 +29,7 @@ def http() -> Fuzzable:
         def emit(self, record: logging.LogRecord) -> None:
             failures.append(record)
 
-    logging.getLogger("arpd.web").addHandler(Failures(logging.ERROR))  # where what a connection raises goes
+    logging.getLogger("arpd.adapters.http").addHandler(Failures(logging.ERROR))  # where what a connection raises goes
     protections = (Protection(), Protection(users={b"ops": b"$2b$04$"}))
     now_s = 0.0
 

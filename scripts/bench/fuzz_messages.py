@@ -14,8 +14,8 @@ _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 def report() -> Fuzzable:
     """Feed a peer's report: it is refused, or says possible things and survives being sent on."""
-    from arpd.probing import PeerReport, Train
-    from arpd.ros.report import decode_report, encode_report
+    from arpd.adapters.ros.probe_messages import decode_report, encode_report
+    from arpd.model.probing import PeerReport, Train
 
     def feed(data: bytes) -> None:
         try:
@@ -46,7 +46,7 @@ def report() -> Fuzzable:
 
 def probe() -> Fuzzable:
     """Feed a probe packet: it is refused, or has its place in its train."""
-    from arpd.ros.report import ProbeHeader, decode_probe, encode_probe
+    from arpd.adapters.ros.probe_messages import ProbeHeader, decode_probe, encode_probe
 
     def feed(data: bytes) -> None:
         try:
@@ -62,7 +62,7 @@ def probe() -> Fuzzable:
 
 def publisher() -> Fuzzable:
     """Feed a publisher's announcement: it is refused, or becomes a state that can be announced again."""
-    from arpd.ros.announce import from_status, to_status
+    from arpd.adapters.ros.announcement import from_status, to_status
 
     def feed(data: bytes) -> None:
         try:
@@ -80,8 +80,8 @@ def publisher() -> Fuzzable:
 
 def reader() -> Fuzzable:
     """Feed a reader's announcement: it is refused, or becomes a state that can be announced again."""
-    from arpd.readers import ReaderState
-    from arpd.ros.announce import reader_from_status, reader_to_status
+    from arpd.adapters.ros.announcement import reader_from_status, reader_to_status
+    from arpd.model.readers import ReaderState
 
     def feed(data: bytes) -> None:
         try:
@@ -103,8 +103,8 @@ def wire() -> Fuzzable:
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from arpd.ros.announce import from_status, reader_from_status, to_status
-    from arpd.ros.daemons import from_status as claim_from_status
+    from arpd.adapters.ros.announcement import from_status, reader_from_status, to_status
+    from arpd.adapters.ros.daemons import from_status as claim_from_status
 
     def feed(data: bytes) -> None:
         try:
@@ -126,8 +126,8 @@ def wire() -> Fuzzable:
 
 def claim() -> Fuzzable:
     """Feed a daemon's claim: it is refused, or can be weighed against one's own and claimed again."""
-    from arpd.incumbent import Claim, Incumbency
-    from arpd.ros.daemons import from_status, to_status
+    from arpd.adapters.ros.daemons import from_status, to_status
+    from arpd.observe.leader import Claim, Incumbency
 
     own = Claim(started_ns=5, token="0" * 32, host="robot")
 
@@ -156,9 +156,9 @@ def parameters() -> Fuzzable:
     """Feed values of QoS parameters: they are refused with a reason, or make a plan to run with."""
     from dataclasses import replace
 
-    from arpd.model import TopicPlan
-    from arpd.ros.bounds import checked_lease_s
-    from arpd.ros.tuning import _checked
+    from arpd.adapters.ros.bounds import checked_lease_s
+    from arpd.adapters.ros.node_publishers import _checked
+    from arpd.model.values import TopicPlan
 
     fields = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "lease_s")
     plan = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
@@ -206,8 +206,8 @@ def _lines(status: Any) -> bytes:
 
 
 def _publisher() -> Any:
-    from arpd.model import Direction
-    from arpd.publishers import PublisherState
+    from arpd.model.publishers import PublisherState
+    from arpd.model.values import Direction
 
     return PublisherState(
         node="/lidar",

@@ -27,24 +27,24 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.config import load_settings
-from arpd.errors import ArpdError
-from arpd.probing import PeerReport
-from arpd.sim.link import LinkModel
-from arpd.sim.scenario import run as simulate
-from arpd.sim.simlink import SimLink
-from arpd.wire import probe_wire_bytes
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.link import LinkModel
+from arpd.cli.progress import progress
+from arpd.daemon.scenario import run as simulate
+from arpd.model.errors import ArpdError
+from arpd.model.probing import PeerReport
+from arpd.model.wire import probe_wire_bytes
 from scripts.bench.link_course import SCENARIOS, Run, virtual_course, with_outages
 from scripts.bench.link_figures import figures
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import sampling
 from scripts.bench.record import conditions, target
+from scripts.netns.simlink import SimLink
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
 from scripts.robot.run import CONFIG, HTTP_PORT, lost_during, robot, run
 
 if TYPE_CHECKING:
-    from arpd.sim.result import TopicResult
+    from arpd.adapters.sim.result import TopicResult
     from scripts.bench.link_course import Instant, Scenario
 
 QUICK = ("20→5", "outage")
@@ -78,7 +78,7 @@ def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Ru
 @cache
 def report_wire_bytes() -> int:
     """Size on the wire of a report with one delay and no train, as nearly all are (bytes)."""
-    from arpd.ros.report import encode_report
+    from arpd.adapters.ros.probe_messages import encode_report
 
     report = PeerReport(peer="ceddp", received_at_s=0.0, interval_s=0.1, rx_bytes=0, rx_packets=0, delays_s=(0.0,))
     return probe_wire_bytes(len(encode_report(report).data))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.sim.schedule import RateSchedule
+from arpd.adapters.sim.schedule import RateSchedule
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from arpd.sim.result import TopicResult
-    from arpd.sim.scenario import Moment
+    from arpd.adapters.sim.result import TopicResult
+    from arpd.daemon.scenario import Moment
 
 MBIT = 125_000.0  # bytes/s
 SPELL_S = 12.0  # how long the link is left alone before anything happens to it

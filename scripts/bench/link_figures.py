@@ -6,7 +6,7 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING
 
-from arpd.sim.result import percentile
+from arpd.adapters.sim.result import percentile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

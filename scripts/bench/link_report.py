@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from arpd.sim.result import TopicResult
+    from arpd.adapters.sim.result import TopicResult
     from scripts.bench.link_course import Run, Scenario
 
 COMMAND_TOPIC = "/cmd_vel"

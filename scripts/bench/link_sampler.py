@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from pyroute2 import IPRoute
 
-from arpd.sim.namespaces import inside
 from scripts.bench.link_course import Belief, Instant
+from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from arpd.sim.simlink import Host
+    from scripts.netns.simlink import Host
 
 BUCKET_S = 0.02
 STATUS_S = 0.1

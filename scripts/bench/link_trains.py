@@ -21,14 +21,14 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.probing import ProbeRequest
-from arpd.sim.result import percentile
-from arpd.sim.simlink import SimLink
-from arpd.wire import probe_wire_bytes
+from arpd.adapters.sim.result import percentile
+from arpd.cli.progress import progress
+from arpd.model.probing import ProbeRequest
+from arpd.model.wire import probe_wire_bytes
 from scripts.bench.child import Child, commands, say
 from scripts.bench.link_course import MBIT
 from scripts.bench.record import RESULTS
+from scripts.netns.simlink import SimLink
 
 RATES_MBIT = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 PACKET_BYTES = (1300, 200)
@@ -59,9 +59,9 @@ def probe() -> None:
     """Send trains as told, through the daemon's own adapter, and say what the peer reported."""
     from rclpy.executors import SingleThreadedExecutor
 
-    from arpd.ros.control import RosControl
-    from arpd.ros.runtime import ros_node, spinning
-    from arpd.settings import GraphSettings
+    from arpd.adapters.ros.runtime import ros_node, spinning
+    from arpd.adapters.ros.world import RosControl
+    from arpd.model.settings import GraphSettings
 
     told = commands()
     with ros_node("link_trains") as node:

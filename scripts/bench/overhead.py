@@ -31,18 +31,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.cli_progress import Progress
+    from arpd.cli.progress import Progress
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.errors import ArpdError
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
+from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
 from scripts.bench.overhead_cases import DEMO_TOPICS, SYNTHETIC, Case, case_of
 from scripts.bench.overhead_report import table
 from scripts.bench.overhead_robot import OverheadError, Robot
 from scripts.bench.record import conditions, keep, target
+from scripts.netns.simlink import SimLink
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
 _LEAST_REACHED = 0.9  # of what the sources should have published

@@ -13,7 +13,7 @@ from scripts.robot.sensors import COMMAND_TOPIC
 
 PREFIX = "/link"
 DEMO_TOPICS = 12
-_RELAY_TOPICS = 250  # one node announces at most 256 publishers (`arpd.endpoints.MOST_OF_NODE`)
+_RELAY_TOPICS = 250  # one node announces at most 256 publishers (`arpd.observe.registry.MOST_OF_NODE`)
 _SWAPS_PER_TOPIC = 20  # a minute: what the default budget of 240 is for twelve topics
 _NO_TEXT_BYTES = len(sample_of(0, 10)) - 10  # of a serialized std_msgs/String
 

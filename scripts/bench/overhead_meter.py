@@ -12,15 +12,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.sim.namespaces import executable, inside
-from arpd.wire import ETHERNET_BYTES
+from arpd.model.wire import ETHERNET_BYTES
 from scripts.bench.relay import cpu_by_thread
+from scripts.netns.namespaces import executable, inside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.sim.namespaces import HostName
-    from arpd.sim.simlink import SimLink
+    from scripts.netns.namespaces import HostName
+    from scripts.netns.simlink import SimLink
 
 CONTROL = ("run", "peer")
 DISCOVERY, PROBES, REPORTS, ORDERS, ANSWERS = KINDS = ("discovery", "probes", "reports", "orders", "answers")

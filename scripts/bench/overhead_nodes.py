@@ -20,8 +20,8 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher
-from arpd.ros.names import GATE_TOPIC
-from arpd.ros.runtime import spinning
+from arpd.adapters.ros.names import GATE_TOPIC
+from arpd.adapters.ros.runtime import spinning
 from scripts.bench.child import commands, sample_of, say
 from scripts.bench.overhead_cases import Topic, case_of
 

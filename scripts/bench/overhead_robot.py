@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from arpd.errors import ArpdError
-from arpd.ros.runtime import FASTDDS_PROFILE
-from arpd.sim.namespaces import inside
+from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.model.errors import ArpdError
 from scripts.bench.child import Child
 from scripts.bench.overhead_meter import Meter, Reading, has_cvxpy
 from scripts.bench.record import REPO
+from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
     import subprocess
     from contextlib import ExitStack
     from pathlib import Path
 
-    from arpd.sim.namespaces import HostName
-    from arpd.sim.simlink import SimLink
     from scripts.bench.overhead_cases import Case
+    from scripts.netns.namespaces import HostName
+    from scripts.netns.simlink import SimLink
 
 STATUS_URL = "http://127.0.0.1:9464/api/v1/status"
 _START_S, _SETTLE_S, _REACT_S = 90.0, 40.0, 40.0
@@ -75,7 +75,7 @@ class Robot:
         with (self.workdir / f"{name}.log").open("w") as log:
             process = self.link.popen(
                 host,
-                [sys.executable, "-m", "arpd", *argv],
+                [sys.executable, "-m", "arpd.cli", *argv],
                 env={**os.environ, "PYTHONPATH": str(REPO), "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)},
                 stderr=log,
                 cwd=REPO,

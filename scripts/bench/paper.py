@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
+from arpd.cli.progress import progress
 from scripts.bench.child import ChildError
 from scripts.bench.paper_cells import RMAX_HZ, WIFI, WIRED, figure_turns, loss_turns, optimum, quick_turns, shuffled
 from scripts.bench.paper_figures import draw

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from arpd.paper import Eq4Problem, solve_eq4
+from arpd.solve.eq4 import Eq4Problem, solve_eq4
 
 SENSORS = 11
 TOPICS = SENSORS + 1  # N: all sensing topics and the one of actuation

@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.sim.simlink import SimLink
 from scripts.bench.child import Child, ChildError, kernel_count, sent_bytes
 from scripts.bench.paper_cells import ARPD, SENSORS
 from scripts.bench.paper_summary import summary
+from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
-    from arpd.sim.simlink import Host
     from scripts.bench.paper_cells import LinkProfile, Turn
+    from scripts.netns.simlink import Host
 
 QUIET_S = 3.2  # a lost sample is sent again after a heartbeat, 3 s by default
 DRAIN_S = 8.0

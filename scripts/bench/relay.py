@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
 from scripts.bench.child import Child
 from scripts.bench.record import REPO, conditions, keep, target
 from scripts.bench.relay_report import TARGET
+from scripts.netns.simlink import SimLink
 
 ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")
 OTHER = "other tree"

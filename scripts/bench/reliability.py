@@ -41,9 +41,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import yaml
 from pyroute2 import IPRoute
 
-from arpd.cli_progress import progress
-from arpd.sim.namespaces import inside
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
 from scripts.bench.child import Child, ChildError
 from scripts.bench.record import RESULTS, conditions, keep, target
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
@@ -51,6 +49,8 @@ from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
 from scripts.bench.reliability_report import readme
 from scripts.bench.soak import footprint
+from scripts.netns.namespaces import inside
+from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import CONFIG, DemoError, Side, robot
 from scripts.robot.sensors import BASE_DRIVER, SENSORS

@@ -35,8 +35,8 @@ def talk(kind: str) -> None:
     from std_msgs.msg import String
 
     from arpd import AdaptivePublisher
-    from arpd.ros.runtime import spinning
-    from arpd.settings import Overflow
+    from arpd.adapters.ros.runtime import spinning
+    from arpd.model.settings import Overflow
 
     rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
     node = rclpy.create_node(f"app_{kind}")

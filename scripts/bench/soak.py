@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
 from scripts.bench.child import Child, ChildError, commands, number_of, sample_of, say
 from scripts.bench.record import conditions, keep, target
 from scripts.bench.soak_report import verdict
+from scripts.netns.simlink import SimLink
 
 TOPICS = 12
 RATE_HZ = 20.0
@@ -53,9 +53,9 @@ class Writers:
         from std_msgs.msg import String
 
         from arpd import AdaptivePublisher
-        from arpd.ros.names import DEPTH as DEPTH_SETTING
-        from arpd.ros.names import parameter_name
-        from arpd.swap import SwapTiming
+        from arpd.adapters.ros.names import DEPTH as DEPTH_SETTING
+        from arpd.adapters.ros.names import parameter_name
+        from arpd.apply.endpoint.writer_swap import SwapTiming
 
         rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self.node = rclpy.create_node("soak_writer")
@@ -107,8 +107,8 @@ class Writers:
 
 def write(most: int) -> None:
     """Swap as often as asked, telling the parent every hundred."""
-    from arpd.ros.relay import best_executor
-    from arpd.ros.runtime import spinning
+    from arpd.adapters.ros.relay import best_executor
+    from arpd.adapters.ros.runtime import spinning
 
     writers = Writers()
     told = commands()

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.model import Topic
-from arpd.program import Program
-from arpd.settings import Backend, ProgramSettings
-from arpd.solvers import ShareProblem, Solved, load, water_fill
-from arpd.solvers.outcome import disagreement
+from arpd.cli.progress import progress
+from arpd.model.settings import Backend, ProgramSettings
+from arpd.model.values import Topic
+from arpd.solve.checked import ShareProblem, Solved, load, water_fill
+from arpd.solve.problem import disagreement
+from arpd.solve.program import Program
 from scripts.bench.record import conditions, keep, target
 from scripts.bench.solve_report import PAPER
 
@@ -43,9 +43,9 @@ HEADROOM = 0.85
 FOOTPRINT = """
 import sys, time
 started = time.perf_counter()
-from arpd.model import Topic
-from arpd.program import Program
-from arpd.settings import Backend, ProgramSettings
+from arpd.model.values import Topic
+from arpd.solve.program import Program
+from arpd.model.settings import Backend, ProgramSettings
 program = Program(settings=ProgramSettings(backend=Backend(sys.argv[1])), headroom=0.85)
 imported_s = time.perf_counter() - started
 topic = dict(packets=1, desired_rate_hz=20.0, min_rate_hz=1.0)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.cli_progress import progress
+from arpd.cli.progress import progress
 from scripts.bench.record import REPO
 
 if TYPE_CHECKING:

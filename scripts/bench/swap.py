@@ -26,16 +26,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from arpd.sim.namespaces import HostName
     from scripts.bench.swap_report import Ways
+    from scripts.netns.namespaces import HostName
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from arpd.cli_progress import progress
-from arpd.sim.simlink import SimLink
+from arpd.cli.progress import progress
 from scripts.bench.child import Child, ChildError, sent_bytes
 from scripts.bench.record import conditions, keep, target
 from scripts.bench.swap_report import ADAPTIVE, EVENTS, WAYS, beyond, verdict
+from scripts.netns.simlink import SimLink
 
 LINK_BYTES_PER_SECOND = 100e6 / 8
 WIRE_OVERHEAD = 180  # bytes of headers around a payload

@@ -6,7 +6,7 @@ from math import sqrt
 from statistics import quantiles
 from typing import TYPE_CHECKING, Any
 
-from arpd.wire import MTU_BYTES
+from arpd.model.wire import MTU_BYTES
 from scripts.bench.record import described
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ def readme() -> str:
 def planned(capacity: str) -> dict[str, dict[str, Any]]:
     """Return the rows of ``arpd solve`` for the demo robot, by topic."""
     solved = subprocess.run(
-        [sys.executable, "-m", "arpd", "solve", "--config", CONFIG, "--capacity", capacity, "--json"],
+        [sys.executable, "-m", "arpd.cli", "solve", "--config", CONFIG, "--capacity", capacity, "--json"],
         cwd=REPO,
         stdout=subprocess.PIPE,
         check=True,

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
-from arpd.cli_progress import progress
-from arpd.errors import ArpdError
-from arpd.sim.schedule import RateSchedule
-from arpd.sim.simlink import SimLink, available, user_namespace_argv
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.cli.progress import progress
+from arpd.model.errors import ArpdError
+from scripts.netns.simlink import SimLink, available, user_namespace_argv
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
 from scripts.robot.proxy import window
 from scripts.robot.report import Pair, as_document, final_table, live_view, pair_up, verdict
@@ -152,8 +152,8 @@ def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides in virtual time."""
-    from arpd.sim.scenario import demo_settings
-    from arpd.sim.scenario import run as simulate
+    from arpd.daemon.scenario import demo_settings
+    from arpd.daemon.scenario import run as simulate
 
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:

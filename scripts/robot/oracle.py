@@ -15,10 +15,10 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from arpd.host.backlog import read_backlog
-from arpd.sim.baselines import Oracle, Truth
-from arpd.sim.simlink import INTERFACE
-from arpd.supervisor import run_daemon
+from arpd.adapters.host.backlog import read_backlog
+from arpd.adapters.sim.baselines import Oracle, Truth
+from arpd.daemon.supervisor import run_daemon
+from scripts.netns.simlink import INTERFACE
 
 
 def write_truth(path: Path, *, capacity_bytes_per_second: float, loss: float) -> None:

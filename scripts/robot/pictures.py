@@ -23,11 +23,11 @@ from playwright.sync_api import sync_playwright
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 
-from arpd.cli_frame import View, frame
-from arpd.cli_progress import progress
-from arpd.errors import ArpdError
-from arpd.sim.schedule import RateSchedule
-from arpd.sim.simlink import SimLink, available
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.cli.frame import View, frame
+from arpd.cli.progress import progress
+from arpd.model.errors import ArpdError
+from scripts.netns.simlink import SimLink, available
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import REPO, DemoError, lost_during, play, robot
 

@@ -7,12 +7,12 @@ import socket
 import threading
 from typing import TYPE_CHECKING
 
-from arpd.sim.namespaces import inside
+from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from arpd.sim.simlink import Host
+    from scripts.netns.simlink import Host
 
 
 @contextlib.contextmanager

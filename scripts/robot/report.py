@@ -13,7 +13,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from arpd.sim.result import TopicResult
+    from arpd.adapters.sim.result import TopicResult
 
 _HURT_P99_S = 0.25  # a default robot whose topic is later than this at p99 is behind a link that cannot carry it
 _HURT_LOSS = 0.001

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.errors import ArpdError
-from arpd.ros.runtime import FASTDDS_PROFILE
-from arpd.sim.result import TopicResult
+from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.adapters.sim.result import TopicResult
+from arpd.model.errors import ArpdError
 from scripts.robot.planner import COMMAND_RATE_HZ
 from scripts.robot.proxy import window
 from scripts.robot.sensors import BASE_DRIVER, COMMAND_TOPIC, SENSORS
@@ -29,9 +29,9 @@ from scripts.robot.sensors import BASE_DRIVER, COMMAND_TOPIC, SENSORS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from arpd.sim.namespaces import HostName
-    from arpd.sim.schedule import RateSchedule
-    from arpd.sim.simlink import SimLink
+    from arpd.adapters.sim.schedule import RateSchedule
+    from scripts.netns.namespaces import HostName
+    from scripts.netns.simlink import SimLink
     from scripts.robot.manner import Manner
 
 REPO = Path(__file__).resolve().parents[2]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.settings import Backend
-from arpd.solvers import ShareProblem, Solved, SolverFailed, load, water_fill
+from arpd.model.settings import Backend
+from arpd.solve.checked import ShareProblem, Solved, SolverFailed, load, water_fill
 
 WHOLE = 10**15
 #: The same at every run and on every machine, which hypothesis does not promise. What a back end cannot solve, one in

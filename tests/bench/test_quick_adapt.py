@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.sim.simlink import available
+from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 CAN, WHY = available()

@@ -2,11 +2,11 @@
 
 import pytest
 
-from arpd.sim.simlink import available
 from scripts.bench.exposition import ARPD, FORMATS, LIBRARY
 from scripts.bench.exposition_report import readme as exposition_text
 from scripts.bench.soak import QUICK_SWAPS, TOPICS
 from scripts.bench.soak_report import readme as soak_text
+from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 CAN, WHY = available()

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
-from arpd.sim.simlink import available
+from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 WORKS, WHY_NOT = available()

@@ -6,7 +6,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
-from arpd.sim.simlink import available
+from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 CAN, WHY = available()

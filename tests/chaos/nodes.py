@@ -14,9 +14,9 @@ from collections import defaultdict
 from contextlib import contextmanager
 from dataclasses import replace
 
-from arpd.ros import rmw
-from arpd.ros.writer import RosWriter
-from arpd.swap import SwapState, WriterSwap
+from arpd.adapters.ros import rmw
+from arpd.adapters.ros.writer import RosWriter
+from arpd.apply.endpoint.writer_swap import SwapState, WriterSwap
 from scripts.bench.child import commands, number_of, sample_of, say
 
 RATE_HZ = 20.0
@@ -105,7 +105,7 @@ def obey_aside(stops):
 def spun(name):
     from rclpy.executors import SingleThreadedExecutor
 
-    from arpd.ros.runtime import ros_node, spinning
+    from arpd.adapters.ros.runtime import ros_node, spinning
 
     with ros_node(name) as node:
         executor = SingleThreadedExecutor()
@@ -121,7 +121,7 @@ class Talker:
         from std_msgs.msg import String
 
         from arpd import AdaptivePublisher
-        from arpd.settings import Overflow
+        from arpd.model.settings import Overflow
 
         self._publishers = {
             topic: AdaptivePublisher(node, String, topic, BASELINE_DEPTH, overflow=Overflow.QUEUE) for topic in topics
@@ -186,7 +186,7 @@ def listen(name, *topics):
 
 
 def relay(config):
-    from arpd.cli import main
+    from arpd.cli.main import main
 
     stops = Stops()
     stops.install()
@@ -196,7 +196,7 @@ def relay(config):
 
 def daemon(config):
     """Run the daemon; who lives in another process counts as across the link, because all of them are on one host."""
-    from arpd.cli import main
+    from arpd.cli.main import main
 
     rmw_of = rmw.rmw_of
     rmw.rmw_of = lambda name: replace(rmw_of(name), tells_hosts=False)

@@ -28,10 +28,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.ros.announce import from_status
-from arpd.ros.graph import deadline_ns_of
-from arpd.ros.names import PUBLISHERS_TOPIC, parameter_name
-from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
+from arpd.adapters.ros.announcement import from_status
+from arpd.adapters.ros.graph import deadline_ns_of
+from arpd.adapters.ros.names import PUBLISHERS_TOPIC, parameter_name
+from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from scripts.bench.child import number_of, sample_of
 
 REPO = Path(__file__).resolve().parents[2]

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from arpd.admission import Kind, Reason, Taken
-from arpd.durations import Durations
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import (
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import PeerReport
+from arpd.model.publishers import SwapRecord
+from arpd.model.readers import ReaderPlan
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import (
     Allocation,
     AllocationStatus,
     Binding,
@@ -23,11 +25,9 @@ from arpd.model import (
     TopicAllocation,
     TopicPlan,
 )
-from arpd.probing import PeerReport
-from arpd.publishers import SwapRecord
-from arpd.readers import ReaderPlan
-from arpd.refusal import RefusalReason
-from arpd.snapshot import Snapshot, Totals
+from arpd.observe.rate_limits import Kind, Reason, Taken
+from arpd.report.durations import Durations
+from arpd.report.snapshot import Snapshot, Totals
 from tests.sample_publishers import publisher, reader
 
 FINISHED_AT_S = 1000.0

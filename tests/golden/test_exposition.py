@@ -11,8 +11,8 @@ import pytest
 from golden.sample import FINISHED_AT_S
 from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.web.http_metrics import HttpCounts
-from arpd.web.metrics import SnapshotCollector
+from arpd.adapters.http.http_metrics import HttpCounts
+from arpd.adapters.http.metrics import SnapshotCollector
 
 GOLDEN = Path(__file__).with_name("exposition.txt")
 GET_PROMETHEUS = Path(__file__).parents[2] / "scripts" / "get-prometheus"

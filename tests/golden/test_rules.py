@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from arpd.event import EventKind
+from arpd.report.events import EventKind
 
 REPO = Path(__file__).parents[2]
 ETC = REPO / "etc" / "prometheus"

@@ -7,7 +7,7 @@ import signal
 import time
 from contextlib import contextmanager
 
-from arpd.sim.simlink import SimLink
+from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import PREFIX, robot
 from scripts.robot.sensors import SENSORS

@@ -17,8 +17,8 @@ import pytest
 
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
-from arpd.sim.namespaces import executable, inside
-from arpd.sim.simlink import INTERFACE, SimLink, available
+from scripts.netns.namespaces import executable, inside
+from scripts.netns.simlink import INTERFACE, SimLink, available
 
 WORKS, WHY_NOT = available()
 pytestmark = [pytest.mark.link, pytest.mark.skipif(not WORKS, reason=f"no simulated link here: {WHY_NOT}")]
@@ -29,9 +29,9 @@ _serial = count()
 
 READER = """
 import json, logging, sys
-from arpd.host.counters import InterfaceReader
-from arpd.host.radio import Radio
-from arpd.interface import state_of
+from arpd.adapters.host.interface import InterfaceReader
+from arpd.adapters.host.radio import Radio
+from arpd.model.interface import state_of
 logging.basicConfig(stream=sys.stderr, format="%(message)s", level="INFO")
 reader = InterfaceReader(sys.argv[1])
 for _ in sys.stdin:
@@ -46,7 +46,7 @@ for _ in sys.stdin:
 PUBLISHER = """
 import json, sys, threading, time
 from arpd import AdaptivePublisher
-from arpd.ros.runtime import ros_node, spinning
+from arpd.adapters.ros.runtime import ros_node, spinning
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
@@ -67,10 +67,10 @@ with ros_node(sys.argv[1]) as node:
 """
 DAEMON = """
 import json, sys, time
-from arpd.probing import ProbeRequest
-from arpd.ros.control import RosControl
-from arpd.ros.runtime import control_node, ros_node, spinning
-from arpd.settings import GraphSettings
+from arpd.model.probing import ProbeRequest
+from arpd.adapters.ros.world import RosControl
+from arpd.adapters.ros.runtime import control_node, ros_node, spinning
+from arpd.model.settings import GraphSettings
 
 with (control_node if sys.argv[2] == "never waits" else ros_node)("arpd") as node:
     from rclpy.executors import MultiThreadedExecutor
@@ -293,7 +293,7 @@ def robot(make_link):
     def make(*, transports, how="never waits"):
         link = make_link()
         python(link, "ceddp", PUBLISHER, "far")
-        python(link, "ceddp", "import sys; from arpd.cli import main; sys.exit(main(['peer']))")
+        python(link, "ceddp", "import sys; from arpd.cli.main import main; sys.exit(main(['peer']))")
         publisher = Listening(python(link, "robot", PUBLISHER, "near", transports=transports))
         daemon = Listening(python(link, "robot", DAEMON, INTERFACE, how, transports=transports))
         daemon.until(lambda said: said.get("publishers") == 2 and said.get("reports", 0) > 10)

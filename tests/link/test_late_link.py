@@ -15,8 +15,8 @@ import pytest
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.sim.namespaces import executable, inside
-from arpd.sim.simlink import INTERFACE, SimLink, available
+from scripts.netns.namespaces import executable, inside
+from scripts.netns.simlink import INTERFACE, SimLink, available
 
 WORKS, WHY_NOT = available()
 pytestmark = [
@@ -41,7 +41,7 @@ def rename(host, name, other):
 def arpd(link, host, log, *argv):
     """Start arpd again as often as it fails, as its unit does."""
     again = ["sh", "-c", 'until "$@"; do sleep 0.2; done', "sh"]
-    command = ["env", "FASTDDS_BUILTIN_TRANSPORTS=UDPv4", *again, sys.executable, "-u", "-m", "arpd", *argv]
+    command = ["env", "FASTDDS_BUILTIN_TRANSPORTS=UDPv4", *again, sys.executable, "-u", "-m", "arpd.cli", *argv]
     return link.popen(host, command, env={**os.environ, "PYTHONPATH": str(REPO)}, cwd=REPO, stderr=log)
 
 

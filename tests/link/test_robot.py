@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.sim.simlink import available
+from scripts.netns.simlink import available
 from scripts.robot.run import REPO
 from scripts.robot.sensors import COMMAND_TOPIC
 from tests.link.live_robot import HEAVY, SLOW, SOURCES, eventually, is_confirmed, live_robot, qos, topics

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.sim.simlink import available
+from scripts.netns.simlink import available
 from scripts.robot.run import PREFIX, REPO
 from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
 from tests.link.live_robot import HEAVY, SLOW, eventually, is_confirmed, live_robot, received, topics

@@ -19,9 +19,9 @@ pytest.importorskip("pyroute2", reason="the simulated link needs pyroute2: pip i
 
 from pyroute2 import netns
 
-from arpd.errors import LinkError
-from arpd.sim.namespaces import inside
-from arpd.sim.simlink import SimLink, available, cleanup_stale, user_namespace_argv
+from arpd.model.errors import LinkError
+from scripts.netns.namespaces import inside
+from scripts.netns.simlink import SimLink, available, cleanup_stale, user_namespace_argv
 
 WORKS, WHY_NOT = available()
 pytestmark = [pytest.mark.link, pytest.mark.skipif(not WORKS, reason=f"no simulated link here: {WHY_NOT}")]
@@ -206,7 +206,7 @@ def test_a_run_id_in_use_is_refused(run_id):
 def test_what_a_killed_holder_leaves_is_cleaned_up(run_id):
     """After kill -9 of the holder, cleanup_stale ends what still runs inside and removes the namespaces."""
     code = (
-        "import time; from arpd.sim.simlink import SimLink\n"
+        "import time; from scripts.netns.simlink import SimLink\n"
         f"with SimLink({run_id!r}) as link:\n"
         "    print(link.popen('robot', ['sleep', '1000']).pid, flush=True); time.sleep(1000)"
     )

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptiveSubscription
-from arpd.ros.runtime import prepare_environment, spinning
+from arpd.adapters.ros.runtime import prepare_environment, spinning
 
 prepare_environment()
 rclpy.init()

@@ -10,12 +10,12 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.incumbent import LEAST_STARTED_NS, Claim
-from arpd.probing import PeerReport, Train
-from arpd.ros.announce import reader_to_status, to_status
-from arpd.ros.daemons import to_status as claim_to_status
-from arpd.ros.names import DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
-from arpd.ros.report import encode_report
+from arpd.adapters.ros.announcement import reader_to_status, to_status
+from arpd.adapters.ros.daemons import to_status as claim_to_status
+from arpd.adapters.ros.names import DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.probe_messages import encode_report
+from arpd.model.probing import PeerReport, Train
+from arpd.observe.leader import LEAST_STARTED_NS, Claim
 from tests.sample_publishers import publisher, reader
 
 BATCHES_HZ = 50.0

@@ -9,12 +9,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from diagnostic_msgs.msg import KeyValue
 from rclpy.serialization import serialize_message
 
-from arpd.model import Direction
-from arpd.pacing import DropCause
-from arpd.publishers import SwapRecord
-from arpd.refusal import RefusalReason
-from arpd.ros.announce import from_status, reader_from_status, reader_to_status, to_status
-from arpd.swap import SwapPhase, SwapResult
+from arpd.adapters.ros.announcement import from_status, reader_from_status, reader_to_status, to_status
+from arpd.apply.endpoint.pacing import DropCause
+from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult
+from arpd.model.publishers import SwapRecord
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import Direction
 from tests.sample_publishers import publisher, reader
 
 pytestmark = pytest.mark.ros

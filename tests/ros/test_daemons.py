@@ -7,9 +7,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
 
-from arpd.incumbent import LEAST_STARTED_NS, Claim
-from arpd.ros.daemons import Daemons, from_status, to_status
-from arpd.ros.names import DAEMONS_TOPIC, GATE_TOPIC
+from arpd.adapters.ros.daemons import Daemons, from_status, to_status
+from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
+from arpd.observe.leader import LEAST_STARTED_NS, Claim
 
 pytestmark = pytest.mark.ros
 OWN = Claim(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")

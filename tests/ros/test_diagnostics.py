@@ -12,12 +12,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
 
-from arpd.chronicle import Chronicle
-from arpd.model import LinkState
-from arpd.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
-from arpd.ros.graph import read_crossings
-from arpd.ros.names import GATE_TOPIC
-from arpd.ros.rmw import current_rmw
+from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
+from arpd.adapters.ros.graph import read_crossings
+from arpd.adapters.ros.names import GATE_TOPIC
+from arpd.adapters.ros.rmw import current_rmw
+from arpd.model.values import LinkState
+from arpd.report.decision_log import Chronicle
 from tests.golden.sample import make_snapshot
 
 pytestmark = pytest.mark.ros

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.swap import SwapTiming
+from arpd.apply.endpoint.writer_swap import SwapTiming
 
 pytestmark = pytest.mark.ros
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]

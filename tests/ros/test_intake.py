@@ -14,15 +14,15 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, UInt8MultiArray
 
-from arpd.admission import Kind, Reason
-from arpd.endpoints import MOST_OF_NODE
-from arpd.ros.announce import from_status, to_status
-from arpd.ros.announcements import Announcements
-from arpd.ros.bounds import LEAST_DEADLINE_NS
-from arpd.ros.graph import Crossing, Graph, read_crossings
-from arpd.ros.intake import Intake, Pause, octets, peek
-from arpd.ros.refused import Refused
-from arpd.ros.rmw import rmw_of
+from arpd.adapters.ros.announcement import from_status, to_status
+from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
+from arpd.adapters.ros.graph import Crossing, Graph, read_crossings
+from arpd.adapters.ros.listeners import Announcements
+from arpd.adapters.ros.raw_subscription import Intake, Pause, octets, peek
+from arpd.adapters.ros.refused import Refused
+from arpd.adapters.ros.rmw import rmw_of
+from arpd.observe.rate_limits import Kind, Reason
+from arpd.observe.registry import MOST_OF_NODE
 from tests.sample_publishers import publisher
 
 pytestmark = pytest.mark.ros

@@ -14,9 +14,9 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher
-from arpd.model import TopicPlan, Transition
-from arpd.ros.announce import from_status
-from arpd.ros.parameters import ParameterApplier
+from arpd.adapters.ros.announcement import from_status
+from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.model.values import TopicPlan, Transition
 
 pytestmark = pytest.mark.ros
 TOPIC = "/leased"

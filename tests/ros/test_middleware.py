@@ -9,8 +9,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.ros.graph import read_crossings
-from arpd.ros.rmw import current_rmw, rmw_of
+from arpd.adapters.ros.graph import read_crossings
+from arpd.adapters.ros.rmw import current_rmw, rmw_of
 
 pytestmark = pytest.mark.ros
 OTHER = rmw_of("rmw_cyclonedds_cpp")

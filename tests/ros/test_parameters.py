@@ -15,10 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.task import Future
 
-from arpd.governor import MOST_GENERATION
-from arpd.model import TopicPlan, Transition
-from arpd.readers import ReaderPlan
-from arpd.ros.bounds import (
+from arpd.adapters.ros.bounds import (
     LEAST_DEADLINE_NS,
     MOST_RATE_HZ,
     checked_deadline_ns,
@@ -27,8 +24,11 @@ from arpd.ros.bounds import (
     checked_lease_s,
     checked_rate_hz,
 )
-from arpd.ros.grant import Grant
-from arpd.ros.parameters import ParameterApplier
+from arpd.adapters.ros.grant import Grant
+from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.govern.governor import MOST_GENERATION
+from arpd.model.readers import ReaderPlan
+from arpd.model.values import TopicPlan, Transition
 
 pytestmark = pytest.mark.ros
 ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20)

@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.probe_loss import ProbeLoss
-from arpd.probing import ProbeRequest
-from arpd.receiver import PROMPT_S, WORTH_BYTES
-from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.ros.peer import Peer, default_name
-from arpd.ros.report import ProbeHeader, decode_report, encode_probe
-from arpd.wire import probe_wire_bytes
+from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.peer import Peer, default_name
+from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.estimate.probe_loss import ProbeLoss
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import ProbeRequest
+from arpd.model.wire import probe_wire_bytes
+from arpd.observe.receiver import PROMPT_S, WORTH_BYTES
 
 SIZE = 1200
 
@@ -139,8 +139,8 @@ def test_what_never_arrives_is_known_to_the_packet(daemon, eventually):
 
 def test_the_daemon_hears_what_was_lost_and_how_long_the_way_back_was(ros, interface, eventually):
     """A report that reaches the daemon has the count, and the time it took between the two hosts' clocks."""
-    from arpd.ros.control import RosControl
-    from arpd.settings import GraphSettings
+    from arpd.adapters.ros.world import RosControl
+    from arpd.model.settings import GraphSettings
 
     Peer(ros.node("peer"), reader=interface, name="ceddp-3f2a")
     world = RosControl(ros.node("arpd"), interface="lo", graph=GraphSettings(), on_report=lambda: None)
@@ -217,8 +217,8 @@ def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on(daemon, 
 def test_two_peers_tell_themselves_apart(daemon, ros, eventually, monkeypatch):
     """Hosts cloned with their host name differ in their interface's address, and keep their names when restarted."""
     addresses = {"wlan0": "b827eb123f2a", "wlan1": "b827eb99c001", "tun0": ""}
-    monkeypatch.setattr("arpd.ros.peer.hardware_address", addresses.__getitem__)
-    monkeypatch.setattr("arpd.ros.peer.platform.node", lambda: "ceddp")
+    monkeypatch.setattr("arpd.adapters.ros.peer.hardware_address", addresses.__getitem__)
+    monkeypatch.setattr("arpd.adapters.ros.peer.platform.node", lambda: "ceddp")
     names = [default_name(interface) for interface in addresses]
     assert names == ["ceddp-3f2a", "ceddp-c001", "ceddp"]
     Peer(ros.node("peer"), reader=Interface(), name=names[1])
@@ -241,9 +241,9 @@ def test_probes_of_strangers_are_ignored(daemon, ros, eventually):
 
 def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
     """One observation holds the interface's counters, its state, and what its radio told last."""
-    from arpd.host.counters import index_of
-    from arpd.ros.control import RosControl
-    from arpd.settings import GraphSettings
+    from arpd.adapters.host.interface import index_of
+    from arpd.adapters.ros.world import RosControl
+    from arpd.model.settings import GraphSettings
 
     asked = []
 
@@ -252,7 +252,7 @@ def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
             asked.append((interface, index))
             return 8_125_000.0
 
-    monkeypatch.setattr("arpd.ros.control.Radio", Radio)
+    monkeypatch.setattr("arpd.adapters.ros.world.Radio", Radio)
     world = RosControl(ros.node("arpd"), interface="lo", graph=GraphSettings(), on_report=lambda: None)
     first = world.observe(time.monotonic())
     assert (first.counters.interface, first.counters.state) == ("lo", InterfaceState.UP)

@@ -17,9 +17,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher
-from arpd.ros.announce import from_status
-from arpd.settings import Overflow
-from arpd.swap import SwapTiming
+from arpd.adapters.ros.announcement import from_status
+from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.model.settings import Overflow
 
 pytestmark = pytest.mark.ros
 TOPIC = "/swapped"
@@ -343,7 +343,7 @@ def test_one_long_write_is_enough_to_hand_over(publisher, monkeypatch, eventuall
 
 def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, monkeypatch, eventually):
     """After writes that blocked, the node's offers leave by the pacing thread, until writes are quick again."""
-    monkeypatch.setattr("arpd.ros.tuning._BLOCKED_S", math.inf)  # however slow this machine is just now
+    monkeypatch.setattr("arpd.adapters.ros.node_publishers._BLOCKED_S", math.inf)  # however slow this machine is
     other = AdaptivePublisher(publisher._node, String, "/other", 10)
     blocking, unblocked = SlowWriter(publisher, monkeypatch, takes_s=0.1), SlowWriter(other, monkeypatch)
     me = threading.current_thread()

@@ -24,15 +24,15 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
-from arpd.model import QosPlan, TopicPlan
-from arpd.ordering import Ordering
-from arpd.planner import restore_plan
-from arpd.readers import plan_readers, restore_readers
-from arpd.refusal import RefusalReason
-from arpd.ros.announce import reader_from_status
-from arpd.ros.control import RosControl
-from arpd.ros.listening import NodeListening
-from arpd.settings import GraphSettings
+from arpd.adapters.ros.announcement import reader_from_status
+from arpd.adapters.ros.node_subscriptions import NodeListening
+from arpd.adapters.ros.world import RosControl
+from arpd.apply.ordering import Ordering
+from arpd.govern.plan import restore_plan
+from arpd.model.readers import plan_readers, restore_readers
+from arpd.model.refusal import RefusalReason
+from arpd.model.settings import GraphSettings
+from arpd.model.values import QosPlan, TopicPlan
 
 pytestmark = pytest.mark.ros
 TOPIC = "/driven"

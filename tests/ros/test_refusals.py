@@ -9,9 +9,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.model import TopicPlan
-from arpd.planner import is_confirmed
-from arpd.refusal import RefusalReason
+from arpd.govern.plan import is_confirmed
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import TopicPlan
 
 pytestmark = pytest.mark.ros
 ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=500_000_000, depth=40)

@@ -14,9 +14,9 @@ from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, String
 
-from arpd.ros import relay as relay_module
-from arpd.ros.relay import Relay, UnknownTypeError, best_executor, message_class
-from arpd.settings import Overflow, RelaySettings
+from arpd.adapters.ros import relay as relay_module
+from arpd.adapters.ros.relay import Relay, UnknownTypeError, best_executor, message_class
+from arpd.model.settings import Overflow, RelaySettings
 
 pytestmark = pytest.mark.ros
 

@@ -137,7 +137,7 @@ def alone(tmp_path, monkeypatch):
         path = tmp_path / "arpd.yaml"
         path.write_text(json.dumps({"link": {"interface": "wlan9"}, "http": {"port": port}}))
         log = (tmp_path / "log").open("w")
-        command = [sys.executable, "-u", "-m", "arpd", "run", "--config", str(path)]
+        command = [sys.executable, "-u", "-m", "arpd.cli", "run", "--config", str(path)]
         process = subprocess.Popen(command, env={**os.environ, **environment}, stderr=log, cwd=REPO)
         started.append(process)
         return process, (tmp_path / "log").read_text

@@ -24,8 +24,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
-from arpd.ros.relay import best_executor
-from arpd.ros.runtime import prepare_environment, spinning
+from arpd.adapters.ros.relay import best_executor
+from arpd.adapters.ros.runtime import prepare_environment, spinning
 
 pytestmark = pytest.mark.ros
 REPO = Path(__file__).resolve().parents[2]
@@ -136,8 +136,8 @@ def graph(tmp_path_factory):
         # The chaos tests' daemon is arpd run, for which another process is across the link: there is one host only.
         argvs = [
             [str(REPO / "tests/chaos/nodes.py"), "daemon", str(config)],
-            ["-m", "arpd", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
-            ["-m", "arpd", "peer", "--interface", "lo"],
+            ["-m", "arpd.cli", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
+            ["-m", "arpd.cli", "peer", "--interface", "lo"],
         ]
         processes = [
             subprocess.Popen([sys.executable, *argv], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=REPO)
@@ -232,7 +232,7 @@ def test_enforce_without_a_keystore_starts_nothing(tmp_path):
         "ROS_SECURITY_ENCLAVE_OVERRIDE": "/arpd/peer",
     }
     ended = subprocess.run(
-        [sys.executable, "-m", "arpd", "peer", "--interface", "lo"],
+        [sys.executable, "-m", "arpd.cli", "peer", "--interface", "lo"],
         env={**os.environ, **secured},
         cwd=REPO,
         capture_output=True,

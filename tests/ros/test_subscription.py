@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from arpd import AdaptiveSubscription
-from arpd.ros.rmw import rmw_of
+from arpd.adapters.ros.rmw import rmw_of
 
 pytestmark = pytest.mark.ros
 TOPIC = "/heard"

@@ -24,7 +24,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.swap import SwapTiming
+from arpd.apply.endpoint.writer_swap import SwapTiming
 
 pytestmark = pytest.mark.ros
 TOPIC = "/kept"

@@ -11,7 +11,7 @@ import pytest
 def run(tmp_path_factory):
     """Play the run once and keep it alive (`tests.seeing.real_run.RealRun`)."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from arpd.sim.simlink import available
+    from scripts.netns.simlink import available
     from scripts.robot.run import REPO
     from tests.seeing.real_run import real_run
 

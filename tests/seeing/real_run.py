@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from arpd.sim.simlink import SimLink
+from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.proxy import window
 from scripts.robot.run import REPO, Side, robot

@@ -13,11 +13,11 @@ from itertools import pairwise
 import pytest
 from prometheus_client import CollectorRegistry
 
-from arpd.event import Event, EventKind, Severity
-from arpd.history import History
-from arpd.web.page import render_page
-from arpd.web.server import HttpServer
-from arpd.web.status import status_document
+from arpd.adapters.http.page import render_page
+from arpd.adapters.http.server import HttpServer
+from arpd.report.events import Event, EventKind, Severity
+from arpd.report.history import History
+from arpd.report.status import status_document
 from tests.golden.sample import FINISHED_AT_S
 from tests.sample_publishers import publisher
 from tests.seeing.browser import LEAST_CONTRAST, PHONE, chromium, visit

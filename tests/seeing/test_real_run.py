@@ -18,7 +18,7 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.web.page import render_page
+from arpd.adapters.http.page import render_page
 from tests.seeing import dashboards
 from tests.seeing.browser import chromium, visit
 from tests.seeing.real_run import PROMETHEUS_ETC
@@ -170,7 +170,7 @@ def command(*arguments):
     """Run ``arpd`` in a pipe; returns its exit code and what it printed."""
     environment = {**os.environ, "COLUMNS": "400", "LINES": "200"}  # so that nothing is cut
     done = subprocess.run(
-        [sys.executable, "-m", "arpd", *arguments], capture_output=True, text=True, check=False, env=environment
+        [sys.executable, "-m", "arpd.cli", *arguments], capture_output=True, text=True, check=False, env=environment
     )
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr

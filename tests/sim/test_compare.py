@@ -5,15 +5,15 @@ from functools import cache
 
 import pytest
 
-from arpd.model import Direction, LinkState
-from arpd.settings import RelaySettings, Settings, TopicSettings
-from arpd.sim.baselines import Oracle
-from arpd.sim.compare import Event, between, compare, estimate_error, events, summarize
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic, configured_topics
-from arpd.sim.scenario import Moment, ScenarioResult, run
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.baselines import Oracle
+from arpd.adapters.sim.foreign import ForeignFlow
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.robot import SimTopic, configured_topics
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.daemon.compare import Event, between, compare, estimate_error, events, summarize
+from arpd.daemon.scenario import Moment, ScenarioResult, run
+from arpd.model.settings import RelaySettings, Settings, TopicSettings
+from arpd.model.values import Direction, LinkState
 
 MBIT = 125_000.0
 FALL = "0:8mbit,15:2mbit"

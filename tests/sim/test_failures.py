@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.daemon import Daemon
-from arpd.model import Direction, LinkState
-from arpd.settings import ProgramSettings, Settings, TopicSettings
-from arpd.sim import scenario, world
-from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import RateSchedule
+from arpd.adapters.sim import world
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.robot import SimTopic
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.daemon import scenario
+from arpd.daemon.tick import Daemon
+from arpd.model.settings import ProgramSettings, Settings, TopicSettings
+from arpd.model.values import Direction, LinkState
 
 LASTS_S = 25.0
 STARTS_S = 1000.0  # of the sensors, on the clock of the daemon

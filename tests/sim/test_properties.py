@@ -12,19 +12,19 @@ from unittest import mock
 
 import pytest
 
-from arpd.daemon import Daemon
-from arpd.model import Direction, LinkState
-from arpd.planner import _SOURCE_MARGIN
-from arpd.settings import Backend, ProgramSettings, Settings, TopicSettings
-from arpd.sim.link import LinkModel
-from arpd.sim.loss import GilbertElliott, LossStep
-from arpd.sim.robot import SimTopic
-from arpd.sim.scenario import run
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.topics import topics_to_plan
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.loss import GilbertElliott, LossStep
+from arpd.adapters.sim.robot import SimTopic
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.daemon.scenario import run
+from arpd.daemon.tick import Daemon
+from arpd.govern.plan import _SOURCE_MARGIN
+from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
+from arpd.model.values import Direction, LinkState
+from arpd.solve.topics import topics_to_plan
 
 if TYPE_CHECKING:
-    from arpd.snapshot import Snapshot
+    from arpd.report.snapshot import Snapshot
 
 MBIT = 125_000.0
 PAST_S, REST_S, WATCH_S = 25.0, 60.0, 15.0
@@ -61,7 +61,7 @@ def watched(schedule: RateSchedule, duration_s: float, model: LinkModel, *, seed
             ticks.append(Tick(t_s=now_s - 1000.0, snapshot=self.snapshot))
             return decision
 
-    with mock.patch("arpd.sim.scenario.Daemon", Watched):
+    with mock.patch("arpd.daemon.scenario.Daemon", Watched):
         run(SETTINGS, schedule, duration_s, seed=seed, managed=True, model=model, topics=topics)
     return ticks
 

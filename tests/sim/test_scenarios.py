@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from arpd.config import load_settings
-from arpd.model import LinkState
-from arpd.settings import LinkSettings
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel
-from arpd.sim.robot import DEMO_TOPICS
-from arpd.sim.scenario import demo_settings, run
-from arpd.sim.schedule import RateSchedule
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.foreign import ForeignFlow
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.robot import DEMO_TOPICS
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.daemon.scenario import demo_settings, run
+from arpd.model.settings import LinkSettings
+from arpd.model.values import LinkState
 
 MBIT = 125_000.0
 ROBOT = Path(__file__).parents[2] / "scripts" / "robot" / "arpd.yaml"

@@ -89,7 +89,7 @@ class FakePi:
         for version in ("first", "second"):
             self.path(f"/srv/{version}").mkdir()
             unpack_source(self.path(f"/srv/{version}"))
-        substitute(self.path("/srv/second/arpd/cli.py"), BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
+        substitute(self.path("/srv/second/arpd/cli/main.py"), BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
         version = metadata.version("arpd")
         substitute(self.path("/srv/second/pyproject.toml"), f'version = "{version}"', 'version = "99.0"')
         default = self.path("/srv/second" + CONFIG)

@@ -23,11 +23,11 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install p
 import machine
 import numbered
 
-from arpd.event import EventKind
-from arpd.journal import MESSAGE_IDS
-from arpd.ros.runtime import FASTDDS_PROFILE
-from arpd.sim import simlink
-from arpd.sim.namespaces import NETNS_DIR
+from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.adapters.systemd.journal import MESSAGE_IDS
+from arpd.report.events import EventKind
+from scripts.netns import simlink
+from scripts.netns.namespaces import NETNS_DIR
 from scripts.robot.proxy import window
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
@@ -318,7 +318,7 @@ def test_start_returns_when_the_daemon_runs(stopped):
     assert (state["ActiveState"], state["NRestarts"]) == ("active", "0")
     command = (stopped.robot.root / "proc" / state["MainPID"] / "cmdline").read_text().split("\0")
     assert "python" in command[0]
-    assert command[1:4] == ["-m", "arpd", "run"]
+    assert command[1:4] == ["-m", "arpd.cli", "run"]
     log = stopped.journal_of_this_start()
     assert log.index("metrics at http://127.0.0.1:9464") < log.index("Started arpd.service")
     eventually(stopped.is_ready, timeout_s=5.0)

@@ -18,8 +18,8 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install p
 import machine
 from fake_pi import BREAK, CONFIG, PYTHON, REPO, UNITS, FakePi, installed_by_apt, unpack_source
 
-from arpd.sim.namespaces import NETNS_DIR
-from arpd.sim.simlink import SimLink, available
+from scripts.netns.namespaces import NETNS_DIR
+from scripts.netns.simlink import SimLink, available
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 

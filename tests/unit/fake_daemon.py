@@ -7,8 +7,10 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import (
+from arpd.adapters.sim.robot import DEMO_TOPICS
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import (
     Allocation,
     AllocationStatus,
     Binding,
@@ -22,10 +24,8 @@ from arpd.model import (
     TopicAllocation,
     TopicPlan,
 )
-from arpd.refusal import RefusalReason
-from arpd.sim.robot import DEMO_TOPICS
-from arpd.snapshot import Snapshot, Totals
-from arpd.web.status import status_document
+from arpd.report.snapshot import Snapshot, Totals
+from arpd.report.status import status_document
 from tests.sample_publishers import publisher
 
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.admission import Kind, Reason, Refusals, TokenBucket, Turnstile
-from arpd.endpoints import MOST, MOST_OF_NODE, Endpoints
-from arpd.peers import Ceiling, PeerAdmission
-from arpd.probing import PeerReport, Train
+from arpd.model.probing import PeerReport, Train
+from arpd.observe.peer_reports import Ceiling, PeerAdmission
+from arpd.observe.rate_limits import Kind, Reason, Refusals, TokenBucket, Turnstile
+from arpd.observe.registry import MOST, MOST_OF_NODE, Endpoints
 from tests.sample_publishers import publisher
 
 REPORT = PeerReport(peer="ceddp", received_at_s=0.0, interval_s=0.1, rx_bytes=1000, rx_packets=2, last_probe=0)

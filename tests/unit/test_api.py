@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from arpd.daemon import Daemon
-from arpd.event import Event, EventKind, Severity
-from arpd.history import History
-from arpd.model import AllocationStatus
-from arpd.sim import scenario
-from arpd.sim.link import LinkModel
-from arpd.sim.schedule import RateSchedule
-from arpd.web.answers import PATHS
-from arpd.web.history import history_json
-from arpd.web.schemas import SCHEMAS_BY_PATH
-from arpd.web.status import status_document
+from arpd.adapters.http.answers import PATHS
+from arpd.adapters.http.schemas import SCHEMAS_BY_PATH
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.daemon import scenario
+from arpd.daemon.tick import Daemon
+from arpd.model.values import AllocationStatus
+from arpd.report.events import Event, EventKind, Severity
+from arpd.report.history import History
+from arpd.report.history_document import history_json
+from arpd.report.status import status_document
 
 KEYS = Path(__file__).parents[1] / "golden" / "api-v1-keys.txt"
 SCHEMAS = {name: json.loads(SCHEMAS_BY_PATH[f"/api/v1/schema/{name}-v1.json"]) for name in ("status", "history")}

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from arpd.config import load_settings
-from arpd.sim.result import TopicResult
-from arpd.topics import assumed_traffic
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.result import TopicResult
+from arpd.solve.topics import assumed_traffic
 from scripts.bench.adapt import renewed
 from scripts.bench.adapt_figures import beyond_period, check, document, due, late_share, over_time, pooled
 from scripts.bench.adapt_links import CALM_S, MBIT, SEED, links, quick_link

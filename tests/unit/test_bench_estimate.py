@@ -7,9 +7,9 @@ import math
 
 import pytest
 
-from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic
-from arpd.sim.scenario import Moment, ScenarioResult
+from arpd.adapters.sim.link import LinkModel
+from arpd.adapters.sim.robot import SimTopic
+from arpd.daemon.scenario import Moment, ScenarioResult
 from scripts.bench.estimate import document
 from scripts.bench.estimate_metrics import measure
 from scripts.bench.estimate_report import TARGETS, Target, scenario_table, target_table

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from arpd.config import load_settings
-from arpd.sim.scenario import run as simulate
-from arpd.web.status import status_document
+from arpd.adapters.config.load import load_settings
+from arpd.daemon.scenario import run as simulate
+from arpd.report.status import status_document
 from scripts.bench.link_course import MBIT, SCENARIOS, Belief, Instant, Run, Scenario, virtual_course, with_outages
 from scripts.bench.link_figures import FIGURES, figures, gather
 from scripts.bench.link_report import draw, save, table

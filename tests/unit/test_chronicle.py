@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.chronicle import MOST_EVENTS, Chronicle
-from arpd.event import EventKind, Severity
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import (
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.publishers import SwapRecord
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import (
     Allocation,
     AllocationStatus,
     Binding,
@@ -26,9 +26,9 @@ from arpd.model import (
     QosPlan,
     TopicPlan,
 )
-from arpd.publishers import SwapRecord
-from arpd.refusal import RefusalReason
-from arpd.snapshot import Snapshot, Totals
+from arpd.report.decision_log import MOST_EVENTS, Chronicle
+from arpd.report.events import EventKind, Severity
+from arpd.report.snapshot import Snapshot, Totals
 from tests.sample_publishers import publisher, reader
 
 MBIT = 125_000.0

@@ -11,11 +11,11 @@ from types import ModuleType
 
 import pytest
 
-from arpd import cli
-from arpd.config_schema import flatten
-from arpd.errors import LinkError, RosUnavailableError
-from arpd.settings import Settings
-from arpd.version import VERSION
+from arpd.adapters.config.schema import flatten
+from arpd.cli import main as cli
+from arpd.model.errors import LinkError, RosUnavailableError
+from arpd.model.settings import Settings
+from arpd.model.version import VERSION
 
 COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status", "top")
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
@@ -152,19 +152,19 @@ def entry_point(monkeypatch):
     [
         (
             ["run", "--config", "a.yaml", "--log-level", "debug"],
-            "arpd.supervisor:run_daemon",
+            "arpd.daemon.supervisor:run_daemon",
             {"config_path": "a.yaml", "log_level": "debug"},
         ),
-        (["run"], "arpd.supervisor:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
+        (["run"], "arpd.daemon.supervisor:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
         (
             ["relay", "--node-name", "r"],
-            "arpd.ros.relay:run_relay",
+            "arpd.adapters.ros.relay:run_relay",
             {"config_path": "/etc/arpd/arpd.yaml", "node_name": "r", "log_level": "info"},
         ),
-        (["peer"], "arpd.ros.peer:run_peer", {"interface": "auto", "name": None, "log_level": "info"}),
+        (["peer"], "arpd.adapters.ros.peer:run_peer", {"interface": "auto", "name": None, "log_level": "info"}),
         (
             ["peer", "--interface", "wlan0", "--name", "laptop"],
-            "arpd.ros.peer:run_peer",
+            "arpd.adapters.ros.peer:run_peer",
             {"interface": "wlan0", "name": "laptop", "log_level": "info"},
         ),
     ],
@@ -196,7 +196,7 @@ def test_errors_become_one_line_and_an_exit_code(run, entry_point, error, code, 
     def fail(**_keywords):
         raise error
 
-    entry_point("arpd.ros.peer", "run_peer", fail)
+    entry_point("arpd.adapters.ros.peer", "run_peer", fail)
     assert run("peer") == (code, "", message)
 
 
@@ -206,7 +206,7 @@ def test_a_bug_is_not_hidden(run, entry_point):
     def fail(**_keywords):
         raise ZeroDivisionError
 
-    entry_point("arpd.ros.peer", "run_peer", fail)
+    entry_point("arpd.adapters.ros.peer", "run_peer", fail)
     with pytest.raises(ZeroDivisionError):
         run("peer")
 
@@ -216,7 +216,7 @@ def test_a_closed_pipe_is_quiet(config):
     reader, writer = os.pipe()
     os.close(reader)
     ran = subprocess.run(
-        [sys.executable, "-m", "arpd", "check", config("{}")],
+        [sys.executable, "-m", "arpd.cli", "check", config("{}")],
         stdout=writer,
         stderr=subprocess.PIPE,
         check=False,
@@ -227,9 +227,8 @@ def test_a_closed_pipe_is_quiet(config):
 
 def test_check_needs_neither_ros_nor_solvers(config):
     """Checking a file is fast, and works on any computer."""
-    script = (
-        "import sys; from arpd.cli import main; main(); print(sorted({'rclpy', 'osqp', 'cvxpy'} & set(sys.modules)))"
-    )
+    loaded = "print(sorted({'rclpy', 'osqp', 'cvxpy'} & set(sys.modules)))"
+    script = f"import sys; from arpd.cli import main; main.main(); {loaded}"
     ran = subprocess.run(
         [sys.executable, "-c", script, "check", config("{}")], capture_output=True, text=True, check=True
     )
@@ -286,7 +285,7 @@ def test_solve_refuses_nonsense_as_usage(run, changed):
 
 def test_solve_names_a_back_end_that_is_not_installed(run, monkeypatch):
     """A missing library is no traceback."""
-    monkeypatch.setitem(sys.modules, "arpd.solvers.cvxpy_", None)
+    monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     code, _, err = run("solve", "--rmax", 100, "--sensing", 11, "--actuation", 1, "--backend", "cvxpy")
     assert code == 2
     assert "try --backend exact" in err

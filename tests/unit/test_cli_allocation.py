@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from arpd import cli
-from arpd.config import load_settings
-from arpd.offline import spread
-from arpd.web.status import status_document
+from arpd.adapters.config.load import load_settings
+from arpd.cli import main as cli
+from arpd.govern.what_if import spread
+from arpd.report.status import status_document
 
 REPO = Path(__file__).parents[2]
 ROBOT = REPO / "scripts" / "robot" / "arpd.yaml"
@@ -396,7 +396,7 @@ def test_what_does_not_fit_together_exits_2_with_what_would(solve, arguments, me
 
 def test_a_back_end_that_is_not_installed_exits_2(solve, config, monkeypatch):
     """Also when it is the file that asks for it."""
-    monkeypatch.setitem(sys.modules, "arpd.solvers.cvxpy_", None)
+    monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     code, _, err = solve("--config", config(SMALL.replace("exact", "cvxpy")), "--capacity", "5mbit")
     assert code == 2
     assert err.startswith("arpd: back end cvxpy is not installed here")
@@ -405,7 +405,7 @@ def test_a_back_end_that_is_not_installed_exits_2(solve, config, monkeypatch):
 def test_solving_offline_needs_neither_ros_nor_matplotlib(config):
     """It works on any computer, and starts fast."""
     script = (
-        "import sys; from arpd.cli import main; main(); "
+        "import sys; from arpd.cli.main import main; main(); "
         "print(sorted({'rclpy', 'osqp', 'cvxpy', 'matplotlib', 'psutil'} & set(sys.modules)))"
     )
     ran = subprocess.run(
@@ -459,7 +459,7 @@ def test_a_plot_that_cannot_be_written_exits_1(solve, config, tmp_path):
 
 def test_a_missing_matplotlib_is_named_with_its_remedy(solve, config, monkeypatch, tmp_path):
     """It is an extra; without it nothing is computed in vain."""
-    monkeypatch.setitem(sys.modules, "arpd.sweep_plot", None)
+    monkeypatch.setitem(sys.modules, "arpd.cli.sweep_plot", None)
     code, out, err = solve("--config", config(), "--sweep", "1mbit:2mbit", "--plot", tmp_path / "x.png")
     assert (code, out) == (1, "")
     assert err.startswith("arpd: --plot needs matplotlib (")

@@ -11,7 +11,7 @@ import pytest
 
 WORK = """
 import sys
-from arpd.cli_progress import progress
+from arpd.cli.progress import progress
 with progress("working [bold]", total=2) as shown:
     for what in ("one", "two"):
         shown.step(what)

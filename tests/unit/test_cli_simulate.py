@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from arpd import cli
+from arpd.cli import main as cli
 
 CONFIG = """\
 relay: {topics: [{name: /camera}]}

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd import cli, cli_verdict
-from arpd.cli_status import screen
-from arpd.cli_verdict import faults
-from arpd.event import EventKind
-from arpd.interface import InterfaceState
-from arpd.model import AllocationStatus, Binding, LinkState
-from arpd.refusal import RefusalReason
+from arpd.cli import main as cli
+from arpd.cli import verdict as cli_verdict
+from arpd.cli.status import screen
+from arpd.cli.verdict import faults
+from arpd.model.interface import InterfaceState
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import AllocationStatus, Binding, LinkState
+from arpd.report.events import EventKind
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 
 

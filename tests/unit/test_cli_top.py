@@ -23,9 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from arpd import cli
-from arpd.cli_frame import View, frame
-from arpd.cli_sparkline import BLOCKS, sparkline
+from arpd.cli import main as cli
+from arpd.cli.frame import View, frame
+from arpd.cli.sparkline import BLOCKS, sparkline
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 from tests.unit.test_cli_status import HOSTILE, broken_documents
 
@@ -170,7 +170,7 @@ def test_once_prints_a_frame_into_a_pipe(daemon):
     """No control codes, all topics, exit 0."""
     environment = {name: value for name, value in os.environ.items() if name not in {"COLUMNS", "LINES", "FORCE_COLOR"}}
     done = subprocess.run(
-        [sys.executable, "-m", "arpd", "top", "--once", "--url", daemon[0]],
+        [sys.executable, "-m", "arpd.cli", "top", "--once", "--url", daemon[0]],
         capture_output=True,
         text=True,
         check=False,
@@ -224,7 +224,7 @@ class Screen:
         self.before = termios.tcgetattr(slave)
         self._slave = slave
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "arpd", *arguments],
+            [sys.executable, "-m", "arpd.cli", *arguments],
             stdin=slave,
             stdout=slave,
             stderr=slave,

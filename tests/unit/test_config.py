@@ -11,10 +11,10 @@ import yaml
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from arpd.config import describe_change, load_settings, needs_restart, restart_only_changes
-from arpd.config_schema import SECTIONS, flatten
-from arpd.errors import ConfigError
-from arpd.settings import (
+from arpd.adapters.config.load import describe_change, load_settings, needs_restart, restart_only_changes
+from arpd.adapters.config.schema import SECTIONS, flatten
+from arpd.model.errors import ConfigError
+from arpd.model.settings import (
     Backend,
     GovernorSettings,
     GraphSettings,

@@ -9,8 +9,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from arpd.config import load_settings
-from arpd.errors import ConfigError
+from arpd.adapters.config.load import load_settings
+from arpd.model.errors import ConfigError
 from scripts.bench.fuzz_target import FAULT
 from scripts.bench.fuzz_targets import TARGETS
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from arpd.host.counters import (
+from arpd.adapters.host.interface import (
     InterfaceReader,
     MemoryReader,
     hardware_address,
@@ -15,8 +15,8 @@ from arpd.host.counters import (
     name_of,
     read_counters,
 )
-from arpd.host.net_device import NetDevice
-from arpd.interface import InterfaceState, LinkCounters, state_of
+from arpd.adapters.host.net_device import NetDevice
+from arpd.model.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)
 ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
@@ -266,8 +266,8 @@ def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state
         tx_packets=4,
         tx_dropped=5,
     )
-    monkeypatch.setattr("arpd.host.counters.index_of", {"wlan0": 999_999}.get)
-    monkeypatch.setattr("arpd.host.counters.read_device", {999_999: device}.get)
+    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
+    monkeypatch.setattr("arpd.adapters.host.interface.read_device", {999_999: device}.get)
     assert read_counters("wlan0") == LinkCounters(
         interface="wlan0", rx_bytes=1, tx_bytes=2, rx_packets=3, tx_packets=4, tx_dropped=5, state=state
     )
@@ -275,7 +275,7 @@ def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state
 
 def test_an_interface_that_vanishes_between_two_questions_is_none(monkeypatch):
     """Its number is known, and the kernel has nothing of that number any more."""
-    monkeypatch.setattr("arpd.host.counters.index_of", {"wlan0": 999_999}.get)
+    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
     assert read_counters("wlan0") is None
 
 
@@ -297,7 +297,7 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
 
     for name in ("net_if_stats", "net_if_addrs"):
         monkeypatch.setattr(psutil, name, refuse)
-    monkeypatch.setattr("arpd.host.rtnetlink.socket.socket", refuse)
+    monkeypatch.setattr("arpd.adapters.host.netlink.socket.socket", refuse)
     assert (read_counters("lo"), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
     assert InterfaceReader("auto").read() is None
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from arpd.daemon import Daemon
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import Direction, MemoryState, Observation
-from arpd.program import Program
-from arpd.settings import LinkSettings, Settings
+from arpd.daemon.tick import Daemon
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.settings import LinkSettings, Settings
+from arpd.model.values import Direction, MemoryState, Observation
+from arpd.solve.program import Program
 from tests.sample_publishers import publisher, reader
 
 TOPIC = "/t"

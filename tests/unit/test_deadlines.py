@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.deadlines import DeadlineCount
+from arpd.apply.endpoint.deadlines import DeadlineCount
 
 
 class Endpoint:

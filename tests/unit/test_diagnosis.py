@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.chronicle import Chronicle
-from arpd.diagnosis import Level, diagnose
-from arpd.model import AllocationStatus, LinkState
+from arpd.model.values import AllocationStatus, LinkState
+from arpd.report.decision_log import Chronicle
+from arpd.report.diagnostics import Level, diagnose
 from tests.golden.sample import FINISHED_AT_S, make_snapshot
 
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.distribution import Distribution
-from arpd.durations import Durations, SwapWatch
-from arpd.publishers import SwapRecord
+from arpd.model.publishers import SwapRecord
+from arpd.report.distribution import Distribution
+from arpd.report.durations import Durations, SwapWatch
 from tests.sample_publishers import publisher
 
 BOUNDS = (0.01, 0.1, 1.0)

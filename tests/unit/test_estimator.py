@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimator import Estimator
-from arpd.estimator_belief import EstimatorEvent
-from arpd.estimator_tuning import EstimatorTuning
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import MOST_YIELDED, CapacityKind, LinkState, MemoryState, Observation
-from arpd.probing import PeerReport, Train
-from arpd.settings import LinkSettings
-from arpd.wire import probe_wire_bytes
+from arpd.estimate.belief import EstimatorEvent
+from arpd.estimate.estimator import Estimator
+from arpd.estimate.parameters import EstimatorTuning
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import PeerReport, Train
+from arpd.model.settings import LinkSettings
+from arpd.model.values import MOST_YIELDED, CapacityKind, LinkState, MemoryState, Observation
+from arpd.model.wire import probe_wire_bytes
 
 TUNING = EstimatorTuning()
 FIRST = 2.0e6

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimator import Estimator
-from arpd.model import CapacityKind, LinkState
-from arpd.settings import GraphSettings, LinkSettings
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.loss import GilbertElliott
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.timeline import Alarm, Timeline
-from arpd.sim.world import SimulatedWorld
-from arpd.wire import wire_size
+from arpd.adapters.sim.foreign import ForeignFlow
+from arpd.adapters.sim.link import LinkModel, SimulatedLink
+from arpd.adapters.sim.loss import GilbertElliott
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.timeline import Alarm, Timeline
+from arpd.adapters.sim.world import SimulatedWorld
+from arpd.estimate.estimator import Estimator
+from arpd.model.settings import GraphSettings, LinkSettings
+from arpd.model.values import CapacityKind, LinkState
+from arpd.model.wire import wire_size
 
 MBIT = 125_000.0  # bytes/s
 TICK_S = 0.1

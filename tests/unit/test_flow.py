@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.flow import Flow
-from arpd.pacing import DropCause
-from arpd.settings import Overflow
-from arpd.swap import SwapTiming
-from arpd.writer import WriterQos
+from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.pacing import DropCause
+from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.model.settings import Overflow
+from arpd.model.writer import WriterQos
 
 STEP_S = 0.005
 

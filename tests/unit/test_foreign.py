@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.foreign import ForeignTraffic
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import Direction, MemoryState, Observation
-from arpd.probing import ProbeRequest
-from arpd.publishers import PublisherState
-from arpd.wire import probe_wire_bytes, wire_size
+from arpd.estimate.cross_traffic import ForeignTraffic
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import ProbeRequest
+from arpd.model.publishers import PublisherState
+from arpd.model.values import Direction, MemoryState, Observation
+from arpd.model.wire import probe_wire_bytes, wire_size
 
 TICK_S = 0.1
 WINDOW_S = 3.0

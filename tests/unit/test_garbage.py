@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 
-from arpd.garbage import EVERY_S, MOST_NEW, Garbage
+from arpd.daemon.gc import EVERY_S, MOST_NEW, Garbage
 
 
 class Loop:

@@ -2,10 +2,10 @@
 
 import pytest
 
-from arpd.governor import MOST_GENERATION, Governor
-from arpd.program import Program
-from arpd.settings import Settings
-from arpd.topics import topics_to_plan
+from arpd.govern.governor import MOST_GENERATION, Governor
+from arpd.model.settings import Settings
+from arpd.solve.program import Program
+from arpd.solve.topics import topics_to_plan
 from tests.sample_link import LINK
 from tests.sample_publishers import publisher
 

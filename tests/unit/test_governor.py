@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.governor import Governor
-from arpd.model import Decision, LinkState, Topic
-from arpd.program import Program
-from arpd.settings import Backend, GovernorSettings, ProgramSettings, Settings
+from arpd.govern.governor import Governor
+from arpd.model.settings import Backend, GovernorSettings, ProgramSettings, Settings
+from arpd.model.values import Decision, LinkState, Topic
+from arpd.solve.program import Program
 from tests.sample_link import LINK
 from tests.sample_publishers import publisher
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from arpd.hearing import Hearing
-from arpd.interface import InterfaceState, LinkCounters
+from arpd.estimate.silence import Hearing
+from arpd.model.interface import InterfaceState, LinkCounters
 
 TICK_S = 0.1
 

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.incumbent import Claim, Incumbency
+from arpd.observe.leader import Claim, Incumbency
 
 
 def claim(started_ns, token):

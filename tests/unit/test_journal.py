@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from arpd.event import Event, EventKind, Severity
-from arpd.journal import MESSAGE_IDS, JournalHandler
-from arpd.logs import log_event
+from arpd.adapters.systemd.journal import MESSAGE_IDS, JournalHandler
+from arpd.adapters.systemd.logs import log_event
+from arpd.report.events import Event, EventKind, Severity
 
 CATALOG = Path(__file__).parents[2] / "systemd/arpd.catalog"
 

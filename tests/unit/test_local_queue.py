@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.local_queue import LocalQueue
-from arpd.model import Direction, MemoryState, Observation
-from arpd.publishers import PublisherState
+from arpd.estimate.local_queue import LocalQueue
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.publishers import PublisherState
+from arpd.model.values import Direction, MemoryState, Observation
 
 TICK_S = 0.1
 WINDOW_S = 1.0

@@ -8,8 +8,8 @@ import socket
 
 import pytest
 
-from arpd.journal import JournalHandler
-from arpd.logs import configure_logging
+from arpd.adapters.systemd.journal import JournalHandler
+from arpd.adapters.systemd.logs import configure_logging
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +43,7 @@ def configure(**options):
 
 
 def logged(stderr, text):
-    logging.getLogger("arpd.daemon").warning(text)
+    logging.getLogger("arpd.daemon.tick").warning(text)
     stderr.seek(0)
     return stderr.read()
 
@@ -51,13 +51,13 @@ def logged(stderr, text):
 def test_a_terminal_gets_plain_lines(stderr, tmp_path):
     """Outside systemd a line has its level and its logger, and no number before it."""
     configure(environ={}, stderr=stderr, journal=tmp_path / "none")
-    assert logged(stderr, "first\nsecond") == "WARNING arpd.daemon: first\nsecond\n"
+    assert logged(stderr, "first\nsecond") == "WARNING arpd.daemon.tick: first\nsecond\n"
 
 
 def test_every_line_carries_its_priority(stderr, tmp_path):
     """Where stderr is the journal's and its socket is out of reach, a warning is a warning on each of its lines."""
     configure(environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "none")
-    assert logged(stderr, "first\nsecond") == "<4>WARNING arpd.daemon: first\n<4>second\n"
+    assert logged(stderr, "first\nsecond") == "<4>WARNING arpd.daemon.tick: first\n<4>second\n"
 
 
 def test_under_systemd_entries_go_to_the_journal(stderr, tmp_path, root):
@@ -77,4 +77,4 @@ def test_a_stderr_that_was_redirected_is_written_to(stderr, tmp_path, stream):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(str(tmp_path / "socket"))
         configure(environ={"JOURNAL_STREAM": stream}, stderr=stderr, journal=tmp_path / "socket")
-        assert logged(stderr, "hello") == "WARNING arpd.daemon: hello\n"
+        assert logged(stderr, "hello") == "WARNING arpd.daemon.tick: hello\n"

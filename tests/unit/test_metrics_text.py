@@ -20,9 +20,9 @@ from prometheus_client.core import (
     UnknownMetricFamily,
 )
 
-from arpd.web.exposition import Exposition, choose_encoder
-from arpd.web.families import counter_by, gauge_by
-from arpd.web.metrics import make_registry
+from arpd.adapters.http.exposition import Exposition, choose_encoder
+from arpd.adapters.http.families import counter_by, gauge_by
+from arpd.adapters.http.metrics import make_registry
 from tests.sample_publishers import publisher
 
 ACCEPTS = (
@@ -112,7 +112,7 @@ def test_a_label_is_escaped_once_however_many_metrics_a_topic_has(sample_snapsho
     crowd = tuple(publisher("/node", f"/topic{number}") for number in range(20))
     crowded = replace(sample_snapshot, observation=replace(sample_snapshot.observation, publishers=crowd))
     encode, _ = choose_encoder(accept)
-    with patch("arpd.web.exposition._escaped", side_effect=lambda text: text) as escaped:
+    with patch("arpd.adapters.http.exposition._escaped", side_effect=lambda text: text) as escaped:
         text = encode(make_registry(lambda: crowded)).decode()
     written = sum(call.args[0].startswith("/topic") for call in escaped.call_args_list)
     assert written < 0.75 * text.count('topic="/topic')

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model import QosPlan, TopicPlan
-from arpd.ordering import PATIENCE_S, Ordering, Steps
-from arpd.readers import ReaderPlan, is_reader_confirmed, plan_readers, restore_readers
-from arpd.refusal import RefusalReason
+from arpd.apply.ordering import PATIENCE_S, Ordering, Steps
+from arpd.model.readers import ReaderPlan, is_reader_confirmed, plan_readers, restore_readers
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import QosPlan, TopicPlan
 from tests.sample_publishers import publisher, reader
 
 TOPIC = "/t"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.pacing import Pacer
-from arpd.settings import Overflow
+from arpd.apply.endpoint.pacing import Pacer
+from arpd.model.settings import Overflow
 
 GAPS = st.lists(st.floats(0.0, 0.5), min_size=1, max_size=60)
 RATES = st.floats(0.5, 500.0)

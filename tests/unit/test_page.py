@@ -15,18 +15,18 @@ from types import MappingProxyType, SimpleNamespace
 import pytest
 from prometheus_client import CollectorRegistry
 
-from arpd.history import History
-from arpd.interface import InterfaceState
-from arpd.model import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
-from arpd.web.answers import PATHS, label
-from arpd.web.bundle import Bundle
-from arpd.web.page import FORMATS, render_page
-from arpd.web.request import read_request
-from arpd.web.server import HttpServer
-from arpd.web.status import status_document
+from arpd.adapters.http.answers import PATHS, label
+from arpd.adapters.http.bundle import Bundle
+from arpd.adapters.http.page import FORMATS, render_page
+from arpd.adapters.http.request import read_request
+from arpd.adapters.http.server import HttpServer
+from arpd.model.interface import InterfaceState
+from arpd.model.values import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
+from arpd.report.history import History
+from arpd.report.status import status_document
 from tests.visible import fields, visible
 
-WEB = Path(__file__).parents[2] / "arpd" / "web"
+WEB = Path(__file__).parents[2] / "arpd" / "adapters" / "http"
 VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
 
 
@@ -93,7 +93,7 @@ def test_the_path_of_the_assets_follows_their_content(tmp_path, monkeypatch):
     (tmp_path / "assets").mkdir()
     script = tmp_path / "assets" / "page.js"
     script.write_text("one")
-    monkeypatch.setattr("arpd.web.bundle.files", lambda _package: tmp_path)
+    monkeypatch.setattr("arpd.adapters.http.bundle.files", lambda _package: tmp_path)
     first = Bundle()
     script.write_text("two")
     second = Bundle()

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.paper import Eq4Problem, Eq4Status, solve_eq4
-from arpd.rounding import rate_of, rational
-from arpd.settings import Backend
-from arpd.solvers import Solved, osqp_
+from arpd.model.settings import Backend
+from arpd.solve import osqp_
+from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
+from arpd.solve.problem import Solved
+from arpd.solve.rounding import rate_of, rational
 
 TABLE_2 = [
     (100, 7, 365, Fraction(22, 3), Fraction(1097, 3)),

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model import Direction, QosPlan, Topic, TopicPlan
-from arpd.planner import is_confirmed, make_plan, restore_plan
-from arpd.program import Program
-from arpd.refusal import RefusalReason
-from arpd.settings import Backend, ProgramSettings, Settings, TopicSettings
+from arpd.govern.plan import is_confirmed, make_plan, restore_plan
+from arpd.model.refusal import RefusalReason
+from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
+from arpd.model.values import Direction, QosPlan, Topic, TopicPlan
+from arpd.solve.program import Program
 from tests.sample_publishers import plan_transitions, publisher
 
 PUBLISHER = publisher("/n", "/t")

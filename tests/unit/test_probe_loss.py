@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.probe_loss import ProbeLoss
-from arpd.probing import PeerReport, ProbeRequest
-from arpd.receiver import Receiver
+from arpd.estimate.probe_loss import ProbeLoss
+from arpd.model.probing import PeerReport, ProbeRequest
+from arpd.observe.receiver import Receiver
 
 
 class Peer:

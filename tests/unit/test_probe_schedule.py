@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.probe_schedule import ProbeSchedule, ProbeTuning
-from arpd.wire import probe_wire_bytes
+from arpd.estimate.probes import ProbeSchedule, ProbeTuning
+from arpd.model.wire import probe_wire_bytes
 
 TUNING = ProbeTuning()
 MBIT = 125_000.0  # bytes/s

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model import AllocationStatus, Binding, Topic
-from arpd.paper import Eq4Problem, Eq4Status, solve_eq4
-from arpd.program import Program
-from arpd.rounding import rate_of, rational
-from arpd.settings import Backend, ProgramSettings
-from arpd.solvers import CheckedSolver, Solved
+from arpd.model.settings import Backend, ProgramSettings
+from arpd.model.values import AllocationStatus, Binding, Topic
+from arpd.solve.checked import CheckedSolver, Solved
+from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
+from arpd.solve.program import Program
+from arpd.solve.rounding import rate_of, rational
 
 AMPLE = 1e12  # bytes of memory that bind nothing
 

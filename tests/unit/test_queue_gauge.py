@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimator_tuning import EstimatorTuning
-from arpd.probing import PeerReport
-from arpd.queue_gauge import QueueGauge, SentProbe
+from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.peer_queue import QueueGauge, SentProbe
+from arpd.model.probing import PeerReport
 
 TUNING = EstimatorTuning()
 RATE = 500_000.0  # bytes/s, of the link

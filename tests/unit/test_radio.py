@@ -11,8 +11,8 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.host.counters import index_of
-from arpd.host.radio import Radio, ask_stations, transmit_rate
+from arpd.adapters.host.interface import index_of
+from arpd.adapters.host.radio import Radio, ask_stations, transmit_rate
 
 # linux/nl80211.h
 ATTR_IFINDEX, ATTR_MAC, ATTR_STA_INFO = 3, 6, 21

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.receiver import (
+from arpd.model.wire import probe_wire_bytes
+from arpd.observe.receiver import (
     BUSY_S,
     LONGEST_QUIET_S,
     PROMPT_S,
@@ -15,7 +16,6 @@ from arpd.receiver import (
     ReportSchedule,
     measure_train,
 )
-from arpd.wire import probe_wire_bytes
 
 SIZE = 1200
 WIRE = probe_wire_bytes(SIZE)

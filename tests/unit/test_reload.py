@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from arpd.config import load_settings, needs_restart
-from arpd.config_schema import SECTIONS, flatten
-from arpd.daemon import Daemon
-from arpd.errors import ConfigError
-from arpd.estimator import Estimator
-from arpd.governor import Governor
-from arpd.interface import InterfaceState, LinkCounters
-from arpd.model import MemoryState, Observation
+from arpd.adapters.config.load import load_settings, needs_restart
+from arpd.adapters.config.schema import SECTIONS, flatten
+from arpd.daemon.tick import Daemon
+from arpd.estimate.estimator import Estimator
+from arpd.govern.governor import Governor
+from arpd.model.errors import ConfigError
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.values import MemoryState, Observation
 from tests.sample_publishers import publisher
 
 DT_S = 1.0
@@ -359,7 +359,7 @@ def test_counts_go_on_through_a_reload(load):
 
 def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeypatch, caplog):
     """`exact` takes over, at a start and at a reload, and the log says so."""
-    monkeypatch.setitem(sys.modules, "arpd.solvers.cvxpy_", None)
+    monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     cvxpy = load({"program": {"backend": "cvxpy"}})
     reloaded = daemon_of(load(document()))
     assert reloaded.reload(lambda: cvxpy)

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("std_msgs", reason="ROS 2 is not installed")
 
-from arpd.probing import PeerReport, Train
-from arpd.ros.report import ProbeHeader, decode_probe, decode_report, encode_probe, encode_report
+from arpd.adapters.ros.probe_messages import ProbeHeader, decode_probe, decode_report, encode_probe, encode_report
+from arpd.model.probing import PeerReport, Train
 
 REPORT = PeerReport(
     peer="ceddp-3f2a",

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.model import Direction
-from arpd.ros.graph import Crossing, Endpoint, crossing_without_hosts
-from arpd.ros.rmw import current_rmw, rmw_of
-from arpd.web.metrics import SnapshotCollector
-from arpd.web.status import status_document
+from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.adapters.ros.graph import Crossing, Endpoint, crossing_without_hosts
+from arpd.adapters.ros.rmw import current_rmw, rmw_of
+from arpd.model.values import Direction
+from arpd.report.status import status_document
 
 MS = 1_000_000
 

@@ -1,6 +1,6 @@
 """How a topic is relayed, decided from who publishes it."""
 
-from arpd.routes import Refusal, Route, Source, choose_route, own_output
+from arpd.apply.relay_routes import Refusal, Route, Source, choose_route, own_output
 
 CARRIER, OUTPUT = "/relay", "/link/x"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.sample_rate import SampleRate
+from arpd.apply.endpoint.meters import SampleRate
 
 
 def test_what_waited_for_a_caller_that_was_held_up_is_no_rate():

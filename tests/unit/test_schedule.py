@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
 
 DROP_AND_RECOVERY = "0:20mbit,20:5mbit,50:20mbit"
 

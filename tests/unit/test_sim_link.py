@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.sim.aggregation import _MOST_AIR_S, AggregatingBottleneck
-from arpd.sim.bottleneck import MOST_UNCOUNTED
-from arpd.sim.foreign import Contention, contended
-from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.loss import GilbertElliott, Losses, LossStep
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.service import Service
-from arpd.sim.timeline import Alarm, Timeline
-from arpd.sim.trace import read_trace
+from arpd.adapters.sim.aggregation import _MOST_AIR_S, AggregatingBottleneck
+from arpd.adapters.sim.bottleneck import MOST_UNCOUNTED
+from arpd.adapters.sim.foreign import Contention, contended
+from arpd.adapters.sim.link import LinkModel, SimulatedLink
+from arpd.adapters.sim.loss import GilbertElliott, Losses, LossStep
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.service import Service
+from arpd.adapters.sim.timeline import Alarm, Timeline
+from arpd.adapters.sim.trace import read_trace
 
 ORIGIN_S = 1000.0
 FRAME_BYTES = 1514

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.sim.arrivals import Arrivals
-from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.schedule import RateSchedule
-from arpd.sim.timeline import Timeline
-from arpd.sim.writer import SAMPLE, Route, SimulatedWriter
-from arpd.wire import HEARTBEAT_BYTES, wire_size
-from arpd.writer import WriterQos
+from arpd.adapters.sim.arrivals import Arrivals
+from arpd.adapters.sim.link import LinkModel, SimulatedLink
+from arpd.adapters.sim.schedule import RateSchedule
+from arpd.adapters.sim.timeline import Timeline
+from arpd.adapters.sim.writer import SAMPLE, Route, SimulatedWriter
+from arpd.model.wire import HEARTBEAT_BYTES, wire_size
+from arpd.model.writer import WriterQos
 
 ORIGIN_S = 1000.0
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from arpd.flow import Flow
-from arpd.pacing import DropCause
-from arpd.settings import Overflow
-from arpd.slow_start import SLOW_START_HZ
-from arpd.wire import FRAGMENT_BYTES
-from arpd.writer import WriterQos
+from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.pacing import DropCause
+from arpd.apply.endpoint.slow_start import SLOW_START_HZ
+from arpd.model.settings import Overflow
+from arpd.model.wire import FRAGMENT_BYTES
+from arpd.model.writer import WriterQos
 
 SOURCE_HZ = 50.0
 

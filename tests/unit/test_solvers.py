@@ -15,11 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.settings import Backend
-from arpd.solvers import CheckedSolver, Infeasible, ShareProblem, Solved, SolverFailed, Stand, load
-from arpd.solvers.exact import water_fill
-from arpd.solvers.osqp_ import OsqpSolver
-from arpd.solvers.outcome import checked, disagreement
+from arpd.model.settings import Backend
+from arpd.solve.checked import CheckedSolver, Infeasible, ShareProblem, Solved, SolverFailed, Stand, load
+from arpd.solve.exact import water_fill
+from arpd.solve.osqp_ import OsqpSolver
+from arpd.solve.problem import checked, disagreement
 
 WHOLE = 10**9
 
@@ -302,9 +302,9 @@ def test_a_small_topic_cannot_hide_in_the_absolute_tolerance():
 def test_importing_the_program_loads_no_solver_library():
     """Importing the program loads neither numpy, osqp nor cvxpy, and the OSQP back end does not load cvxpy."""
     script = (
-        "import sys, arpd.program, arpd.paper\n"
+        "import sys, arpd.solve.program, arpd.solve.eq4\n"
         "assert not {'osqp', 'cvxpy', 'numpy', 'scipy'} & set(sys.modules)\n"
-        "from arpd.solvers import load; load('osqp')\n"
+        "from arpd.solve.checked import load; load('osqp')\n"
         "assert 'osqp' in sys.modules and 'cvxpy' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

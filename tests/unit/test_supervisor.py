@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from arpd.daemon import TICK_S
-from arpd.host.locators import Locators
-from arpd.settings import OnStop, Settings
-from arpd.supervisor import Signals, Supervisor, stop
-from arpd.web.patient import PatientServer
-from arpd.web.server import HttpAddressError
+from arpd.adapters.host.addresses import Locators
+from arpd.adapters.http.patient import PatientServer
+from arpd.adapters.http.server import HttpAddressError
+from arpd.daemon.supervisor import Signals, Supervisor, stop
+from arpd.daemon.tick import TICK_S
+from arpd.model.settings import OnStop, Settings
 
 NUMBERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.swap import SwapResult, SwapState, SwapTiming
+from arpd.apply.endpoint.writer_swap import SwapResult, SwapState, SwapTiming
 from tests.unit.swap_world import FIRST, make, qos
 
 TIMING = SwapTiming()

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.swap import SwapPhase, SwapResult, SwapState, SwapTiming
-from arpd.swap_ledger import SwapLedger
+from arpd.apply.endpoint.swap_ledger import SwapLedger
+from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult, SwapState, SwapTiming
 from tests.unit.swap_world import make, qos
 
 TIMING = SwapTiming()

@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from arpd.swap import SwapResult, SwapState, WriterSwap
+from arpd.apply.endpoint.writer_swap import SwapResult, SwapState, WriterSwap
 from tests.unit.swap_world import FIRST, World, qos
 
 

@@ -9,8 +9,8 @@ import uuid
 
 import pytest
 
-from arpd.ros.peer import ProbeStatus
-from arpd.systemd import Heartbeat, Notifier
+from arpd.adapters.ros.peer import ProbeStatus
+from arpd.adapters.systemd.notify import Heartbeat, Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])

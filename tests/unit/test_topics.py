@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.model import Direction, MemoryState
-from arpd.settings import ProgramSettings, Settings, TopicSettings
-from arpd.topics import (
+from arpd.model.settings import ProgramSettings, Settings, TopicSettings
+from arpd.model.values import Direction, MemoryState
+from arpd.model.wire import wire_size
+from arpd.solve.topics import (
     Traffic,
     assumed_traffic,
     measured_traffic,
@@ -16,7 +17,6 @@ from arpd.topics import (
     rows_of_traffic,
     topics_to_plan,
 )
-from arpd.wire import wire_size
 from tests.sample_publishers import publisher
 
 MIB = 2.0**20

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.errors import TraceError
-from arpd.sim.loss import LossStep
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.trace import LinkTrace, read_trace
+from arpd.adapters.sim.loss import LossStep
+from arpd.adapters.sim.schedule import RateSchedule, RateStep
+from arpd.adapters.sim.trace import LinkTrace, read_trace
+from arpd.model.errors import TraceError
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.probe_schedule import ProbeTuning
-from arpd.probing import Train
-from arpd.trains import TrainLog
-from arpd.wire import probe_wire_bytes
+from arpd.estimate.probes import ProbeTuning
+from arpd.estimate.trains import TrainLog
+from arpd.model.probing import Train
+from arpd.model.wire import probe_wire_bytes
 
 PROBES = ProbeTuning()
 LARGE = probe_wire_bytes(PROBES.packet_bytes)

@@ -18,21 +18,21 @@ import pytest
 from prometheus_client import CollectorRegistry
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-from arpd.cli_status import screen
-from arpd.estimator_belief import EstimatorEvent
-from arpd.event import EventKind
-from arpd.interface import InterfaceState
-from arpd.model import AllocationStatus
-from arpd.pacing import DropCause
-from arpd.refusal import RefusalReason
-from arpd.snapshot import Totals
-from arpd.swap import SwapPhase
-from arpd.web.answers import HEALTHY_S
-from arpd.web.metrics import SnapshotCollector, make_registry
-from arpd.web.page import render_page
-from arpd.web.places import MAX_PLACES
-from arpd.web.server import HttpAddressError, HttpServer
-from arpd.web.status import status_document
+from arpd.adapters.http.answers import HEALTHY_S
+from arpd.adapters.http.metrics import SnapshotCollector, make_registry
+from arpd.adapters.http.page import render_page
+from arpd.adapters.http.places import MAX_PLACES
+from arpd.adapters.http.server import HttpAddressError, HttpServer
+from arpd.apply.endpoint.pacing import DropCause
+from arpd.apply.endpoint.writer_swap import SwapPhase
+from arpd.cli.status import screen
+from arpd.estimate.belief import EstimatorEvent
+from arpd.model.interface import InterfaceState
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import AllocationStatus
+from arpd.report.events import EventKind
+from arpd.report.snapshot import Totals
+from arpd.report.status import status_document
 from tests.visible import visible
 
 

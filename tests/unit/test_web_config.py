@@ -15,13 +15,13 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from arpd.errors import ConfigError
-from arpd.settings import HttpSettings
-from arpd.web.access import Access, exposure
-from arpd.web.http_metrics import HttpCounts
-from arpd.web.tls import has_allowed_name
-from arpd.web.web_config import Protection, check_web_config, load_protection, web_config_path
-from arpd.web.web_config_schema import TlsServer, WebDocument
+from arpd.adapters.http.access import Access, exposure
+from arpd.adapters.http.http_metrics import HttpCounts
+from arpd.adapters.http.tls import has_allowed_name
+from arpd.adapters.http.web_config import Protection, check_web_config, load_protection, web_config_path
+from arpd.adapters.http.web_config_schema import TlsServer, WebDocument
+from arpd.model.errors import ConfigError
+from arpd.model.settings import HttpSettings
 from tests.unit.web_world import HASH, make_certificate
 
 FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")

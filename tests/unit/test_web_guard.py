@@ -12,10 +12,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from arpd.web.passwords import BURST, MAX_CLIENTS, MAX_WAITING, Passwords, Verdict, bcrypt_matches, parse_basic
-from arpd.web.places import MAX_PER_CLIENT, MAX_PLACES, MAX_THREADS, Places, Visit, client_of, contested
-from arpd.web.request import MAX_HEAD_BYTES, METHODS, Request, RequestRefusedError, read_request
-from arpd.web.stream import Stream
+from arpd.adapters.http.passwords import (
+    BURST,
+    MAX_CLIENTS,
+    MAX_WAITING,
+    Passwords,
+    Verdict,
+    bcrypt_matches,
+    parse_basic,
+)
+from arpd.adapters.http.places import MAX_PER_CLIENT, MAX_PLACES, MAX_THREADS, Places, Visit, client_of, contested
+from arpd.adapters.http.request import MAX_HEAD_BYTES, METHODS, Request, RequestRefusedError, read_request
+from arpd.adapters.http.stream import Stream
 from tests.unit.web_world import HASH, PASSWORD
 
 GOOD = b"GET /metrics?x=1 HTTP/1.1\r\nHost: robot\r\nAccept: text/plain\r\nAuthorization: Basic eDp5\r\n\r\n"

@@ -16,9 +16,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from arpd.cli import main
-from arpd.web.metrics import SnapshotCollector
-from arpd.web.places import MAX_PLACES, MAX_THREADS
+from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.adapters.http.places import MAX_PLACES, MAX_THREADS
+from arpd.cli.main import main
 from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
 
 TLS = "tls_server_config:\n  cert_file: server.crt\n  key_file: server.key\n"
@@ -120,7 +120,7 @@ def test_the_daemon_says_when_it_is_open_to_all(folder, caplog):
     """Beyond loopback without TLS or users there is a warning at the start; on loopback there is none."""
     from prometheus_client import CollectorRegistry
 
-    from arpd.web.server import HttpServer
+    from arpd.adapters.http.server import HttpServer
 
     for host, warnings in (("0.0.0.0", 1), ("127.0.0.1", 0)):
         caplog.clear()

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.probe_schedule import ProbeTuning
-from arpd.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
+from arpd.estimate.probes import ProbeTuning
+from arpd.model.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
 RATES = st.floats(0.0, 10_000.0)

@@ -1,0 +1,123 @@
+"""The configuration file: YAML in, `settings.Settings` or every fault with its line and column out."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from arpd.adapters.config.kinds import shown
+from arpd.adapters.config.rules import broken_rules
+from arpd.adapters.config.schema import SECTIONS, Document, Section, flatten
+from arpd.adapters.config.yaml_source import Fault, config_error, dotted, printable, read_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+    from pathlib import Path
+
+    from pydantic_core import ErrorDetails
+
+    from arpd.adapters.config.yaml_source import Location, Source
+    from arpd.model.settings import Settings
+
+_RESTART_ONLY = ("link.interface", "http.", "relay.")
+_ABSENT = "absent"
+
+
+def load_settings(path: Path, *, interfaces: Callable[[], Collection[str]] | None) -> Settings:
+    """Read, check and understand a configuration file.
+
+    Parameters
+    ----------
+    path : YAML file
+    interfaces : returns the names of this host's interfaces; None = do not check ``link.interface`` against them
+
+    Raises
+    ------
+    ConfigError
+        With every fault of the file, in its order.
+    """
+    source = read_source(path)
+    faults = list(source.faults)
+    document = None
+    try:
+        document = Document.model_validate(source.data)
+    except ValidationError as error:
+        faults += (_reworded(details, source) for details in error.errors(include_url=False))
+    faults += broken_rules(source, interfaces=interfaces() if interfaces else None)
+    if faults or document is None:
+        raise config_error(path, faults)
+    return document.settings()
+
+
+def describe_change(old: Settings, new: Settings) -> list[str]:
+    """Return one line ``key: old -> new`` for each key that differs."""
+    before, after = flatten(old), flatten(new)
+    return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
+
+
+def in_force(old: Settings, new: Settings) -> Settings:
+    """Return what a reload brings into force of ``new``: what is read at start only stays as it was."""
+    return replace(new, http=old.http, relay=old.relay, link=replace(new.link, interface=old.link.interface))
+
+
+def restart_only_changes(old: Settings, new: Settings) -> list[str]:
+    """Return the keys that differ and are read at start only; a reload cannot apply them."""
+    return [key for key in _changed(old, new) if needs_restart(key)]
+
+
+def needs_restart(key: str) -> bool:
+    """Whether a change of the dotted key takes effect only after a restart."""
+    return key.startswith(_RESTART_ONLY)
+
+
+def _changed(old: Settings, new: Settings) -> Iterator[str]:
+    before, after = flatten(old), flatten(new)
+    return (key for key in before | after if before.get(key) != after.get(key))
+
+
+def _reworded(details: ErrorDetails, source: Source) -> Fault:
+    """Say in plain words, and at its place, what pydantic found."""
+    location: Location = details["loc"]
+    match details["type"]:
+        case "extra_forbidden":
+            place, text = source.keys[location], f"is not a key arpd knows; {_nearest(location)}"
+        case "missing":
+            place, text = source.place(location), "is missing; every item needs one"
+        case "model_type":
+            place, text = source.values[location], f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
+        case "tuple_type":
+            wrong = _shape(details["input"], "a list")
+            place, text = source.values[location], f"{wrong}; write items with `- name:`, or [] for none"
+        case "value_error":
+            place, text = source.values[location], str(details["ctx"]["error"])
+        case _:  # none is known to reach this; a fault in odd words is better than a traceback
+            place, text = source.place(location), f"{printable(details['msg'])}; see the manual"
+    return Fault(place=place, key=dotted(location), text=text)
+
+
+def _section(location: Location) -> type[Section]:
+    return SECTIONS[tuple(step for step in location if isinstance(step, str))]
+
+
+def _nearest(location: Location) -> str:
+    """Name the key that was probably meant, or those there are."""
+    known = list(_section(location[:-1]).model_fields)
+    wrong = str(location[-1])
+    if near := difflib.get_close_matches(wrong[:100].lower(), known, n=1):
+        return f"did you mean {near[0]}?"
+    elsewhere = [".".join((*path, wrong)) for path, section in SECTIONS.items() if wrong in section.model_fields]
+    if elsewhere:
+        return f"did you mean {elsewhere[0]}?"
+    return f"known here: {', '.join(known)}"
+
+
+def _shape(value: Any, wanted: str) -> str:
+    return "has no value" if value is None else f"{shown(value)} is not {wanted}"
+
+
+def _keys(location: Location) -> str:
+    known: list[Any] = list(_section(location).model_fields)
+    return f"give it keys ({', '.join(known)}) or leave it out"

@@ -1,0 +1,121 @@
+"""The protection in force: read at start, and again whenever one of its files changes."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import threading
+from typing import TYPE_CHECKING
+
+from arpd.adapters.http.web_config import Protection, load_protection
+from arpd.model.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from arpd.adapters.http.http_metrics import HttpCounts
+
+log = logging.getLogger(__name__)
+
+_RETRY_S = 10.0  # a file a broken web-config names may come without the web-config changing
+
+
+class Access:
+    """Keeps `Protection` as the files have it now; what cannot be used leaves the last good one in force.
+
+    Whether there is TLS, and whether users are asked, is settled at start: a file caught half written must not open
+    the port.
+
+    Parameters
+    ----------
+    path : web-config file, None = no protection
+    counts : told of every change
+    clock : monotonic clock (s)
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be used.
+    """
+
+    def __init__(self, path: Path | None, *, counts: HttpCounts, clock: Callable[[], float]) -> None:
+        self._path = path
+        self._counts = counts
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._fault = ""
+        self._retry_at_s = 0.0
+        self._protection = Protection() if path is None else load_protection(path)
+        self._stamps = _stamps(self._protection.files)
+
+    def current(self) -> Protection:
+        """Return what is in force, after a look whether its files changed; one thread reads them anew."""
+        if self._path is not None and self._lock.acquire(blocking=False):
+            try:
+                self._follow(self._path)
+            finally:
+                self._lock.release()
+        return self._protection
+
+    def _follow(self, path: Path) -> None:
+        stamps = _stamps(self._protection.files)  # before reading: what changes meanwhile is read once more
+        if stamps == self._stamps and not (self._fault and self._clock() >= self._retry_at_s):
+            return
+        fault = ""
+        try:
+            protection = load_protection(path)
+        except ConfigError as error:
+            fault = str(error)
+        else:
+            fault = _opened(self._protection, protection)
+        if not fault:
+            if protection.files != self._protection.files:
+                stamps = ()
+            self._protection = protection
+        if fault != self._fault or not fault:
+            self._counts.note_reload(is_good=not fault)
+            if fault:
+                log.error("http.web_config was refused, what was in force stays: %s", fault)
+            else:
+                log.info("http.web_config was read anew")
+        self._stamps, self._fault, self._retry_at_s = stamps, fault, self._clock() + _RETRY_S
+
+
+def exposure(address: str, protection: Protection) -> str:
+    """Say what is amiss where others than this host can connect, empty if nothing is.
+
+    Parameters
+    ----------
+    address : IP address that is listened on
+    """
+    if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
+        return ""
+    if not (protection.users or protection.requires_certificate):
+        return "anyone who reaches it can read it; name users, or require certificates, in http.web_config"
+    if protection.tls is None:
+        return "passwords cross the network in clear; add tls_server_config to http.web_config"
+    return ""
+
+
+def _opened(old: Protection, new: Protection) -> str:
+    for what, before, after in (
+        ("tls_server_config", old.tls, new.tls),
+        ("basic_auth_users", old.users, new.users),
+        ("client_auth_type", old.requires_certificate, new.requires_certificate),
+    ):
+        if bool(before) and not after:
+            return f"{what}: is given up; restart arpd if that is meant"
+    return ""
+
+
+def _stamps(files: tuple[Path, ...]) -> tuple[tuple[int, int, int] | None, ...]:
+    return tuple(_stamp(file) for file in files)
+
+
+def _stamp(file: Path) -> tuple[int, int, int] | None:
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino

@@ -1,0 +1,157 @@
+"""What each path answers; knows no sockets."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from arpd.adapters.http.bundle import ASSETS_PATH, Bundle
+from arpd.adapters.http.page import render_page
+from arpd.adapters.http.schemas import SCHEMAS_BY_PATH
+from arpd.report.history import History
+from arpd.report.history_document import history_json
+from arpd.report.status import API_VERSION, status_document
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from arpd.adapters.http.exposition import Exposition
+    from arpd.report.snapshot import Snapshot
+
+HEALTHY_S = 10.0
+PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status", "/api/v1/history", *SCHEMAS_BY_PATH})
+_KEPT_FOR_EVER = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
+_SCHEMA = "application/schema+json"
+_TEXT = "text/plain; charset=utf-8"
+_JSON = "application/json"
+_HTML = "text/html; charset=utf-8"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """One response.
+
+    Parameters
+    ----------
+    headers : what differs from every other answer's
+    """
+
+    status: HTTPStatus
+    content_type: str
+    body: bytes
+    headers: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answers:
+    """What each path answers; knows no sockets.
+
+    Parameters
+    ----------
+    snapshot : returns the last snapshot, None before the first tick finished
+    is_ready : whether the daemon governs
+    exposition : what ``/metrics`` answers
+    clock : monotonic clock the snapshots are stamped with (s)
+    started_at_s : when serving began on that clock (s)
+    history : the last ten minutes
+    assets : what the page consists of beside its HTML
+    """
+
+    snapshot: Callable[[], Snapshot | None]
+    is_ready: Callable[[], bool]
+    exposition: Exposition
+    clock: Callable[[], float]
+    started_at_s: float
+    history: History = field(default_factory=History)
+    assets: Bundle = field(default_factory=Bundle)
+
+    def answer(self, path: str, accept: str) -> Answer:
+        """Return the answer for a path.
+
+        Parameters
+        ----------
+        accept : the request's Accept header, which chooses the format of the metrics
+        """
+        answers = {
+            "/": self._page,
+            "/metrics": lambda: self._metrics(accept),
+            "/-/healthy": self._healthy,
+            "/-/ready": self._ready,
+            "/api/v1/status": self._status_answer,
+            "/api/v1/history": self._history,
+        }
+        if path in answers:
+            return answers[path]()
+        return self._file(path)
+
+    def _page(self) -> Answer:
+        return _ok(_HTML, render_page(self._status(), assets=self.assets.base))
+
+    def _metrics(self, accept: str) -> Answer:
+        body, content_type = self.exposition.answer(accept)
+        return Answer(status=HTTPStatus.OK, content_type=content_type, body=body)
+
+    def _history(self) -> Answer:
+        snapshot = self.snapshot()
+        body = history_json(self.history.samples, () if snapshot is None else snapshot.events)
+        return Answer(status=HTTPStatus.OK, content_type=_JSON, body=body)
+
+    def _file(self, path: str) -> Answer:
+        if (schema := SCHEMAS_BY_PATH.get(path)) is not None:
+            return Answer(status=HTTPStatus.OK, content_type=_SCHEMA, body=schema)
+        if (asset := self.assets.get(path)) is not None:
+            body, kind = asset.body, asset.content_type
+            return Answer(status=HTTPStatus.OK, content_type=kind, body=body, headers=_KEPT_FOR_EVER)
+        return bare(HTTPStatus.NOT_FOUND)
+
+    def _status(self) -> dict[str, Any] | None:
+        snapshot = self.snapshot()
+        if snapshot is None:
+            return None
+        return status_document(snapshot, is_ready=self.is_ready(), now_s=self.clock())
+
+    def _status_answer(self) -> Answer:
+        document = self._status()
+        if document is None:
+            text = json.dumps({"api_version": API_VERSION, "ready": False})
+            return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_JSON, body=f"{text}\n".encode())
+        return _ok(_JSON, json.dumps(document, allow_nan=False) + "\n")
+
+    def _healthy(self) -> Answer:
+        snapshot = self.snapshot()
+        # Before the first tick the start counts, so that a slow start is not taken for a hang.
+        since_s = self.clock() - (self.started_at_s if snapshot is None else snapshot.finished_at_s)
+        if since_s < HEALTHY_S:
+            return _ok(_TEXT, "healthy\n")
+        what = "no tick has finished since the start" if snapshot is None else "the last tick finished"
+        return _unavailable(f"unhealthy: {what} {since_s:.1f} s ago; the limit is {HEALTHY_S:.0f} s\n")
+
+    def _ready(self) -> Answer:
+        if self.snapshot() is None:
+            return _unavailable("not ready: no tick has finished yet\n")
+        return _ok(_TEXT, "ready\n") if self.is_ready() else _unavailable("not ready: the daemon does not govern\n")
+
+
+def label(path: str) -> str:
+    """Return the name a path has in metrics: few, whatever is asked for."""
+    if path in PATHS:
+        return path
+    return ASSETS_PATH if path.startswith(ASSETS_PATH) else "other"
+
+
+def bare(status: HTTPStatus, explanation: str = "") -> Answer:
+    """Return an answer that says its code and its phrase, and repeats nothing of the request."""
+    text = f"{status.value} {status.phrase}"
+    body = f"{text}: {explanation}\n" if explanation else f"{text}\n"
+    return Answer(status=status, content_type=_TEXT, body=body.encode())
+
+
+def _ok(content_type: str, text: str) -> Answer:
+    return Answer(status=HTTPStatus.OK, content_type=content_type, body=text.encode())
+
+
+def _unavailable(text: str) -> Answer:
+    return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_TEXT, body=text.encode())

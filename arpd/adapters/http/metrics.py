@@ -1,0 +1,216 @@
+"""Prometheus metrics, every one read from the last snapshot: a scrape never sees half a tick."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
+from prometheus_client.core import GaugeMetricFamily, InfoMetricFamily
+from prometheus_client.registry import Collector
+
+from arpd.adapters.http.families import gauge, gauge_by
+from arpd.adapters.http.intake_metrics import intake_metrics
+from arpd.adapters.http.link_metrics import link_metrics
+from arpd.adapters.http.reader_metrics import reader_metrics
+from arpd.adapters.http.topic_metrics import topic_metrics
+from arpd.adapters.http.total_metrics import total_metrics
+from arpd.model.refusal import RefusalReason
+from arpd.model.settings import Backend
+from arpd.model.values import AllocationStatus, Binding, CapacityKind, LinkState
+from arpd.model.version import VERSION
+from arpd.report.status import topic_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from enum import StrEnum
+
+    from prometheus_client.metrics_core import Metric
+
+    from arpd.report.snapshot import Snapshot
+
+_GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
+    (
+        "arpd_link_capacity_bytes_per_second",
+        "Wire bytes per second the link is believed to carry.",
+        lambda s: s.link.capacity_bytes_per_second,
+    ),
+    (
+        "arpd_link_foreign_bytes_per_second",
+        "What the link carries that arpd's topics and probes do not explain; at most half of the capacity is yielded.",
+        lambda s: s.link.foreign_bytes_per_second,
+    ),
+    (
+        "arpd_link_queue_delay_seconds",
+        "One-way delay above its minimum of the last 10 seconds.",
+        lambda s: s.link.queue_delay_s,
+    ),
+    (
+        "arpd_link_delivery_rate_bytes_per_second",
+        "What the peer received over the last 300 ms.",
+        lambda s: s.link.delivery_rate_bytes_per_second,
+    ),
+    (
+        "arpd_link_packet_overhead_seconds",
+        "Link time every packet costs beyond its bytes.",
+        lambda s: s.link.packet_overhead_s,
+    ),
+    ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
+    ("arpd_link_app_limited", "1 when traffic alone says nothing about the capacity.", lambda s: s.link.is_app_limited),
+    ("arpd_memory_total_bytes", "Memory of the robot computer.", lambda s: s.observation.memory.total_bytes),
+    (
+        "arpd_memory_available_bytes",
+        "Memory of the robot computer that new work could use.",
+        lambda s: s.observation.memory.available_bytes,
+    ),
+    (
+        "arpd_other_daemons",
+        "Further arpd daemons in the ROS domain; only the one that has run longest drives the robot.",
+        lambda s: len(s.observation.other_daemons),
+    ),
+    (
+        "arpd_standing_by",
+        "1 while another daemon drives the robot in this one's place.",
+        lambda s: bool(s.observation.superior),
+    ),
+    ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
+    (
+        "arpd_level_bytes_per_second",
+        "Capacity the plan in force was made for.",
+        lambda s: s.decision.plan.level_bytes_per_second,
+    ),
+    (
+        "arpd_plan_generation",
+        "Generation of the plan in force; 0 before the first.",
+        lambda s: s.decision.plan.generation,
+    ),
+    ("arpd_plan_topics", "Topics the plan in force covers.", lambda s: len(s.decision.plan.topics)),
+    (
+        "arpd_publishers_managed",
+        "Live publishers the plan in force covers.",
+        lambda s: sum(row.planned is not None for row in topic_rows(s)),
+    ),
+    (
+        "arpd_publishers_confirmed",
+        "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its rate.",
+        lambda s: s.confirmed,
+    ),
+    (
+        "arpd_allocation_capacity_bytes_per_second",
+        "Capacity the program was last solved for, after headroom and foreign traffic.",
+        lambda s: s.allocation.capacity_bytes_per_second,
+    ),
+    (
+        "arpd_lease_seconds",
+        "Silence of the daemon after which publishers return to their application's QoS; +Inf is never.",
+        lambda s: s.lease_s or math.inf,
+    ),
+    (
+        "arpd_config_last_reload_successful",
+        "0 while the last reload was refused and an older configuration is in force.",
+        lambda s: not s.config_error,
+    ),
+    (
+        "arpd_config_last_reload_success_timestamp_seconds",
+        "Unix time at which the configuration in force was read.",
+        lambda s: s.config_loaded_at_s,
+    ),
+    (
+        "arpd_config_keys_awaiting_restart",
+        "Keys whose value in the file last read takes effect after a restart.",
+        lambda s: len(s.keys_awaiting_restart),
+    ),
+)
+
+_STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
+    ("arpd_link_capacity_kind", "How the capacity was estimated.", "kind", CapacityKind, lambda s: s.link.kind),
+    ("arpd_link_state", "What the link is doing.", "state", LinkState, lambda s: s.link.state),
+    (
+        "arpd_allocation_status",
+        "Whether the program could keep all constraints.",
+        "status",
+        AllocationStatus,
+        lambda s: s.allocation.status,
+    ),
+    ("arpd_allocation_binding", "Binding constraint in all.", "binding", Binding, lambda s: s.allocation.binding),
+    ("arpd_allocation_backend", "Solver that answered last.", "backend", Backend, lambda s: s.allocation.backend),
+)
+
+
+class SnapshotCollector(Collector):
+    """Makes the metric families of the snapshot that is current when Prometheus asks.
+
+    Parameters
+    ----------
+    snapshot : returns the last snapshot, None before the first tick finished
+    clock : monotonic clock the snapshot was stamped with (s)
+    version, python : labels of ``arpd_build_info``
+    """
+
+    def __init__(
+        self,
+        snapshot: Callable[[], Snapshot | None],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        version: str = VERSION,
+        python: str = platform.python_version(),
+    ) -> None:
+        self._snapshot = snapshot
+        self._clock = clock
+        self._build = {"version": version, "python": python}
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the families in a fixed order, their series sorted by label."""
+        snapshot = self._snapshot()
+        yield InfoMetricFamily("arpd_build", "Version of arpd and of Python.", value=self._build)
+        yield gauge("arpd_ready", "1 once the first tick has finished.", snapshot is not None)
+        if snapshot is None:
+            return
+        age_s = max(0.0, self._clock() - snapshot.finished_at_s)
+        yield gauge("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
+        yield from _of_daemon(snapshot)
+        yield from total_metrics(snapshot.totals)
+        yield from link_metrics(snapshot)
+        yield from topic_metrics(topic_rows(snapshot))
+        yield from reader_metrics(snapshot)
+        yield from intake_metrics(snapshot)
+
+
+def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:
+    """Return a registry with arpd's metrics and the usual ``process_*`` and ``python_info``."""
+    registry = CollectorRegistry()
+    registry.register(SnapshotCollector(snapshot))
+    ProcessCollector(registry=registry)
+    PlatformCollector(registry=registry)
+    return registry
+
+
+def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
+    for name, text, read in _GAUGES:
+        yield gauge(name, text, read(snapshot))
+    for name, text, label, states, current in _STATE_SETS:
+        holds = current(snapshot)
+        yield gauge_by(name, text, label, {*states, holds}, (({}, holds),))
+    refused = GaugeMetricFamily(
+        "arpd_publishers_refused",
+        "Publishers whose last request stands refused; middleware and transient_local last: paced and gated only.",
+        labels=("reason",),
+    )
+    reasons = Counter(row.publisher.refusal_reason for row in topic_rows(snapshot))
+    for reason in sorted(set(RefusalReason) - {RefusalReason.NONE}):
+        refused.add_metric((reason,), reasons[reason])
+    yield refused
+    topics = GaugeMetricFamily(
+        "arpd_graph_topics", "Topics that cross the link, managed or not.", labels=("direction",)
+    )
+    topics.add_metric(("actuation",), snapshot.observation.actuation_topics)
+    topics.add_metric(("sensing",), snapshot.observation.sensing_topics)
+    yield topics
+    observation = snapshot.observation
+    if observation.rmw:
+        swaps = "no" if observation.rmw_refusal else "yes"
+        labels = {"rmw": observation.rmw, "swaps": swaps}
+        yield InfoMetricFamily("arpd_rmw", "Middleware of ROS; without swaps, topics are paced and gated only.", labels)

@@ -1,0 +1,76 @@
+"""The HTTP server of a daemon that governs whether it can listen or not."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from arpd.adapters.http.server import HttpAddressError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
+
+log = logging.getLogger(__name__)
+
+_AGAIN_S = 5.0
+
+
+class PatientServer:
+    """Serves as soon as it can listen.
+
+    A port that is taken, or an address that is not there yet, keeps nobody from governing: it is tried again.
+
+    Parameters
+    ----------
+    serving : listens while its block lasts, and yields the URL; raises HttpAddressError where it cannot
+    again_s : time between two tries (s)
+    """
+
+    def __init__(self, serving: Callable[[], AbstractContextManager[str]], *, again_s: float = _AGAIN_S) -> None:
+        self._serving = serving
+        self._again_s = again_s
+        self._error: Exception | None = None
+        self.fault = ""
+
+    @contextmanager
+    def up(self) -> Iterator[None]:
+        """Listen, or try to, while the block lasts; whatever else keeps it from serving at first is raised."""
+        stopping, tried = threading.Event(), threading.Event()
+        thread = threading.Thread(target=self._run, args=(stopping, tried), name="arpd-web", daemon=True)
+        thread.start()
+        tried.wait()
+        try:
+            if self._error is not None:
+                raise self._error
+            yield
+        finally:
+            stopping.set()
+            thread.join(timeout=2.0)
+
+    def _run(self, stopping: threading.Event, tried: threading.Event) -> None:
+        try:
+            while not stopping.is_set():
+                self._serve(stopping, tried)
+        except Exception as error:
+            if tried.is_set():
+                log.exception("metrics are not served any more")
+            self._error, self.fault = error, f"no metrics: {error}"
+        finally:
+            tried.set()
+
+    def _serve(self, stopping: threading.Event, tried: threading.Event) -> None:
+        try:
+            with self._serving() as url:
+                self.fault = ""
+                log.info("metrics at %s/metrics", url)
+                tried.set()
+                stopping.wait()
+        except HttpAddressError as error:
+            if not self.fault:
+                log.error("%s; the daemon governs without metrics, and tries again", error)  # noqa: TRY400 - its place
+            self.fault = f"no metrics: {str(error).partition(';')[0]}"
+            tried.set()
+            stopping.wait(self._again_s)

@@ -1,0 +1,179 @@
+"""The HTTP server: listens, gives each connection a place and a thread, and never blocks on a client."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+from contextlib import suppress
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+
+from arpd.adapters.http.access import Access, exposure
+from arpd.adapters.http.answers import Answers, bare
+from arpd.adapters.http.exchange import Exchange, encode
+from arpd.adapters.http.exposition import Exposition
+from arpd.adapters.http.http_metrics import HttpCounts, Refusal
+from arpd.adapters.http.passwords import Passwords
+from arpd.adapters.http.places import Places, client_of
+from arpd.adapters.http.web_config import Protection
+from arpd.model.errors import ArpdError
+from arpd.report.history import History
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from prometheus_client import CollectorRegistry
+
+    from arpd.adapters.http.places import Visit
+    from arpd.report.snapshot import Snapshot
+
+log = logging.getLogger(__name__)
+
+_BACKLOG = 128  # a connection that finds the queue full is tried again after a second, by its own kernel
+_PAUSE_S = 0.05  # when no descriptor is left, accept() fails at once, again and again
+
+
+class HttpAddressError(ArpdError):
+    """The HTTP server cannot listen where it is told to."""
+
+
+class HttpServer:
+    """Serves answers from daemon threads, so that no client can hold up the tick or the exit.
+
+    Parameters
+    ----------
+    host, port : where to listen; port 0 takes a free one
+    snapshot, is_ready : see `Answers`
+    registry, resting : see `Exposition`
+    history : the last ten minutes, None = nothing of them
+    web_config : file with TLS and users, None = neither
+    counts : what the server counts of itself
+    clock : monotonic clock the snapshots are stamped with (s)
+
+    Raises
+    ------
+    ConfigError
+        If the web-config cannot be used.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        snapshot: Callable[[], Snapshot | None],
+        registry: CollectorRegistry,
+        resting: threading.Event | None = None,
+        is_ready: Callable[[], bool] = lambda: True,
+        history: History | None = None,
+        web_config: Path | None = None,
+        counts: HttpCounts | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._host = host
+        self._port = port
+        self._counts = counts or HttpCounts()
+        self._access = Access(web_config, counts=self._counts, clock=time.monotonic)
+        self._exchange = Exchange(
+            answers=Answers(
+                snapshot=snapshot,
+                is_ready=is_ready,
+                exposition=Exposition(registry, resting=resting),
+                clock=clock,
+                started_at_s=clock(),
+                history=history or History(),
+            ),
+            access=self._access,
+            passwords=Passwords(clock=time.monotonic, secret=os.urandom(32)),
+            counts=self._counts,
+            clock=time.monotonic,
+        )
+        self._places = Places()
+        self._listener: socket.socket | None = None
+
+    @property
+    def port(self) -> int:
+        """Port in use; the one asked for before `start`."""
+        return self._port
+
+    @property
+    def url(self) -> str:
+        """Base URL without a trailing slash."""
+        scheme = "http" if self._access.current().tls is None else "https"
+        return f"{scheme}://{_bracketed(self._host)}:{self._port}"
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises
+        ------
+        HttpAddressError
+            If the address cannot be used.
+        """
+        where = f"{_bracketed(self._host)}:{self._port}"
+        try:
+            family, _, _, _, address = socket.getaddrinfo(
+                self._host or None, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )[0]
+            self._listener = socket.create_server(address, family=family, backlog=_BACKLOG)
+        except (OSError, UnicodeError, OverflowError) as error:
+            raise HttpAddressError(
+                f"http: cannot listen on {where}: {getattr(error, 'strerror', None) or error}; set http.host and "
+                f"http.port in the configuration to a free address of this machine (ss -ltnp shows who listens)"
+            ) from error
+        self._port = self._listener.getsockname()[1]
+        if amiss := exposure(self._listener.getsockname()[0], self._access.current()):
+            log.warning("http: %s is open to the network, and %s", self.url, amiss)
+        threading.Thread(target=self._accept, args=(self._listener,), name="arpd-http", daemon=True).start()
+
+    def stop(self) -> None:
+        """Stop listening; requests under way end with the process."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            with suppress(OSError):
+                listener.shutdown(socket.SHUT_RDWR)  # wakes accept(), which close() alone would not
+            listener.close()
+
+    def _accept(self, listener: socket.socket) -> None:
+        while self._listener is listener:
+            try:
+                connection, address = listener.accept()
+            except OSError:
+                if self._listener is listener:
+                    time.sleep(_PAUSE_S)
+                continue
+            self._admit(connection, client_of(str(address[0])))
+
+    def _admit(self, connection: socket.socket, client: str) -> None:
+        visit, evicted = self._places.enter(connection, client)
+        if evicted is not None:
+            self._counts.count_refused(Refusal.EVICTED)
+        if visit is None:
+            self._turn_away(connection)
+            return
+        try:
+            threading.Thread(target=self._attend, args=(visit,), name="arpd-http-request", daemon=True).start()
+        except RuntimeError:  # the process may have no more threads
+            self._places.leave(visit)
+            self._turn_away(connection)
+
+    def _attend(self, visit: Visit) -> None:
+        try:
+            self._exchange.run(visit)
+        finally:
+            self._places.leave(visit)
+
+    def _turn_away(self, connection: socket.socket) -> None:
+        self._counts.count_refused(Refusal.BUSY)
+        with connection, suppress(OSError):
+            if self._access.current().tls is None:
+                connection.setblocking(False)  # noqa: FBT003 - the socket module's own signature
+                connection.send(encode(bare(HTTPStatus.SERVICE_UNAVAILABLE), Protection(), wants_body=True))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

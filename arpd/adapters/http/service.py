@@ -1,0 +1,66 @@
+"""The HTTP server for as long as the daemon runs."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from arpd.adapters.http.http_metrics import HttpCounts
+from arpd.adapters.http.metrics import make_registry
+from arpd.adapters.http.server import HttpServer
+from arpd.adapters.http.web_config import web_config_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+    from threading import Event
+
+    from arpd.model.settings import HttpSettings
+    from arpd.report.history import History
+    from arpd.report.snapshot import Snapshot
+
+
+@contextmanager
+def serving(
+    settings: HttpSettings,
+    snapshot: Callable[[], Snapshot | None],
+    *,
+    directory: Path,
+    history: History | None = None,
+    resting: Event | None = None,
+) -> Iterator[str]:
+    """Serve metrics, health and status for as long as the block lasts; yields the server's URL.
+
+    Parameters
+    ----------
+    settings : where, and under which protection
+    snapshot : returns the last snapshot, None before the first
+    directory : the configuration file's, which a relative ``http.web_config`` starts from
+    history : the last ten minutes, None = nothing of them
+    resting : set while no tick runs; None = nobody ticks
+
+    Raises
+    ------
+    ConfigError
+        If the web-config cannot be used.
+    HttpAddressError
+        If the address cannot be used.
+    """
+    counts = HttpCounts()
+    registry = make_registry(snapshot)
+    registry.register(counts)
+    server = HttpServer(
+        settings.host,
+        settings.port,
+        snapshot=snapshot,
+        registry=registry,
+        resting=resting,
+        history=history,
+        web_config=web_config_path(settings, directory=directory),
+        counts=counts,
+    )
+    server.start()
+    try:
+        yield server.url
+    finally:
+        server.stop()

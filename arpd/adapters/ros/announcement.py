@@ -1,0 +1,256 @@
+"""Announcements of live publishers and of live readers, each on a topic of its own, to and from diagnostic_msgs.
+
+Keys that a daemon does not know it passes over, and what was added since the first version may be missing.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
+from arpd.adapters.ros.names import is_full_name
+from arpd.apply.endpoint.pacing import DropCause
+from arpd.apply.endpoint.writer_swap import SwapPhase
+from arpd.govern.governor import MOST_GENERATION
+from arpd.model.publishers import PublisherState, SwapRecord
+from arpd.model.readers import ReaderState
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import Direction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from enum import StrEnum
+
+_SWAP_PREFIX = "swaps_"
+_HANDOVER_PREFIX = "handovers_"
+_CAUSES = "withheld_by_cause"
+_PHASES = "swap_seconds_by_phase"
+_BEGUN = "begun_swaps"  # with the prefix of the results an older daemon would take it for one
+_LAST_SWAP = "last_swap"
+_MISSED = "deadlines_missed"
+_PUBLISHED_RATE = "published_rate_hz"
+_KEEP_ALL = "keep_all"
+_FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
+_INTEGERS = (
+    "offered",
+    "published",
+    "withheld",
+    "queued",
+    "depth",
+    "deadline_ns",
+    "baseline_depth",
+    "baseline_deadline_ns",
+    "generation",
+)
+_MOST_SECONDS = 1e9  # 30 years
+_MOST_FLOATS = {
+    "payload_bytes": float(2**30),  # no link that needs arpd carries such a message
+    "source_rate_hz": 1e5,
+    _PUBLISHED_RATE: 1e5,
+    "blocked_s": _MOST_SECONDS,
+    "rate_hz": math.inf,
+    "lease_s": MOST_LEASE_S,
+}
+_READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
+_MAX_INTEGER = 2**63 - 1
+_MOST_DEPTH = 100_000
+_MOST_RESULTS = 32  # of swaps or handovers; each becomes a label of a metric
+_MAX_RESULT = 40
+_MAX_NAME = 256
+MOST_VALUES = 128  # pairs in one status
+
+N = TypeVar("N", int, float)
+
+
+def to_status(state: PublisherState) -> Any:
+    """Encode one publisher as a DiagnosticStatus; a refusal shows as WARN in any diagnostics viewer."""
+    values = [("node", state.node), ("topic", state.topic), ("type", state.type_name), ("refusal", state.refusal)]
+    values += _remarks(state)
+    values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
+    values += [(key, str(getattr(state, key))) for key in _INTEGERS]
+    values += [(_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
+    values += _account(state)
+    return _status(state, values, warning=state.refusal, summary=f"{state.rate_hz:.3g} Hz, depth {state.depth}")
+
+
+def reader_to_status(state: ReaderState) -> Any:
+    """Encode one reader; small, because most readers live across the link."""
+    values = [("node", state.node), ("topic", state.topic), ("lease_s", f"{state.lease_s:.6g}")]
+    values += [("refusal", state.refusal)] if state.refusal else []
+    values += _remarks(state)
+    values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
+    values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.handovers_by_result.items())]
+    values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
+    # What never changes is no fault of the moment.
+    return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
+
+
+def from_status(status: Any) -> PublisherState:
+    """Decode one announcement; what came over the network is checked before anything believes it.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing, malformed or out of range; the message names it.
+    """
+    values, fields = _fields(status, texts=("node", "topic", "type"), floats=_FLOATS, integers=_INTEGERS)
+    return PublisherState(
+        type_name=_plain(fields.pop("type")),
+        direction=Direction.LOCAL,
+        published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
+        swaps_by_result=_counts(values, _SWAP_PREFIX),
+        withheld_by_cause=_by_name(_CAUSES, values.get(_CAUSES, "").split(), DropCause, _bounded),
+        swaps_begun=_bounded(_BEGUN, values.get(_BEGUN, "0")),
+        swap_seconds_by_phase=_by_name(_PHASES, values.get(_PHASES, "").split(), SwapPhase, _seconds),
+        last_swap=_record(values[_LAST_SWAP]) if _LAST_SWAP in values else None,
+        **fields,
+    )
+
+
+def reader_from_status(status: Any) -> ReaderState:
+    """Decode one reader's announcement, checked as a publisher's is.
+
+    Raises
+    ------
+    ValueError
+        If a field is missing, malformed or out of range; the message names it.
+    """
+    values, fields = _fields(status, texts=("node", "topic"), floats=("lease_s",), integers=_READER_INTEGERS)
+    # A writer offers what its readers request; of a liar it would be asked for a nanosecond.
+    if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
+        raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
+    return ReaderState(handovers_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
+
+
+def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
+    return DiagnosticStatus(
+        level=DiagnosticStatus.WARN if warning else DiagnosticStatus.OK,
+        name=f"{state.node}: {state.topic}",
+        message=warning or summary,
+        hardware_id="",
+        values=[KeyValue(key=key, value=value) for key, value in values],
+    )
+
+
+def _fields(
+    status: Any, *, texts: Iterable[str], floats: Iterable[str], integers: Iterable[str]
+) -> tuple[Mapping[str, str], dict[str, Any]]:
+    """Return all pairs as they came, and the checked fields that writers and readers announce alike."""
+    if len(status.values) > MOST_VALUES:
+        raise ValueError(f"announcement with {len(status.values)} values; at most {MOST_VALUES} are one")
+    values = {pair.key: pair.value for pair in status.values}
+    try:
+        fields: dict[str, Any] = {key: values[key] for key in texts}
+        fields |= {key: _number(key, values[key]) for key in floats}
+        fields |= {key: _bounded(key, values[key]) for key in integers}
+    except KeyError as missing:
+        raise ValueError(f"announcement without {missing}") from missing
+    _check(fields)
+    refusal = _plain(values.get("refusal", ""))
+    reason = RefusalReason.told(values.get("refusal_reason"), words=refusal)
+    return values, {
+        **fields,
+        "refusal": refusal,
+        "refusal_reason": reason,
+        "keeps_all": values.get("history") == _KEEP_ALL,
+        "deadlines_missed": _bounded(_MISSED, values.get(_MISSED, "0")),
+    }
+
+
+def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
+    """Return what only some endpoints have to say."""
+    refused = [("refusal_reason", str(state.refusal_reason))] if state.refusal else []
+    return [*refused, ("history", _KEEP_ALL)] if state.keeps_all else refused
+
+
+def _account(state: PublisherState) -> list[tuple[str, str]]:
+    """Return what explains the counters; what never happened is left out."""
+    values = [(_PUBLISHED_RATE, f"{state.published_rate_hz:.6g}")] if state.published_rate_hz else []
+    values += [(_CAUSES, _words(state.withheld_by_cause))] if state.withheld_by_cause else []
+    values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
+    if state.swaps_begun:
+        values += [(_BEGUN, str(state.swaps_begun)), (_PHASES, _words(state.swap_seconds_by_phase))]
+    if (last := state.last_swap) is not None:
+        what = f"{last.number} {last.result} {last.depth} {last.deadline_ns} "
+        values += [(_LAST_SWAP, what + _words(last.seconds_by_phase))]
+    return values
+
+
+def _words(numbers: Mapping[str, float]) -> str:
+    # In one value, because each takes a dozen bytes beside what it says.
+    shown = ((name, number if isinstance(number, int) else f"{number:.6g}") for name, number in numbers.items())
+    return " ".join(f"{name}={number}" for name, number in shown)
+
+
+def _record(text: str) -> SwapRecord:
+    """Decode the last swap: its number, result, depth and deadline, and the seconds of its phases by name."""
+    number, result, depth, deadline_ns, *phases = [*text[:_MAX_NAME].split(), "", "", "", ""]
+    return SwapRecord(
+        number=_bounded(_LAST_SWAP, number),
+        result=_plain(result)[:_MAX_RESULT],
+        depth=_bounded(_LAST_SWAP, depth),
+        deadline_ns=_bounded(_LAST_SWAP, deadline_ns),
+        seconds_by_phase=_by_name(_LAST_SWAP, phases, SwapPhase, _seconds),
+    )
+
+
+def _by_name(key: str, words: Iterable[str], names: Iterable[StrEnum], read: Callable[[str, str], N]) -> dict[str, N]:
+    """Return the numbers that have a name that is known; each becomes a label of a metric."""
+    found = dict(word.partition("=")[::2] for word in words)
+    return {name.value: read(key, found[name]) for name in names if name in found}
+
+
+def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
+    found = ((key, value) for key, value in values.items() if key.startswith(prefix))
+    return {
+        _plain(key.removeprefix(prefix))[:_MAX_RESULT]: _bounded(key, value)
+        for key, value in islice(found, _MOST_RESULTS)
+    }
+
+
+def _plain(text: str) -> str:
+    """Cut a text short, and take out what would do something to a terminal or a log."""
+    return "".join(character if character.isprintable() else "?" for character in text[:_MAX_NAME])
+
+
+def _check(fields: Mapping[str, Any]) -> None:
+    node, topic = fields["node"], fields["topic"]
+    for name in (node, topic):
+        if not is_full_name(name):
+            raise ValueError(f"announcement with the name {name[:80]!r}; a fully qualified ROS name is needed")
+    if not 1 <= fields["depth"] <= _MOST_DEPTH or not 1 <= fields["baseline_depth"] <= _MOST_DEPTH:
+        raise ValueError(f"announcement of {topic} with a depth outside 1..{_MOST_DEPTH}")
+    if fields["generation"] > MOST_GENERATION:
+        raise ValueError(f"announcement of {topic} with generation {fields['generation']}; no daemon comes that far")
+
+
+def _number(key: str, text: str) -> float:
+    return _up_to(_MOST_FLOATS[key], key, text)
+
+
+def _seconds(key: str, text: str) -> float:
+    return _up_to(_MOST_SECONDS, key, text)
+
+
+def _up_to(most: float, key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= most:
+        raise ValueError(f"announcement with {key} = {text[:40]!r}; a number from 0 to {most:g} is needed")
+    return value
+
+
+def _bounded(key: str, text: str) -> int:
+    try:
+        value = int(text[:40])  # longer ones are none, and take long
+    except ValueError:
+        value = -1
+    if not 0 <= value <= _MAX_INTEGER:
+        raise ValueError(f"announcement with {key} = {text[:40]!r}; an integer from 0 to 2^63-1 is needed")
+    return value

@@ -1,0 +1,95 @@
+"""The daemon's state on /diagnostics, for rqt_robot_monitor, the aggregator and whatever else reads it there."""
+
+from __future__ import annotations
+
+import logging
+import math
+import platform
+import time
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+
+from arpd.adapters.ros.events import no_publisher_events
+from arpd.report.diagnostics import diagnose
+from arpd.report.wording import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.report.diagnostics import Status
+    from arpd.report.snapshot import Snapshot
+
+log = logging.getLogger(__name__)
+
+DIAGNOSTICS_TOPIC = "/diagnostics"
+_LOOK_S = 0.2
+_EVERY_S = 1.0
+
+
+class Diagnostics:
+    """Publishes once a second, and soon after every event; nothing is made while nobody subscribes.
+
+    It looks from the executor's thread: a tick neither waits for it nor fails with it, and ticks that fail show.
+
+    Parameters
+    ----------
+    node : rclpy node; somebody else spins it
+    snapshot : the daemon's picture, None before the first
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        snapshot: Callable[[], Snapshot | None],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        host: str = "",
+    ) -> None:
+        self._node = node
+        self._snapshot = snapshot
+        self._clock = clock
+        self._host = host or platform.node()
+        # Reliable, one deep, as diagnostic_updater has it: each message tells all.
+        self._publisher = node.create_publisher(
+            DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1), event_callbacks=no_publisher_events()
+        )
+        self._published_s = -math.inf
+        self._told = 0
+        self._is_failing = False
+        # Steady time: when this host's clock is set back, it goes on.
+        node.create_timer(_LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _look(self) -> None:
+        try:
+            self._publish_if_due()
+        except Exception:
+            if not self._is_failing:
+                log.exception("%s is not told; the daemon goes on", DIAGNOSTICS_TOPIC)
+            self._is_failing = True
+        else:
+            self._is_failing = False
+
+    def _publish_if_due(self) -> None:
+        now_s, snapshot = self._clock(), self._snapshot()
+        newest = snapshot.events[-1].number if snapshot is not None and snapshot.events else 0
+        if now_s - self._published_s < _EVERY_S and newest == self._told:
+            return
+        self._published_s, self._told = now_s, newest
+        if not self._publisher.get_subscription_count():
+            return
+        array = DiagnosticArray(status=[self._message(status) for status in diagnose(snapshot, now_s=now_s)])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+    def _message(self, status: Status) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=bytes([status.level]),
+            name=status.name,
+            message=one_line(status.message),
+            hardware_id=self._host,
+            values=[KeyValue(key=one_line(key), value=one_line(text)) for key, text in status.values],
+        )

@@ -1,0 +1,182 @@
+"""Hearing what endpoints of one kind announce of themselves, and believing what the graph bears out."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from arpd.adapters.ros.names import is_full_name
+from arpd.adapters.ros.raw_subscription import Intake, Pause, peek
+from arpd.model.publishers import PublisherState
+from arpd.model.readers import ReaderState
+from arpd.observe.rate_limits import Reason, Turnstile
+from arpd.observe.registry import MOST_OF_NODE, Endpoints
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from arpd.adapters.ros.refused import Refused
+    from arpd.observe.rate_limits import Kind
+
+_DEPTH = 1000  # messages that may wait while the executor is elsewhere
+_MOST_BYTES = 512 * 1024  # of a message: twice what MOST_OF_NODE publishers take
+_HZ, _BURST = 4.0, 8.0  # messages of one node; arpd's own say one a second
+_MOST_STRANGERS = 64  # nodes that are heard before the graph shows them
+_MOST_STRANGE_BYTES = 32 * 1024
+
+S = TypeVar("S", PublisherState, ReaderState)
+
+
+class Announcements(Generic[S]):
+    """The endpoints of one kind that are there.
+
+    A node is listened to when the graph shows that it may announce, each at a rate of its own. The graph may show it
+    later than its first message arrives: that waits, undecoded, until the graph is read again.
+
+    Parameters
+    ----------
+    node : rclpy node; somebody else spins it
+    topic : on which they announce themselves
+    kind : what they are
+    decode : reads one status
+    stale_s : silence after which an endpoint is gone (s)
+    refused : counts what is
+    pause : of the executor, in a flood
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        topic: str,
+        kind: Kind,
+        decode: Callable[[Any], S],
+        *,
+        stale_s: float,
+        refused: Refused,
+        pause: Pause,
+        clock: Callable[[], float],
+    ) -> None:
+        self._kind = kind
+        self._decode: Callable[[Any], S] = decode
+        self._refused = refused
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._endpoints: Endpoints[S] = Endpoints(stale_s)
+        self._turnstile = Turnstile(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
+        self._has_unnamed = False
+        self._strangers: dict[str, bytes] = {}  # by node, what it said last
+        self._intake = Intake(
+            node,
+            DiagnosticArray,
+            topic,
+            QoSProfile(depth=_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT),
+            most_bytes=_MOST_BYTES,
+            take=self._on_message,
+            refuse=lambda: self._refuse(Reason.SIZE, "", "a message is longer than any announcement"),
+            pause=pause,
+        )
+
+    @property
+    def pending(self) -> int:
+        """Number of endpoints, and of nodes, that the graph has not shown."""
+        with self._lock:
+            return self._endpoints.pending + len(self._strangers)
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Topics of everybody who announced himself lately."""
+        with self._lock:
+            return self._endpoints.topics
+
+    def live(self, now_s: float, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}) -> list[S]:
+        """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic.
+
+        Parameters
+        ----------
+        known_of : what the graph knows of a state besides, by field
+        """
+        is_flooded = self._intake.is_flooded
+        with self._lock:
+            return self._endpoints.live(now_s, is_flooded=is_flooded, known_of=known_of)
+
+    def see(self, announcers: Collection[str], is_shown: Callable[[str, str], bool]) -> None:
+        """Take in what the graph shows now.
+
+        Parameters
+        ----------
+        announcers : nodes that may announce endpoints; the empty name is one that is not told
+        is_shown : whether it has an endpoint of a node on a topic
+        """
+        now_s = self._clock()
+        with self._lock:
+            self._turnstile.know(node for node in announcers if node)
+            self._has_unnamed = "" in announcers
+            self._endpoints.see(is_shown, now_s)
+            strangers, self._strangers = self._strangers, {}
+        for node, data in strangers.items():
+            if node in announcers:
+                self._listen(node, data, now_s)
+            else:
+                self._refuse(Reason.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
+
+    def _on_message(self, data: bytes, _info: Any) -> None:
+        try:
+            name, count = peek(data)
+        except ValueError as fault:
+            self._refuse(Reason.MALFORMED, "", str(fault))
+            return
+        node = name.partition(":")[0]
+        with self._lock:
+            is_heard = self._turnstile.knows(node) or self._has_unnamed
+            passes = is_heard and self._turnstile.lets_pass(node, self._clock())
+        if is_heard and not passes:
+            self._refuse(Reason.RATE, node, f"{node} announces {self._kind} more than {_HZ:g} times a second")
+        elif not is_full_name(node):
+            self._refuse(Reason.MALFORMED, "", "an announcement names no node")
+        elif count > MOST_OF_NODE:
+            self._refuse(Reason.QUOTA, node, f"{node} announces {count} {self._kind}; at most {MOST_OF_NODE} are heard")
+        elif is_heard:
+            self._listen(node, data, self._clock())
+        else:
+            self._keep(node, data)
+
+    def _keep(self, node: str, data: bytes) -> None:
+        with self._lock:
+            has_room = node in self._strangers or len(self._strangers) < _MOST_STRANGERS
+            if is_kept := has_room and len(data) <= _MOST_STRANGE_BYTES:
+                self._strangers[node] = data
+        if not is_kept:
+            self._refuse(Reason.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
+
+    def _listen(self, node: str, data: bytes, now_s: float) -> None:
+        try:
+            statuses = deserialize_message(data, DiagnosticArray).status
+        except (
+            RuntimeError,
+            ValueError,
+        ):  # of rclpy's, neither of them documented; the second is of bytes that are no text
+            self._refuse(Reason.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
+            return
+        for status in statuses:
+            try:
+                state = self._decode(status)
+            except ValueError as fault:
+                self._refuse(Reason.MALFORMED, node, str(fault))
+                continue
+            if state.node != node:
+                self._refuse(Reason.MALFORMED, node, f"{node} speaks for {state.node}")
+                continue
+            with self._lock:
+                has_place = self._endpoints.note(state, now_s)
+            if not has_place:
+                self._refuse(
+                    Reason.QUOTA, node, f"no place for {state.topic} of {node}: there are too many {self._kind}"
+                )
+
+    def _refuse(self, reason: Reason, source: str, words: str) -> None:
+        self._refused.note(self._kind, reason, words, source=source)

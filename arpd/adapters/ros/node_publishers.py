@@ -1,0 +1,272 @@
+"""What AdaptivePublishers of one node share: the pacing thread, the parameters, the gate and the announcement."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64
+
+from arpd.adapters.ros.announcement import to_status
+from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_floor_hz, checked_rate_hz
+from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
+from arpd.adapters.ros.grant import Grant
+from arpd.adapters.ros.names import (
+    DEADLINE,
+    DEPTH,
+    GATE_TOPIC,
+    GENERATION_PARAMETER,
+    LEASE_PARAMETER,
+    MIN_RATE,
+    PUBLISHERS_TOPIC,
+    RATE,
+    parameter_name,
+)
+from arpd.adapters.ros.wakeups import Visits
+from arpd.model.values import TopicPlan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.node import Node
+
+    from arpd.adapters.ros.publisher import AdaptivePublisher
+
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
+
+_ATTRIBUTE = "_arpd_tuning"
+_ANNOUNCE_S = 1.0
+_GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
+_RETRY_S = 0.1
+QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 to 9 ms on loopback
+_BLOCKED_S = 0.05  # longer than a scheduler takes; two such waits are more than a reader at 200 Hz bridges
+_SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
+_COMPLAIN_S = 5.0
+
+_SETTINGS = {
+    DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
+    DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
+    RATE: ("rate_hz", "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
+    MIN_RATE: ("min_rate_hz", "floor in Hz below which the gate does not push the rate"),
+}
+
+
+class NodeTuning:
+    """The shared half of all AdaptivePublishers in one node; made by the first of them.
+
+    One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and
+    the gate arrive through the executor, as everything in ROS does, and it is there too that a plan ends whose daemon
+    is silent for longer than it granted: like that no answer of the daemon's can come in between.
+    """
+
+    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._publishers: dict[str, AdaptivePublisher] = {}
+        self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
+        self._visits: Visits[AdaptivePublisher] = Visits()
+        self._suspect_until_s = -math.inf
+        self.finished_s = clock()  # when the pacing thread last finished a round
+        self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
+        self._stopping = False
+        self._grant = Grant(
+            node,
+            generation_name=GENERATION_PARAMETER,
+            lease_name=LEASE_PARAMETER,
+            plan="plan in force",
+            whose="publishers",
+            clock=clock,
+        )
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(Float64, GATE_TOPIC, self._on_gate, newest, event_callbacks=no_subscription_events())
+        node.create_timer(_ANNOUNCE_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._announcer = node.create_publisher(
+            DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
+        )
+        self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
+        self._thread.start()
+        node.context.on_shutdown(self.stop)
+
+    @classmethod
+    def of(cls, node: Node) -> NodeTuning:
+        """Return the node's tuning, made on first use and kept on the node itself."""
+        tuning = getattr(node, _ATTRIBUTE, None)
+        if not isinstance(tuning, NodeTuning):
+            tuning = cls(node)
+            setattr(node, _ATTRIBUTE, tuning)
+        return tuning
+
+    def adopt(self, publisher: AdaptivePublisher) -> None:
+        """Declare the publisher's parameters and start to pace it."""
+        topic = publisher.topic_name
+        if topic in self._publishers:
+            raise ValueError(
+                f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
+                "their parameters would share one name"
+            )
+        for setting, (field, description) in _SETTINGS.items():
+            name = parameter_name(topic, setting)
+            self._parameters[name] = (topic, field)
+            value = getattr(publisher.plan, field)
+            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
+        self._publishers = {**self._publishers, topic: publisher}
+        # Overrides given at the start (--ros-args -p qos_overrides…) are settings like any others.
+        plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
+        if plan != publisher.plan:
+            publisher.retune(plan)
+        self.wake(publisher)
+
+    def release(self, publisher: AdaptivePublisher) -> None:
+        """Forget a publisher and its parameters."""
+        topic = publisher.topic_name
+        self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
+        for setting in _SETTINGS:
+            name = parameter_name(topic, setting)
+            if self._parameters.pop(name, None) and self._node.context.ok():
+                self._node.undeclare_parameter(name)
+
+    def wake(self, publisher: AdaptivePublisher) -> None:
+        """Let the pacing thread visit a publisher at once."""
+        self._visits.wake(publisher)
+
+    def shun_writing(self, took_s: float) -> None:
+        """Have callers who must not block hand over for a while: writes take long, and all share the link's queue."""
+        now_s = self._clock()
+        # A short one alone may be the scheduler's doing; a full link blocks the next one, too.
+        if took_s > _BLOCKED_S or now_s < self._suspect_until_s:
+            self.quick_from_s = max(self.quick_from_s, now_s + _SHUN * took_s)
+        self._suspect_until_s = now_s + _SHUN * took_s
+
+    def stop(self) -> None:
+        """End the pacing thread; its publishers stay as they are."""
+        self._stopping = True
+        self._visits.end()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        announce_s = self._clock()
+        while not self._stopping and self._node.context.ok():
+            try:
+                self._service(self._clock())
+                now_s = self.finished_s = self._clock()
+                if now_s >= announce_s:
+                    announce_s = now_s + _ANNOUNCE_S
+                    self._expire_gate(now_s)
+                    self._announce()
+            except InvalidHandle:
+                return  # the application destroyed the node: nothing is left to pace
+            self._visits.wait(min(announce_s, self._visits.next_s()) - self._clock())
+
+    def _service(self, now_s: float) -> None:
+        """Serve every publisher that is due, whatever happens to another."""
+        for publisher in self._visits.take_due(now_s):
+            if self._publishers.get(publisher.topic_name) is not publisher:
+                continue  # destroyed meanwhile
+            try:
+                due_s = publisher.service(now_s)
+            except InvalidHandle:
+                raise
+            except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
+                self._node.get_logger().error(
+                    f"{publisher.topic_name}: {error}", throttle_duration_sec=_COMPLAIN_S, skip_first=False
+                )
+                due_s = now_s + _RETRY_S
+            self._visits.set(publisher, due_s)
+
+    def _announce(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        generation, lease_s = self._grant.generation, self._grant.lease.granted_s
+        publishers = self._publishers.values()
+        message.status = [to_status(one.state(generation=generation, lease_s=lease_s)) for one in publishers]
+        self._announcer.publish(message)
+
+    def _on_gate(self, message: Any) -> None:
+        if 0.0 < message.data <= 1.0:
+            self._grant.lease.renew(self._clock())
+            for publisher in self._publishers.values():
+                publisher.set_gate(message.data)
+
+    def _expire_gate(self, now_s: float) -> None:
+        if self._grant.lease.is_silent(now_s, for_s=_GATE_LEASE_S):
+            for publisher in self._publishers.values():
+                publisher.set_gate(None)
+
+    def _expire_plan(self) -> None:
+        """Return every publisher to its application's QoS when the daemon is silent for longer than it granted."""
+        grant = self._grant
+        if grant.generation == 0 or not grant.lease.is_over(self._clock()):
+            return
+        self._node.get_logger().warning(
+            f"nothing heard of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
+            throttle_duration_sec=_COMPLAIN_S,
+        )
+        parameters = [Parameter(GENERATION_PARAMETER, value=0)]
+        for topic, publisher in self._publishers.items():
+            own = publisher.baseline
+            plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
+            parameters += [
+                Parameter(parameter_name(topic, setting), value=getattr(plan, field))
+                for setting, (field, _) in _SETTINGS.items()
+            ]
+        generation, grant.generation = grant.generation, 0  # whoever plans next may start anywhere
+        try:
+            result = self._node.set_parameters_atomically(parameters)
+        except ParameterNotDeclaredException:
+            result = SetParametersResult(successful=False, reason="one of them was just destroyed")
+        if not result.successful:
+            grant.generation = generation  # and the next second tries again
+            self._node.get_logger().error(
+                f"the publishers keep their plan: {result.reason}", throttle_duration_sec=_COMPLAIN_S
+            )
+
+    def _validate(self, parameters: Sequence[Any]) -> Any:
+        try:
+            self._plans(parameters)
+            self._grant.check(parameters)
+        except ValueError as refusal:
+            return SetParametersResult(successful=False, reason=str(refusal))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Any]) -> None:
+        self._grant.take(parameters)
+        for topic, plan in self._plans(parameters).items():
+            self._publishers[topic].retune(plan)
+
+    def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
+        """Turn changed parameters into whole plans per topic; refuse nonsense with a reason."""
+        changes: dict[str, dict[str, Any]] = {}
+        for parameter in parameters:
+            if parameter.name in self._parameters:
+                topic, field = self._parameters[parameter.name]
+                if (publisher := self._publishers.get(topic)) is not None:
+                    changes.setdefault(topic, {})[field] = _checked(
+                        parameter,
+                        field,
+                        most_depth=max(MOST_DEPTH, publisher.baseline.depth),
+                        own_deadline_ns=publisher.baseline.deadline_ns,
+                    )
+        return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
+
+
+def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: int = 0) -> int | float:
+    """Return a setting that may be; of the declared type, for rclpy refuses any other before it asks."""
+    if field == "depth":
+        return checked_depth(parameter, most_depth)
+    if field == "deadline_ns":
+        return checked_deadline_ns(parameter, own_ns=own_deadline_ns)
+    return checked_rate_hz(parameter) if field == "rate_hz" else checked_floor_hz(parameter)

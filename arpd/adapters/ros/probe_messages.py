@@ -1,0 +1,148 @@
+"""Wire format of probes and of the peer's receiver reports: small, versioned, checked on arrival."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from dataclasses import dataclass
+from typing import Any
+
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.model.probing import PeerReport, Train
+
+_PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
+# Version, number of delays and of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
+_REPORT = struct.Struct("<BBBBfIII")
+_PACKETS = struct.Struct("<I")  # of probes before the last one; since version 3
+_DELAY = struct.Struct("<d")
+_TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
+_PROBE_VERSION = 1
+_REPORT_VERSION = 3
+_REPORT_WITHOUT_PACKETS = 2  # the version before
+_MOST = 32  # delays or trains in one report
+_MOST_NAME = 64  # bytes
+_MOST_INTERVAL_S = 60.0  # longer is no interval that one report covers
+_MOST_DELAY_S = 1e10  # two clocks are no further apart, be one of them at the beginning of time
+_MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its benchmark a hundred
+_MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
+MOST_REPORT_BYTES = 1024  # of a serialized report
+MOST_PROBE_BYTES = _MOST_PACKET_BYTES  # of a serialized probe
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProbeHeader:
+    """Place of one probe packet in its train; a ping is a train of one.
+
+    Parameters
+    ----------
+    train, index, packets : its number, the packet's place in it, and how many there are
+    quiet_s : how long reports may be apart (s)
+    """
+
+    train: int
+    index: int
+    packets: int
+    quiet_s: float = 0.0
+
+
+def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
+    """Make one probe packet of ``payload_bytes`` (at least the header)."""
+    quiet = min(255, round(header.quiet_s * 100))
+    head = _PROBE.pack(_PROBE_VERSION, quiet, header.index, header.packets, header.train & 0xFFFFFFFF)
+    return UInt8MultiArray(data=array("B", head.ljust(payload_bytes, b"\0")))
+
+
+def decode_probe(data: bytes) -> ProbeHeader:
+    """Read a probe packet from the bytes of its message; raises ValueError if it is none of ours."""
+    if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
+        raise ValueError("not a probe of this version")
+    _, quiet, index, packets, train = _PROBE.unpack_from(data)
+    if not index < packets <= _MOST_PACKETS:
+        raise ValueError(f"probe {index} of a train of {packets}; at most {_MOST_PACKETS} are one")
+    return ProbeHeader(train=train, index=index, packets=packets, quiet_s=quiet / 100)
+
+
+def encode_report(report: PeerReport) -> Any:
+    """Make the message of one receiver report: 32 bytes and the name, with one delay; 14 more with a train."""
+    delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
+    # Cut like this, a name of more bytes keeps its whole characters.
+    name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
+    head = _REPORT.pack(
+        _REPORT_VERSION,
+        len(delays),
+        len(trains),
+        len(name),
+        report.interval_s,
+        min(report.rx_bytes, 2**32 - 1),
+        min(report.rx_packets, 2**32 - 1),
+        report.last_probe & 0xFFFFFFFF,
+    )
+    packets = _PACKETS.pack((report.probe_packets or 0) & 0xFFFFFFFF)
+    body = b"".join(_DELAY.pack(delay) for delay in delays)
+    body += b"".join(
+        _TRAIN.pack(min(train.payload_bytes, 2**32 - 1), train.duration_s, train.sent_s, min(train.packets, 65535))
+        for train in trains
+    )
+    return UInt8MultiArray(data=array("B", head + packets + name + body))
+
+
+def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | None = None) -> PeerReport:
+    """Read a receiver report from the bytes of its message, of this version or of the one before.
+
+    Parameters
+    ----------
+    received_at_s : daemon's monotonic clock (s)
+    return_delay_s : received minus sent, by the time stamps of its MessageInfo, from two different clocks (s)
+
+    Raises
+    ------
+    ValueError
+        If it is malformed or says something impossible.
+    """
+    if not data or data[0] not in (_REPORT_WITHOUT_PACKETS, _REPORT_VERSION):
+        raise ValueError("not a peer report of a version known here")
+    has_packets = data[0] == _REPORT_VERSION
+    name_at = _REPORT.size + (_PACKETS.size if has_packets else 0)
+    if len(data) < name_at:
+        raise ValueError("peer report of the wrong length")
+    _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)
+    delays_at = name_at + name_size
+    trains_at = delays_at + delay_count * _DELAY.size
+    if len(data) != trains_at + train_count * _TRAIN.size:
+        raise ValueError("peer report of the wrong length")
+    delays = tuple(value for (value,) in _DELAY.iter_unpack(data[delays_at:trains_at]))
+    trains = tuple(
+        Train(payload_bytes=size, duration_s=duration_s, sent_s=sent_s, packets=packets)
+        for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
+    )
+    peer = data[name_at:delays_at].decode(errors="replace")
+    # Written so that what is no number fails, too.
+    is_possible = (
+        0 < interval_s < _MOST_INTERVAL_S
+        and all(abs(delay) < _MOST_DELAY_S for delay in delays)
+        and all(_is_possible(train) for train in trains)
+    )
+    if not is_possible or not 0 < name_size <= _MOST_NAME or not peer.isprintable():
+        raise ValueError("peer report with an impossible name or impossible numbers")
+    return PeerReport(
+        peer=peer,
+        received_at_s=received_at_s,
+        interval_s=interval_s,
+        rx_bytes=rx_bytes,
+        rx_packets=rx_packets,
+        last_probe=last_probe,
+        delays_s=delays,
+        probe_packets=_PACKETS.unpack_from(data, _REPORT.size)[0] if has_packets else None,
+        return_delay_s=return_delay_s,
+        trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
+    )
+
+
+def _is_possible(train: Train) -> bool:
+    return (
+        0 <= train.duration_s < _MOST_INTERVAL_S
+        and 0 <= train.sent_s < _MOST_INTERVAL_S
+        and train.packets <= _MOST_PACKETS
+        and train.payload_bytes <= _MOST_PACKETS * _MOST_PACKET_BYTES
+    )

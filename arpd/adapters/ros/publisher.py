@@ -1,0 +1,399 @@
+"""AdaptivePublisher: an rclpy publisher whose rate, depth and deadline can be changed while it publishes."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from copy import copy
+from dataclasses import fields
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+
+from arpd.adapters.ros.graph import deadline_ns_of, type_name_of
+from arpd.adapters.ros.node_publishers import QUICK_S, NodeTuning
+from arpd.adapters.ros.requests import Requests
+from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
+from arpd.adapters.ros.writer import RosWriter, without_ours
+from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.writer_swap import SwapResult
+from arpd.govern.plan import keeps_its_readers
+from arpd.model.publishers import FlowState, PublisherState
+from arpd.model.refusal import NO_REFUSAL, Refusal, RefusalReason
+from arpd.model.settings import Overflow
+from arpd.model.values import Direction
+from arpd.model.writer import WriterQos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.event_handler import PublisherEventCallbacks
+    from rclpy.node import Node
+    from rclpy.qos_overriding_options import QoSOverridingOptions
+
+    from arpd.apply.endpoint.writer_swap import SwapTiming
+    from arpd.model.values import TopicPlan
+
+_FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
+
+
+class AdaptivePublisher:
+    """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
+
+    Until somebody sets its parameters it behaves as the plain publisher would: unpaced, with the QoS asked for. It may
+    be used from any thread, under any executor; time is a monotonic clock's, with ``use_sim_time`` or without.
+
+    Parameters
+    ----------
+    node : node it lives in; its executor must spin for parameters and the gate to work
+    msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
+    event_callbacks : as in `Node.create_publisher`; they hear of the writer in force only, never of the one a swap
+        prepares or retires, and counts in the events begin anew with every swap
+    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need no mention, and stay writable
+    overflow : what gives way when samples come faster than the paced rate
+    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first gets the samples the old
+        one held, for readers to come; readers that are there see those twice. False = pace such a topic only
+    swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
+
+    Notes
+    -----
+    ``publisher_class`` of `Node.create_publisher` has no equivalent: a swap would lose what another class keeps in it,
+    as a lifecycle publisher keeps whether it is active.
+
+    Raises
+    ------
+    ValueError
+        If the node already has an AdaptivePublisher on the topic: their parameters would share one name.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: Any = None,
+        event_callbacks: PublisherEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+        overflow: Overflow = Overflow.LATEST,
+        swap_transient_local: bool = False,
+        swap_timing: SwapTiming | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.msg_type = msg_type
+        self.topic = topic
+        # A copy: what the application does with its profile afterwards must not show in the next writer.
+        self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
+        self._node = node
+        self._callback_group = callback_group
+        self._event_callbacks = event_callbacks
+        self._swap_transient_local = swap_transient_local
+        self._rmw = current_rmw()
+        self._overrides = without_ours(qos_overriding_options)
+        # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
+        self._lock = threading.RLock()
+        self._writing = threading.RLock()
+        self._clock = clock
+        self._visit_s = math.inf  # the pacing thread comes no later than this
+        self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
+        self._flow = Flow(
+            create=self._create_writer,
+            qos=self._baseline,
+            overflow=overflow,
+            clock=clock,
+            on_swap=self._on_swap,
+            timing=swap_timing,
+        )
+        self._overrides = None  # they are part of the profile by now, and rclpy declares each only once
+        if self._is_latched and swap_transient_local:
+            self._flow.keep_history()
+        self._refusal = self._clamp = NO_REFUSAL
+        self._refusals = 0  # readers that refused, as far as the application was warned
+        self._resolved = str(self._writer.publisher.topic_name)
+        self._requests = Requests(node, self._resolved)
+        self._node_name = node.get_fully_qualified_name()
+        self._tuning = NodeTuning.of(node)
+        try:
+            self._tuning.adopt(self)
+        except Exception:
+            self._flow.close()  # a refused publisher must not leave a live writer behind
+            raise
+
+    # -- what rclpy.publisher.Publisher offers
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+        return self._resolved
+
+    @property
+    def handle(self) -> Any:
+        """Handle of the writer in force; a swap replaces it, so do not keep it."""
+        return self._writer.publisher.handle
+
+    @property
+    def event_handlers(self) -> Any:
+        """Event handlers of the writer in force."""
+        return self._writer.publisher.event_handlers
+
+    @property
+    def logger_name(self) -> str:
+        """Name of the logger of the publisher's node."""
+        return str(self._writer.publisher.logger_name)
+
+    def publish(self, msg: Any) -> None:
+        """Publish a message, now or when pacing lets it.
+
+        The message is serialized at once: changing it afterwards changes nothing that was published.
+
+        Parameters
+        ----------
+        msg : message of the publisher's type, or its serialized bytes
+
+        Raises
+        ------
+        TypeError
+            If it is neither.
+        """
+        sample = self._serialized(msg)
+        with self._lock:
+            self._flow.offer(sample)
+        with self._writing:
+            self._drain()
+
+    def offer(self, msg: Any) -> None:
+        """Publish without waiting for another write, and without writing where writers block at present.
+
+        For a caller that serves many topics, as the relay does: while the link's queue is full, a writer blocks, and
+        what comes meanwhile is conflated here instead of growing old, or getting lost, further up.
+
+        Parameters
+        ----------
+        msg : as in `publish`
+        """
+        sample = self._serialized(msg)
+        if self._clock() >= self._tuning.quick_from_s and self._writing.acquire(blocking=False):
+            try:
+                with self._lock:
+                    is_next = self._flow.admit(sample)
+                if not is_next:
+                    self._drain()
+                elif (took_s := self._flow.write(sample)) > QUICK_S:
+                    self._tuning.shun_writing(took_s)
+            finally:
+                self._writing.release()
+        else:
+            with self._lock:  # not for every sample: to hand it to the pacing thread costs more than the sample itself
+                self._flow.offer(sample)
+            self._leave_rest()
+
+    def get_subscription_count(self) -> int:
+        """Count the matched readers."""
+        with self._lock:
+            return self._writer.matched()
+
+    def assert_liveliness(self) -> None:
+        """Assert that this publisher is alive (MANUAL_BY_TOPIC)."""
+        with self._lock:
+            self._writer.publisher.assert_liveliness()
+
+    def wait_for_all_acked(self, timeout: Any = None) -> bool:
+        """Wait until the writer in force is fully acknowledged, as rclpy does; paced samples are not yet written."""
+        return self._writer.wait_for_all_acked(timeout)
+
+    def destroy(self) -> None:
+        """Destroy the publisher and everything a swap may have in flight."""
+        self._tuning.release(self)
+        with self._writing, self._lock:
+            self._flow.close()
+
+    # -- what makes it adaptive
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings last asked for."""
+        return self._flow.plan
+
+    @property
+    def baseline(self) -> WriterQos:
+        """QoS the application asked for at creation."""
+        return self._baseline
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
+
+        Parameters
+        ----------
+        plan : settings to run with; an offered deadline longer than a reader requests is clamped to that request,
+            because the reader would silently disconnect (DESIGN §2)
+        """
+        requested_ns = self._requests.tightest_ns()
+        is_clamped = not keeps_its_readers(plan, requested_ns)
+        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to the {requested_ns} ns a reader requests")
+        depth = self._baseline.depth if self._keeps_all else plan.depth  # another would be a new writer for nothing
+        qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
+        latched = (
+            f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; "
+            "swap_transient_local=True lets it"
+        )
+        with self._lock:
+            self._clamp = clamp if is_clamped else NO_REFUSAL
+            is_fixed = self._is_latched and not self._swap_transient_local
+            if qos == self._flow.qos:
+                self._refusal = NO_REFUSAL  # nothing is refused any more
+            elif refusal := lasting_refusal(self._rmw, latched=latched if is_fixed else ""):
+                self._refusal, qos = refusal, self._flow.qos
+            self._flow.retune(plan, qos=qos)
+        self._tuning.wake(self)
+
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        with self._lock:
+            self._flow.set_gate(gate)
+        self._leave_rest()  # it may now leave sooner
+
+    def service(self, now_s: float) -> float:
+        """Do what is due, a step of the swap or samples whose time has come; return when to be called again (s)."""
+        if not self._writing.acquire(blocking=False):
+            return now_s + 0.001  # the application is inside publish(); never queue the others behind it
+        try:
+            with self._lock:
+                self._flow.step(now_s)
+            self._drain()
+            with self._lock:
+                self._visit_s = self._flow.due_s(now_s)
+                return self._visit_s
+        finally:
+            self._writing.release()
+
+    def state(self, *, generation: int, lease_s: float = 0.0) -> PublisherState:
+        """Picture of what is in force, for the announcement; called about once a second."""
+        with self._lock:
+            flow, refusal = self._flow.state(), self._refusal if self._refusal.words else self._clamp
+            self._warn_of_refusals()
+        return PublisherState(
+            node=self._node_name,
+            topic=self._resolved,
+            type_name=type_name_of(self.msg_type),
+            direction=Direction.LOCAL,
+            baseline_depth=self._baseline.depth,
+            baseline_deadline_ns=self._baseline.deadline_ns,
+            generation=generation,
+            lease_s=lease_s,
+            refusal=refusal.words,
+            refusal_reason=refusal.reason,
+            keeps_all=self._keeps_all,
+            **{name: getattr(flow, name) for name in _FLOW_FIELDS},
+        )
+
+    def _serialized(self, msg: Any) -> bytes:
+        if isinstance(msg, bytes):
+            return msg
+        if isinstance(msg, self.msg_type):
+            return bytes(serialize_message(msg))
+        raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
+
+    def _warn_of_refusals(self) -> None:
+        """Say what rclpy's default callback says when a reader refuses the offered QoS."""
+        if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
+            return  # the application listens itself; a look here would take the event from it
+        if (refusals := self._writer.refusals()) > self._refusals:
+            self._refusals = refusals
+            self._node.get_logger().warning(
+                f"{self._resolved}: a subscription requests incompatible QoS and gets nothing; "
+                f"last incompatible policy: {self._writer.refused_policy}"
+            )
+
+    def _drain(self) -> None:
+        """Write all that may leave; the caller holds ``_writing``, so that samples keep their order."""
+        before_s = self._clock()
+        is_waiting = True
+        try:
+            with self._lock:
+                self._flow.before_take()
+            self._flow.replay()
+            while is_waiting:
+                with self._lock:
+                    sample = self._flow.take()
+                if sample is None:
+                    break
+                self._flow.write(sample)
+                is_waiting = self._flow.is_waiting  # what is offered after this look, another thread sees to
+        finally:  # whatever a write raised, what waits behind it is not forgotten
+            if is_waiting:
+                self._leave_rest()
+            if (took_s := self._clock() - before_s) > QUICK_S:
+                self._tuning.shun_writing(took_s)
+
+    def _leave_rest(self) -> None:
+        """Let the pacing thread come for what still waits, unless it comes in time anyway."""
+        with self._lock:
+            due_s = self._flow.due_s(self._clock())
+            if due_s >= self._visit_s:
+                return
+            self._visit_s = due_s
+        self._tuning.wake(self)
+
+    @property
+    def _writer(self) -> RosWriter:
+        return self._flow.writer
+
+    @property
+    def _is_latched(self) -> bool:
+        return bool(self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+    @property
+    def _keeps_all(self) -> bool:
+        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
+
+    def _create_writer(self, qos: WriterQos) -> RosWriter:
+        profile = copy(self.qos_profile)  # every other policy is the application's
+        profile.depth = qos.depth
+        profile.deadline = Duration(nanoseconds=qos.deadline_ns)
+        create = partial(
+            self._node.create_publisher,
+            self.msg_type,
+            self.topic,
+            profile,
+            callback_group=self._callback_group,
+            qos_overriding_options=self._overrides,
+        )
+        writer = RosWriter(
+            node=self._node,
+            create=create,
+            event_callbacks=self._event_callbacks,
+            is_current=self._is_current,
+            disconnected=lambda: self._lost_to(qos),
+        )
+        if self._overrides is not None:
+            self.qos_profile = copy(profile)
+        return writer
+
+    def _is_current(self, writer: RosWriter) -> bool:
+        flow = getattr(self, "_flow", None)
+        return flow is None or flow.writer is writer  # while the flow is being made there is only the first
+
+    def _lost_to(self, qos: WriterQos) -> list[str]:
+        """Name the readers that the writer in force serves and one with these settings would not."""
+        return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
+
+    def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
+        if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
+            self._refusal = NO_REFUSAL
+        elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
+            words = f"swap of {self._resolved}: {self._reason(result, qos)}"
+            self._refusal = Refusal(RefusalReason(result.value), words)
+            self._node.get_logger().warning(words)
+
+    def _reason(self, result: SwapResult, qos: WriterQos) -> str:
+        if result is SwapResult.FAILED:
+            return f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
+        if lost := self._lost_to(qos):
+            return f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
+        readers = ", ".join(self._requests.names())
+        return f"not all readers matched in time (in the graph: {readers or 'none'})"

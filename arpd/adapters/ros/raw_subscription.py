@@ -1,0 +1,173 @@
+"""How messages from the network come in: as they are, in bounded size, and so that a flood does not keep us busy."""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from typing import TYPE_CHECKING, Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from arpd.adapters.ros.events import no_subscription_events
+from arpd.observe.rate_limits import TokenBucket
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.qos import QoSProfile
+
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
+
+_MOST_AT_ONCE = 1000
+_CALM_HZ = 200.0  # messages that need no pause; a hundred nodes and two peers say as many
+_FLOOD_S = 3.0
+_PAUSE_S, _WORK_S = 0.02, 0.005  # in a flood, by turns
+_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
+
+
+class Pause:
+    """Gives the rest of the process its time while there is a flood, on however many topics.
+
+    Parameters
+    ----------
+    clock : monotonic clock (s)
+    sleep : waits for the given time (s)
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, *, sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._clock = clock
+        self._sleep = sleep
+        self._ended_s = -math.inf
+
+    def take(self) -> None:
+        """Wait, unless somebody has just waited."""
+        if self._clock() - self._ended_s >= _WORK_S:
+            self._sleep(_PAUSE_S)
+            self._ended_s = self._clock()
+
+
+class Intake:
+    """Receives one topic serialized, so that what is refused is never decoded.
+
+    An executor takes up to a millisecond for each message, so that 500 a second would leave it time for nothing else.
+    So whatever waits is taken together, 10 us each, and while there is a flood the executor rests most of the time.
+
+    Parameters
+    ----------
+    node : rclpy node; somebody else spins it
+    msg_type, topic, qos : what is received
+    most_bytes : size above which a message is refused
+    take : called with every message, serialized, and its MessageInfo
+    refuse : called instead for one that is too long
+    pause : taken in a flood; shared by the intakes of one executor
+    calm_hz : messages a second, and at once, that are no flood
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        msg_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        *,
+        most_bytes: int,
+        take: Callable[[bytes, Any], None],
+        refuse: Callable[[], None],
+        pause: Pause | None = None,
+        calm_hz: float = _CALM_HZ,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._msg_type = msg_type
+        self._most_bytes = most_bytes
+        self._take = take
+        self._refuse = refuse
+        self._clock = clock
+        self._pause = pause or Pause()
+        self._calm = TokenBucket(calm_hz, calm_hz)
+        self._flooded_until_s = -math.inf
+        self._subscription: Any = None
+        self._subscription = node.create_subscription(
+            msg_type, topic, self._on_message, qos, raw=True, event_callbacks=no_subscription_events()
+        )
+
+    @property
+    def is_flooded(self) -> bool:
+        """Whether more arrives, or did just now, than honest ones say: some of theirs may be lost."""
+        return self._clock() < self._flooded_until_s
+
+    def _on_message(self, data: bytes, info: Any) -> None:
+        waiting: tuple[bytes, Any] | None = data, info
+        taken, now_s = 0, self._clock()
+        while waiting is not None:
+            self._look_at(*waiting)
+            taken += 1
+            if not self._calm.take(now_s):
+                self._flooded_until_s = now_s + _FLOOD_S
+            waiting = self._waiting() if taken < _MOST_AT_ONCE else None
+        if now_s < self._flooded_until_s:
+            self._pause.take()
+
+    def _waiting(self) -> tuple[bytes, Any] | None:
+        if self._subscription is None:
+            return None  # the first message was quicker than the constructor
+        try:
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(self._msg_type, True)  # noqa: FBT003 - whether it stays serialized
+        except InvalidHandle:
+            return None
+        return None if taken is None else (taken[0], taken[1])
+
+    def _look_at(self, data: bytes, info: Any) -> None:
+        if len(data) > self._most_bytes:
+            self._refuse()
+        else:
+            self._take(data, info)
+
+
+def peek(data: bytes) -> tuple[str, int]:
+    """Return the name of the first status in a serialized DiagnosticArray, and how many it has.
+
+    That takes 3 µs, and decoding a message of ten statuses a hundred times that.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or an empty one.
+    """
+    try:
+        order = _ORDER[data[1]]
+        (frame,) = struct.unpack_from(order + "I", data, 12)  # after the stamp
+        count_at = 4 + _aligned(12 + frame)
+        count, _level, size = struct.unpack_from(order + "IB3xI", data, count_at)
+        name = data[count_at + 12 : count_at + 11 + size]  # without its final zero
+        if not count or size < 1 or len(name) != size - 1:
+            raise ValueError("a DiagnosticArray without a status")
+        return name.decode(), count
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("no DiagnosticArray") from fault
+
+
+def octets(data: bytes) -> bytes:
+    """Return what a serialized UInt8MultiArray holds, as long as it has no dimensions; arpd's have none.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    try:
+        dimensions, _offset, size = struct.unpack_from(_ORDER[data[1]] + "III", data, 4)
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("no UInt8MultiArray") from fault
+    held = data[16 : 16 + size]
+    if dimensions or len(held) != size:
+        raise ValueError("a UInt8MultiArray with dimensions, or cut off")
+    return held
+
+
+def _aligned(offset: int) -> int:
+    return -4 * (-offset // 4)

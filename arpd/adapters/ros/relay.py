@@ -1,0 +1,364 @@
+"""`arpd relay`: carries topics of nodes whose code is not yours through AdaptivePublishers."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import platform
+import re
+import threading
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.host.addresses import Locators
+from arpd.adapters.host.interface import likeliest_interface
+from arpd.adapters.ros.graph import node_name_of
+from arpd.adapters.ros.runtime import ros_node, serve_until, stop_on_signals
+from arpd.adapters.systemd.logs import configure_logging
+from arpd.adapters.systemd.notify import Heartbeat, Notifier
+from arpd.apply.relay_routes import Refusal, Route, Source, choose_route, own_output
+from arpd.model.settings import AUTO
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from arpd.adapters.ros.publisher import AdaptivePublisher
+    from arpd.adapters.ros.reader import ReaderQos
+    from arpd.adapters.ros.subscription import AdaptiveSubscription
+    from arpd.model.settings import RelaySettings
+
+log = logging.getLogger(__name__)
+
+_DISCOVER_S = 0.5
+_EVERY_LOOK = 10  # one in so many looks at a topic is a whole one, whatever its endpoints' number says
+_KEEP_LOOKS = 20  # 10 s: a source that restarts is heard at once, and no circle is kept up by one that never comes
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # how the graph names a node it has not heard of yet
+_RECEIVE_DEPTH = 100  # on-host, so this only bridges the relay's own scheduling
+
+
+class UnknownTypeError(Exception):
+    """A message type that is not installed on this host."""
+
+
+def message_class(type_name: str) -> Any:
+    """Import a message class from its ROS name, ``sensor_msgs/msg/LaserScan``.
+
+    Raises
+    ------
+    UnknownTypeError
+        If its package is not installed or has no such message.
+    """
+    package, _, message = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
+
+
+class Relay:
+    """Subscribes raw to each configured topic and republishes it, unchanged, under the prefix.
+
+    The graph decides, at every look anew: a topic is carried once somebody publishes it, its reader follows the weakest
+    writer, and a topic that returns with another type is carried as that. What cannot be carried is named, and the
+    other topics go on. Most looks at a topic that is settled only count its endpoints.
+
+    Parameters
+    ----------
+    node : rclpy node it lives in
+    settings : topics and prefix
+    on_change : told in words what is relayed, at the start and whenever it changes
+    """
+
+    def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
+        from rclpy.clock import Clock, ClockType  # noqa: PLC0415 - ROS is checked in ros_node
+
+        self._node = node
+        self._settings = settings
+        self._on_change = on_change
+        self._carried: dict[str, _Carried] = {}
+        self._refused: dict[str, str] = {}
+        self._failed: dict[str, str] = {}  # topic → type that could not be carried
+        self._looks = 0
+        self._silent = dict.fromkeys(settings.topics, 0)  # topic → looks since somebody published it
+        self._once: set[str] = set()  # topics that were carried at some time
+        self._inputs = {topic: node.resolve_topic_name(topic) for topic in settings.topics}  # counting does not remap
+        self._outputs: dict[str, str] = {}  # topic → what it is carried to
+        for topic in settings.topics:
+            output = str(node.resolve_topic_name(settings.prefix + topic))
+            if refusal := own_output(topic, prefix=settings.prefix, output=output):
+                self._refuse(topic, refusal.reason)
+            else:
+                self._outputs[topic] = output
+        self._status = self.status_line()
+        on_change(self._status)
+        # Steady time: a simulation that stands still must not stop the relay from following the graph.
+        node.create_timer(_DISCOVER_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def status_line(self) -> str:
+        """One line a human can read, for ``systemctl status``."""
+        topics = self._settings.topics
+        flowing = sum(topic not in self._silent for topic in self._carried)
+        line = f"relaying {flowing} of {len(topics)} topics"
+        silent = [topic for topic in topics if topic in self._silent and topic not in self._refused]
+        if new := [topic for topic in silent if topic not in self._once]:
+            line += f"; nobody publishes {', '.join(new)} yet"
+        if gone := [topic for topic in silent if topic in self._once]:
+            line += f"; nobody publishes {', '.join(gone)} any more"
+        for topic, reason in sorted(self._refused.items()):
+            line += f"; refused {topic}: {reason}"
+        for topic, carried in sorted(self._carried.items()):
+            if carried.route.ignored:
+                line += f"; on {topic} ignored {carried.route.ignored}"
+        return line
+
+    def _discover(self) -> None:
+        self._looks += 1
+        for place, (topic, output) in enumerate(self._outputs.items()):
+            # To read all endpoints of 100 topics twice a second would cost what relaying 100 messages costs.
+            if (self._looks + place) % _EVERY_LOOK == 0 or not self._is_settled(topic):
+                self._look(topic, output)
+        if (status := self.status_line()) != self._status:
+            self._status = status
+            self._on_change(status)
+
+    def _is_settled(self, topic: str) -> bool:
+        """Whether the topic is carried as its last whole look wanted it, and has as many endpoints as then."""
+        carried = self._carried.get(topic)
+        return (
+            carried is not None
+            and topic not in self._silent
+            and topic not in self._refused
+            and carried.settled_with == self._endpoints(topic, carried)
+        )
+
+    def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int]:
+        """Count the topic's writers, and the readers of what it is carried to."""
+        with self._node.handle:  # Node.count_publishers would check a name that was checked at the start
+            sources = self._node.handle.get_count_publishers(self._inputs[topic])
+        return sources, 0 if carried is None else carried.publisher.get_subscription_count()
+
+    def _look(self, topic: str, output: str) -> None:
+        carried = self._carried.get(topic)
+        endpoints = self._endpoints(topic, carried)  # first: what comes from here on is another number at the next look
+        sources = [_source(info) for info in self._node.get_publishers_info_by_topic(topic)]
+        readers = {node_name_of(info) for info in self._node.get_subscriptions_info_by_topic(output)}
+        unknown = {name for name in (*readers, *(source.node for source in sources)) if _UNKNOWN in name}
+        route = choose_route(
+            sources,
+            carrier=self._node.get_fully_qualified_name(),
+            output=output,
+            output_readers=readers - unknown,
+            in_force=None if carried is None else carried.route,
+        )
+        if route is None:
+            self._rest(topic)
+            return
+        self._silent.pop(topic, None)
+        if isinstance(route, Refusal):
+            self._drop(topic)
+            self._refuse(topic, route.reason)
+        elif self._failed.get(topic) != route.type_name:
+            self._follow(topic, route)
+        if (carried := self._carried.get(topic)) is not None:
+            carried.settled_with = endpoints if carried.is_followed and not unknown else None
+
+    def _rest(self, topic: str) -> None:
+        """Let a topic that nobody publishes wait for its source, and end it when that does not return."""
+        self._silent[topic] = self._silent.get(topic, 0) + 1
+        self._refused.pop(topic, None)
+        self._failed.pop(topic, None)
+        if self._silent[topic] > _KEEP_LOOKS:
+            self._drop(topic)
+
+    def _follow(self, topic: str, route: Route) -> None:
+        """Carry the topic by this route, whatever it was carried by before."""
+        carried = self._carried.get(topic)
+        if carried is not None and carried.route.type_name != route.type_name:
+            log.info("%s returned as %s; it was %s", topic, route.type_name, carried.route.type_name)
+            self._drop(topic)
+            # The next look carries it. With the new writer at once, 4 of 27 runs left a far reader unmatched for good.
+            return
+        try:
+            if carried is None:
+                carried = self._carried[topic] = self._carry(topic, route)
+                self._once.add(topic)
+                log.info("relaying %s to %s (%s)", topic, carried.publisher.topic_name, route.type_name)
+            else:
+                carried.follow(route)
+        except UnknownTypeError as error:
+            self._failed[topic] = route.type_name  # importing is not tried again before the type changes
+            self._refuse(topic, str(error))
+        except (RuntimeError, ValueError) as error:
+            self._refuse(topic, f"the middleware says: {error}")  # and the next look tries again
+        else:
+            self._refused.pop(topic, None)
+            self._failed.pop(topic, None)
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        if self._refused.get(topic) != reason:
+            log.error("cannot relay %s: %s; the other topics go on", topic, reason)
+        self._refused[topic] = reason
+
+    def _drop(self, topic: str) -> None:
+        if (carried := self._carried.pop(topic, None)) is not None:
+            carried.destroy()
+        self._failed.pop(topic, None)
+
+    def _carry(self, topic: str, route: Route) -> _Carried:
+        from rclpy.qos import QoSProfile  # noqa: PLC0415 - ROS is checked in ros_node
+
+        from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415
+        from arpd.adapters.ros.subscription import AdaptiveSubscription  # noqa: PLC0415
+        from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow  # noqa: PLC0415
+
+        kind = message_class(route.type_name)
+        reliability, durability = _policies(route)
+        publisher = AdaptivePublisher(
+            self._node,
+            kind,
+            self._settings.prefix + topic,
+            QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=durability),
+            overflow=self._settings.overflow.get(topic, Overflow.LATEST),
+        )
+        try:
+            subscription = AdaptiveSubscription(
+                self._node,
+                kind,
+                topic,
+                publisher.offer,
+                QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
+                raw=True,
+            )
+        except Exception:
+            publisher.destroy()  # half a route would announce a topic that never carries anything
+            raise
+        return _Carried(route=route, publisher=publisher, subscription=subscription)
+
+
+@dataclass(slots=True)
+class _Carried:
+    """One topic under way: the reader it comes in by and the writer it leaves by."""
+
+    route: Route
+    publisher: AdaptivePublisher
+    subscription: AdaptiveSubscription
+    settled_with: tuple[int, int] | None = None  # the endpoints there were when nothing was left to do
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether nothing is left to do for the route: its reader is in force, and nobody is ignored."""
+        return self._wanted(self.route) == self.subscription.qos and not self.route.ignored
+
+    def follow(self, route: Route) -> None:
+        """Let the reader follow the weakest writer, losing and doubling nothing."""
+        # Compared with what is in force, not with what was asked for: a handover that failed is tried again.
+        qos = self._wanted(route)
+        if qos != self.subscription.qos:
+            self.subscription.renew(qos)
+        self.route = route
+
+    def _wanted(self, route: Route) -> ReaderQos:
+        reliability, durability = _policies(route)
+        return replace(self.subscription.qos, reliability=reliability, durability=durability)
+
+    def destroy(self) -> None:
+        self.subscription.destroy()
+        self.publisher.destroy()
+
+
+def _policies(route: Route) -> tuple[Any, Any]:
+    from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+
+    return (
+        QoSReliabilityPolicy.RELIABLE if route.is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        QoSDurabilityPolicy.TRANSIENT_LOCAL if route.is_latched else QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def _source(info: Any) -> Source:
+    from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
+
+    return Source(
+        node=node_name_of(info),
+        type_name=info.topic_type,
+        is_reliable=info.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
+        is_latched=info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def best_executor(context: Any = None) -> Any:
+    """Return the executor with the lowest cost per message that works here.
+
+    EventsExecutor costs a sixth of SingleThreadedExecutor's CPU per message, but it is experimental: it must deliver
+    a message to itself before it is trusted.
+    """
+    import rclpy  # noqa: PLC0415 - ROS is checked in ros_node
+    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
+
+    try:
+        from rclpy.experimental import EventsExecutor  # noqa: PLC0415
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    from std_msgs.msg import Empty  # noqa: PLC0415
+
+    executor = EventsExecutor(context=context)
+    node = rclpy.create_node("arpd_executor_check", context=context)
+    arrived = threading.Event()
+    try:
+        node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)
+        publisher = node.create_publisher(Empty, "~/check", 1)
+        executor.add_node(node)
+        until_s = time.monotonic() + 2.0
+        while not arrived.is_set() and time.monotonic() < until_s:
+            publisher.publish(Empty())
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        executor.remove_node(node)
+        node.destroy_node()
+    if arrived.is_set():
+        return executor
+    log.warning("EventsExecutor delivered nothing in its self-check; using SingleThreadedExecutor")
+    executor.shutdown()
+    return SingleThreadedExecutor(context=context)
+
+
+def default_node_name(host: str) -> str:
+    """Return a node name of this host's own: two relays of one name would receive each other's parameters."""
+    return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
+
+
+def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> int:
+    """Run the relay until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    config_path : YAML configuration
+    node_name : name of the ROS node; `default_node_name` of this host when None
+
+    Raises
+    ------
+    LinkError
+        If another process would be heard over the link, and this one is not.
+    """
+    configure_logging(log_level, name="arpd-relay")
+    settings = load_settings(config_path, interfaces=None)
+    stopping = threading.Event()
+    stop_on_signals(stopping)
+    notifier = Notifier()
+    link = settings.link.interface
+    locators = Locators(lambda: link if link != AUTO else likeliest_interface() or "")
+    with ros_node(node_name or default_node_name(platform.node())) as node:
+        executor = best_executor()
+        executor.add_node(node)
+        Relay(node, settings.relay, on_change=notifier.status)
+        from arpd.adapters.ros.node_publishers import NodeTuning  # noqa: PLC0415 - ROS is checked in ros_node
+
+        tuning = NodeTuning.of(node)
+        heartbeat = Heartbeat(notifier, parts=[lambda: tuning.finished_s])
+        notifier.ready()
+        serve_until(executor, stopping, heartbeat=heartbeat, locators=locators)
+        notifier.stopping()
+    return 0

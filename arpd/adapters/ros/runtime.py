@@ -1,0 +1,141 @@
+"""Starting and spinning rclpy in arpd's own processes."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.adapters.ros.transport import send_without_waiting
+from arpd.model.errors import RosUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from arpd.adapters.host.addresses import Locators
+    from arpd.adapters.systemd.notify import Heartbeat
+
+log = logging.getLogger(__name__)
+
+FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+
+
+def prepare_environment() -> None:
+    """Give Fast DDS our default profile (short heartbeats), unless the user has one of their own."""
+    if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(FASTDDS_PROFILE)
+
+
+@contextmanager
+def ros_node(name: str) -> Iterator[Any]:
+    """Run rclpy with one node, without its signal handlers: the process has its own.
+
+    Raises
+    ------
+    RosUnavailableError
+        If ROS 2 cannot be imported here, or does not start.
+    """
+    prepare_environment()
+    try:
+        import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
+        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    except ImportError as error:
+        raise RosUnavailableError(
+            f"ROS 2 cannot be imported ({error}); source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
+        ) from error
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(name)
+    except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
+        rclpy.try_shutdown()
+        raise RosUnavailableError(
+            f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
+        ) from error
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def control_node(name: str) -> Iterator[Any]:
+    """Run a node as `ros_node` does, for traffic that never waits for the link (`arpd.adapters.ros.transport`)."""
+    send_without_waiting()
+    with ros_node(name) as node:
+        yield node
+
+
+@contextmanager
+def spinning(executor: Any) -> Iterator[None]:
+    """Spin an executor in a thread of its own; leaving the block ends the thread."""
+    stopping = threading.Event()
+    thread = threading.Thread(target=spin_until, args=(executor, stopping), name="arpd-ros", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        executor.wake()
+        thread.join(timeout=2.0)
+        executor.shutdown(timeout_sec=1.0)
+
+
+def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
+    """Spin in this thread until ``stopping`` is set.
+
+    Parameters
+    ----------
+    on_turn : called after every turn that did not fail, several times a second also when nothing happens
+    """
+    # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
+    while not stopping.is_set():
+        try:
+            executor.spin_once(timeout_sec=0.2)
+            on_turn()
+        except Exception:
+            if stopping.is_set():
+                return
+            log.exception("a callback failed; the node goes on")
+
+
+def serve_until(
+    executor: Any,
+    stopping: threading.Event,
+    *,
+    heartbeat: Heartbeat,
+    locators: Locators,
+    on_turn: Callable[[], None] = lambda: None,
+) -> None:
+    """Spin a service in this thread until ``stopping`` is set: watched, and no longer than it can be heard.
+
+    Raises
+    ------
+    LinkError
+        If another process would be heard over the link, and this one is not.
+    """
+
+    def look() -> None:
+        on_turn()
+        heartbeat.beat()
+        if locators.are_outdated():
+            stopping.set()
+
+    spin_until(executor, stopping, on_turn=look)
+    if locators.are_outdated():
+        raise locators.error()
+
+
+def stop_on_signals(stopping: threading.Event) -> None:
+    """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler. SIGHUP is nothing to die of."""
+
+    def handle(_signum: int, _frame: Any) -> None:
+        stopping.set()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)

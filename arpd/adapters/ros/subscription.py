@@ -1,0 +1,386 @@
+"""AdaptiveSubscription: an rclpy subscription whose depth and deadline can be changed while it receives."""
+
+from __future__ import annotations
+
+import inspect
+import threading
+import time
+from collections import Counter
+from copy import copy
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
+
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+
+from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.adapters.ros.graph import deadline_ns_of, node_name_of
+from arpd.adapters.ros.names import reader_parameter_name
+from arpd.adapters.ros.node_subscriptions import NodeListening
+from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, SubscriptionState, arguments_of, key_of
+from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
+from arpd.apply.endpoint.deadlines import DeadlineCount
+from arpd.apply.endpoint.reader_swap import Handover, HandoverResult
+from arpd.govern.plan import is_kept
+from arpd.model.readers import ReaderState
+from arpd.model.refusal import NO_REFUSAL, Refusal, RefusalReason
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.node import Node
+
+    from arpd.adapters.ros.rmw import Rmw
+
+_POLL_S = 0.02  # how often a handover looks at its readers
+_WITH_INFO = inspect.signature(lambda _message, _info: None)
+_SETTINGS = {
+    "depth": ("depth", "KEEP_LAST depth, 1..5000 samples"),
+    "deadline": ("deadline_ns", "requested deadline period in ns, 0 = infinite"),
+}
+
+
+class AdaptiveSubscription:
+    """A subscription that can be re-tuned live; same attributes as `rclpy.subscription.Subscription`.
+
+    Its settings are the writable parameters ``qos_overrides.<topic>.subscription.depth`` and ``….deadline`` (ns). Its
+    node announces it on ``/arpd/subscriptions``, and where `arpd run` has a plan for the topic it sets
+    them: as deep as the writer, and, if the application requests a deadline at all, one that the writer keeps.
+
+    Parameters
+    ----------
+    node : node it lives in; its executor must spin
+    msg_type, topic, callback, qos_profile, callback_group, event_callbacks, raw : as in `Node.create_subscription`;
+        a callback that takes MessageInfo works on EventsExecutor too, where rclpy 7.1 alone raises SystemError
+
+    Raises
+    ------
+    ValueError
+        If the node already has an AdaptiveSubscription on the topic, or a parameter override is out of bounds.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., Any],
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: Any = None,
+        event_callbacks: SubscriptionEventCallbacks | None = None,
+        raw: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        rmw: Rmw | None = None,
+    ) -> None:
+        self.msg_type = msg_type
+        self.topic = topic
+        self.raw = raw
+        self.callback_group = callback_group or node.default_callback_group
+        self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else qos_profile
+        self._node = node
+        self._rmw = rmw or current_rmw()
+        # Default callbacks would add a waitable to the executor at every handover only to log a warning.
+        self._event_callbacks = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._handover: Handover[ReaderQos, Sample] | None = None
+        self._timer: Any = None
+        self._results: Counter[str] = Counter()
+        self._refusal = NO_REFUSAL
+        self._resolved = str(node.resolve_topic_name(topic))
+        self._parameters = {
+            reader_parameter_name(self._resolved, setting): field for setting, (field, _) in _SETTINGS.items()
+        }
+        self.callback = callback
+        self._baseline = ReaderQos(
+            depth=max(1, self.qos_profile.depth),
+            deadline_ns=deadline_ns_of(self.qos_profile),
+            reliability=self.qos_profile.reliability,
+            durability=self.qos_profile.durability,
+        )
+        qos = self._declare()
+        try:
+            self._handover = Handover(create=self._create_reader, on_result=self._on_result, qos=qos)
+        except Exception:
+            self._undeclare()
+            raise
+        self._deadlines = DeadlineCount(self._reader)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+        self._listening = NodeListening.of(node)
+        self._listening.adopt(self)
+
+    # -- what rclpy.subscription.Subscription offers
+
+    @property
+    def callback(self) -> Callable[..., Any]:
+        """What receives the messages, with or without MessageInfo."""
+        return self._callback
+
+    @callback.setter
+    def callback(self, value: Callable[..., Any]) -> None:
+        self._arguments = arguments_of(value)
+        self._callback = value
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+        return self._resolved
+
+    @property
+    def handle(self) -> Any:
+        """Handle of the reader in force; a handover replaces it, so do not keep it."""
+        return self._reader.subscription.handle
+
+    @property
+    def event_handlers(self) -> Any:
+        """Event handlers of the reader in force."""
+        return self._reader.subscription.event_handlers
+
+    @property
+    def logger_name(self) -> str:
+        """Name of the logger of the subscription's node."""
+        return str(self._reader.subscription.logger_name)
+
+    def get_publisher_count(self) -> int:
+        """Count the matched writers."""
+        with self._lock:
+            return self._reader.matched()
+
+    def destroy(self) -> None:
+        """Destroy the subscription and everything a handover may have in flight."""
+        self._listening.release(self)
+        self._node.remove_on_set_parameters_callback(self._validate)
+        self._node.remove_post_set_parameters_callback(self._apply)
+        self._undeclare()
+        with self._lock:
+            self._stop_timer()
+            assert self._handover is not None
+            self._handover.close()
+
+    # -- what makes it adaptive
+
+    @property
+    def qos(self) -> ReaderQos:
+        """QoS of the reader in force."""
+        assert self._handover is not None
+        return self._handover.qos
+
+    def renew(self, qos: ReaderQos) -> None:
+        """Replace the reader by one with this QoS, without losing or doubling a sample; returns at once."""
+        with self._lock:
+            assert self._handover is not None
+            self._handover.request(qos)
+            if self._handover.is_busy and self._timer is None:
+                # Steady time, so that a paused simulation does not stop a handover; the callbacks' own group, so that
+                # what the switch delivers never overtakes what they are delivering.
+                self._timer = self._node.create_timer(
+                    _POLL_S, self._deliverer(self._step), self.callback_group, Clock(clock_type=ClockType.STEADY_TIME)
+                )
+
+    def state(self) -> SubscriptionState:
+        """Picture of what is in force."""
+        with self._lock:
+            qos, refusal = self.qos, self._lasting_refusal(self.qos) or self._refusal
+            return SubscriptionState(
+                depth=qos.depth,
+                deadline_ns=qos.deadline_ns,
+                handovers_by_result=dict(self._results),
+                deadlines_missed=self._deadlines.missed,
+                refusal=refusal.words,
+                refusal_reason=refusal.reason,
+            )
+
+    def announced(self, *, generation: int, lease_s: float) -> ReaderState:
+        """Picture of what is in force, for the announcement."""
+        state = self.state()
+        return ReaderState(
+            node=self._node.get_fully_qualified_name(),
+            topic=self._resolved,
+            baseline_depth=self._baseline.depth,
+            baseline_deadline_ns=self._baseline.deadline_ns,
+            generation=generation,
+            lease_s=lease_s,
+            keeps_all=self._keeps_all,
+            **{field.name: getattr(state, field.name) for field in fields(state)},
+        )
+
+    def return_to_baseline(self) -> str | None:
+        """Ask for the application's own QoS; return why that is refused for now, None if it is not."""
+        values = (getattr(self._baseline, field) for field in self._parameters.values())
+        wanted = [Parameter(name, value=value) for name, value in zip(self._parameters, values, strict=True)]
+        if all(self._node.get_parameter(each.name).value == each.value for each in wanted):
+            return None
+        result = self._node.set_parameters_atomically(wanted)
+        return None if result.successful else str(result.reason)
+
+    @property
+    def _reader(self) -> RosReader:
+        assert self._handover is not None
+        current = self._handover.current
+        assert isinstance(current, RosReader)
+        return current
+
+    # -- samples
+
+    def _create_reader(self, qos: ReaderQos) -> RosReader:
+        profile = copy(self.qos_profile)
+        profile.depth = qos.depth
+        profile.deadline = Duration(nanoseconds=qos.deadline_ns)
+        profile.reliability = qos.reliability
+        profile.durability = qos.durability
+        reader = RosReader(self._node)
+        reader.subscription = self._node.create_subscription(
+            self.msg_type,
+            self.topic,
+            self._tap(reader),
+            profile,
+            callback_group=self.callback_group,
+            event_callbacks=reader.listening_to(self._event_callbacks),
+            raw=self.raw,
+        )
+        return reader
+
+    def _tap(self, reader: RosReader) -> Callable[..., Any]:
+        """Return the rclpy callback of one reader."""
+        sifted = self._deliverer(lambda *taken: self._sift(reader, taken))
+
+        def direct(*taken: Any) -> None:
+            if self._handover is None or self._handover.is_tracking:
+                sifted(*taken)
+            else:  # nearly always, so this is what a sample costs
+                self._callback(*(taken if len(taken) == 2 else taken[0])[: self._arguments])
+
+        tap: Any = sifted if inspect.iscoroutinefunction(sifted) else direct
+        tap.__signature__ = _WITH_INFO  # rclpy asks it whether to pass MessageInfo
+        return tap  # type: ignore[no-any-return]
+
+    def _deliverer(self, samples: Callable[..., Sequence[Sample]]) -> Callable[..., Any]:
+        """Return what gives the application the samples a function returns; a coroutine if its callback is one."""
+
+        def deliver(*taken: Any) -> None:
+            for sample in samples(*taken):
+                self._callback(*sample[: self._arguments])
+
+        async def deliver_async(*taken: Any) -> None:
+            for sample in samples(*taken):
+                await self._callback(*sample[: self._arguments])
+
+        return deliver_async if inspect.iscoroutinefunction(self._callback) else deliver
+
+    def _sift(self, reader: RosReader, taken: tuple[Any, ...]) -> Sequence[Sample]:
+        # EventsExecutor of rclpy 7.1 passes message and info as one tuple where the others pass two arguments.
+        sample: Sample = taken if len(taken) == 2 else taken[0]
+        handover = self._handover
+        if handover is None or not handover.is_tracking:
+            return (sample,)
+        with self._lock:
+            return handover.accept(reader, key_of(sample), sample, now_s=self._clock())
+
+    def _step(self) -> Sequence[Sample]:
+        with self._lock:
+            assert self._handover is not None
+            samples = self._handover.step(self._clock())
+            self._deadlines.follow(self._reader)
+            if not self._handover.is_busy:
+                self._stop_timer()
+        return samples
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+
+    # -- parameters
+
+    def _declare(self) -> ReaderQos:
+        """Declare the parameters; return what the overrides given at the start make of the baseline."""
+        if any(self._node.has_parameter(name) for name in self._parameters):
+            raise ValueError(
+                f"{self._node.get_fully_qualified_name()} already has an AdaptiveSubscription on {self._resolved}; "
+                "their parameters would share one name"
+            )
+        for name, (field, description) in zip(self._parameters, _SETTINGS.values(), strict=True):
+            descriptor = ParameterDescriptor(description=description)
+            self._node.declare_parameter(name, getattr(self._baseline, field), descriptor)
+        try:
+            return self._wanted(self._baseline, [self._node.get_parameter(name) for name in self._parameters])
+        except ValueError:
+            self._undeclare()
+            raise
+
+    def _undeclare(self) -> None:
+        for name in self._parameters:
+            if self._node.context.ok() and self._node.has_parameter(name):
+                self._node.undeclare_parameter(name)
+
+    def _validate(self, parameters: Sequence[Any]) -> Any:
+        try:
+            wanted = self._wanted(self.qos, parameters)
+            if wanted != self.qos:
+                self._check(wanted)
+        except ValueError as refusal:
+            return SetParametersResult(successful=False, reason=str(refusal))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Any]) -> None:
+        if any(parameter.name in self._parameters for parameter in parameters):
+            # All of them: what an earlier call asked for may still be under way.
+            self.renew(self._wanted(self.qos, [self._node.get_parameter(name) for name in self._parameters]))
+
+    def _wanted(self, qos: ReaderQos, parameters: Sequence[Any]) -> ReaderQos:
+        changes: dict[str, int] = {}
+        for parameter in parameters:
+            if (field := self._parameters.get(parameter.name)) is not None:
+                changes[field] = (
+                    checked_depth(parameter, max(MOST_DEPTH, self._baseline.depth))
+                    if field == "depth"
+                    else checked_deadline_ns(parameter, own_ns=self._baseline.deadline_ns)
+                )
+        return replace(qos, **changes)
+
+    @property
+    def _keeps_all(self) -> bool:
+        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
+
+    def _lasting_refusal(self, qos: ReaderQos) -> Refusal | None:
+        """Return why such a reader can never be handed over, None if it can."""
+        is_latched = qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        words = f"{self._resolved} is TRANSIENT_LOCAL: a new reader would receive the writers' history once more"
+        return lasting_refusal(self._rmw, latched=words if is_latched else "")
+
+    def _check(self, wanted: ReaderQos) -> None:
+        """Refuse what would lose samples or writers."""
+        if refusal := self._lasting_refusal(wanted):
+            raise ValueError(refusal.words)
+        if wanted.depth != self.qos.depth and self._keeps_all:
+            raise ValueError(f"{self._resolved} is KEEP_ALL: it has no depth")
+        lost = sorted(
+            f"{node_name_of(writer)} offers {f'{offered} ns' if offered else 'none'}"
+            for writer in self._node.get_publishers_info_by_topic(self._resolved)
+            if is_kept(offered := deadline_ns_of(writer.qos_profile), self.qos.deadline_ns)
+            and not is_kept(offered, wanted.deadline_ns)
+        )
+        if lost:
+            raise ValueError(
+                f"a deadline of {wanted.deadline_ns} ns would lose publishers of {self._resolved} "
+                f"({', '.join(lost)}); tighten them first"
+            )
+
+    def _on_result(self, result: HandoverResult) -> None:
+        self._results[result] += 1
+        self._listening.note_news()
+        self._refusal = NO_REFUSAL
+        if result is HandoverResult.UNMATCHED:
+            words = f"handover of {self._resolved}: not all publishers matched the new reader in time"
+            self._refusal = Refusal(RefusalReason.UNMATCHED, words)
+        elif result is HandoverResult.FAILED:
+            words = f"handover of {self._resolved}: the new reader was refused, or ran ahead of the old one"
+            self._refusal = Refusal(RefusalReason.FAILED, words)
+        if self._refusal.words:
+            self._node.get_logger().warning(self._refusal.words)

@@ -1,0 +1,288 @@
+"""The daemon's ROS side: what it observes and how it acts, behind one node."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+import time
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64, UInt8MultiArray
+
+from arpd.adapters.host.interface import InterfaceReader, MemoryReader
+from arpd.adapters.host.radio import Radio
+from arpd.adapters.host.speed import read_speed
+from arpd.adapters.ros.announcement import from_status, reader_from_status
+from arpd.adapters.ros.daemons import Daemons
+from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.graph import read_graph
+from arpd.adapters.ros.listeners import Announcements
+from arpd.adapters.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.adapters.ros.periodic import Rounds
+from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
+from arpd.adapters.ros.raw_subscription import Intake, Pause, octets
+from arpd.adapters.ros.refused import Refused
+from arpd.adapters.ros.rmw import current_rmw
+from arpd.model.probing import PeerReport
+from arpd.model.values import Direction, Observation
+from arpd.model.wire import probe_wire_bytes
+from arpd.observe.peer_reports import Ceiling, PeerAdmission
+from arpd.observe.rate_limits import Kind, Reason, Taken
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from arpd.adapters.ros.graph import Crossing
+    from arpd.adapters.ros.rmw import Rmw
+    from arpd.model.probing import ProbeRequest
+    from arpd.model.publishers import PublisherState
+    from arpd.model.readers import ReaderState
+    from arpd.model.settings import GraphSettings
+    from arpd.model.values import Transition
+
+log = logging.getLogger(__name__)
+
+_LOOK_AROUND_S = 1.0
+_STALE_S = 3.5  # three announcements missed: the publisher is gone
+_READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three seconds
+_PEER_FORGOTTEN_S = 60.0  # long enough for a scrape or two to see its age grow
+_MOST_REPORTS = 200  # that wait for a tick
+_WHY = {
+    Reason.UNANSWERED: "they answer no probe of this daemon",
+    Reason.RATE: "there are more of them than any peer sends",
+    Reason.QUOTA: "the graph shows fewer peers than there are names",
+}
+
+
+class RosControl:
+    """Observes the link, the graph and the publishers; carries out gate, plan and probes.
+
+    Parameters
+    ----------
+    node : rclpy node; somebody else spins it
+    interface : the robot's link interface
+    graph : pinned topic counts
+    on_report : called when a peer report arrives, so that a tick can follow at once
+    rmw : the middleware; this process's own when None
+    randomness : where the numbers of probes begin
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        *,
+        interface: str,
+        graph: GraphSettings,
+        on_report: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
+        rmw: Rmw | None = None,
+        randomness: Callable[[int], int] = secrets.randbelow,
+    ) -> None:
+        self._node = node
+        self._rmw = rmw or current_rmw()
+        if self._rmw.refusal:
+            log.warning("%s", self._rmw.refusal)
+        # At debug level: the decision log tells it.
+        self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
+        self._radio = Radio()
+        self._memory = MemoryReader()
+        self._radio_rate: float | None = None
+        self._graph_settings = graph
+        self._on_report_arrived = on_report
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._refused = Refused(clock=clock)
+        self._peer_admission = PeerAdmission(randomness(2**32))
+        self._ceiling = Ceiling()
+        self._reports: list[PeerReport] = []
+        self._peers_heard: dict[str, float] = {}  # when each reported last (s)
+        self._crossings: Mapping[str, Crossing] = {}
+        self._peers: int | None = None
+        self._probes = 0
+        self._probe_bytes = 0
+        best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest, event_callbacks=no_publisher_events())
+        self._probe_publisher = node.create_publisher(
+            UInt8MultiArray, PROBE_TOPIC, best_effort, event_callbacks=no_publisher_events()
+        )
+        pause = Pause()
+        self._announced = Announcements(
+            node,
+            PUBLISHERS_TOPIC,
+            Kind.PUBLISHERS,
+            from_status,
+            stale_s=_STALE_S,
+            refused=self._refused,
+            pause=pause,
+            clock=clock,
+        )
+        self._readers = Announcements(
+            node,
+            READERS_TOPIC,
+            Kind.READERS,
+            reader_from_status,
+            stale_s=_READER_STALE_S,
+            refused=self._refused,
+            pause=pause,
+            clock=clock,
+        )
+        self._report_intake = Intake(
+            node,
+            UInt8MultiArray,
+            REPORT_TOPIC,
+            best_effort,
+            most_bytes=MOST_REPORT_BYTES,
+            take=self._on_report,
+            refuse=lambda: self._refuse_report(Reason.SIZE, "", "a message is longer than any report"),
+            pause=pause,
+        )
+        self._applier = ParameterApplier(node)
+        self._daemons = Daemons(node, refused=self._refused, pause=pause, clock=clock)
+        # Neither is done in the tick, which is short, nor in the executor, where reports wait.
+        Rounds(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+        self._graph_settings = graph
+
+    # -- observe
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+        with self._lock:
+            reports, self._reports = tuple(self._reports), []
+            self._peers_heard = {
+                peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
+            }
+            peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
+        crossings = self._crossings
+        readers = self._readers.live(now_s, partial(_known_of_reader, crossings=crossings))
+        driven: dict[str, set[str]] = {}
+        for reader in readers:
+            if reader.is_driven:
+                driven.setdefault(reader.topic, set()).add(reader.node)
+        publishers = self._announced.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
+        pinned = self._graph_settings
+        directions = [crossing.direction for crossing in crossings.values()]
+        sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+        return Observation(
+            now_s=now_s,
+            counters=self._reader.read(),
+            reports=reports,
+            publishers=tuple(publishers),
+            readers=tuple(readers),
+            memory=self._memory.read(),
+            sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
+            actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
+            peers=self._peers,
+            rmw=self._rmw.name,
+            rmw_refusal=self._rmw.refusal,
+            other_daemons=self._daemons.others(),
+            superior=self._daemons.superior(),
+            radio_bytes_per_second=self._radio_rate,
+            peer_ages_s=MappingProxyType(peer_ages_s),
+            taken=Taken(refused=self._refused.counts, pending=self._announced.pending + self._readers.pending),
+        )
+
+    # -- act
+
+    def set_gate(self, gate: float) -> None:
+        """Tell every publisher the gate; said at every tick, so that a lost message matters for one tick only."""
+        self._gate_publisher.publish(Float64(data=gate))
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Set parameters on the nodes of a plan; returns at once."""
+        self._applier.apply(transitions, now_s=now_s)
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Put one train (or ping) on the link, back to back."""
+        with self._lock:
+            number = self._peer_admission.number(request.number)
+        packets = [
+            encode_probe(
+                ProbeHeader(train=number, index=index, packets=request.packets, quiet_s=request.quiet_s),
+                payload_bytes=request.packet_bytes,
+            )
+            for index in range(request.packets)
+        ]
+        for packet in packets:
+            self._probe_publisher.publish(packet)
+        self._probes += 1
+        self._probe_bytes += sum(probe_wire_bytes(len(packet.data)) for packet in packets)
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+        return self._applier.results
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
+        return self._probes, self._probe_bytes
+
+    # -- what arrives
+
+    def _on_report(self, data: bytes, info: Any) -> None:
+        now_s = self._clock()
+        return_delay_s = (info["received_timestamp"] - info["source_timestamp"]) / 1e9
+        try:
+            report = decode_report(octets(data), received_at_s=now_s, return_delay_s=return_delay_s)
+        except ValueError as fault:
+            self._refuse_report(Reason.MALFORMED, "", str(fault))
+            return
+        with self._lock:
+            believed = self._peer_admission.check(report, now_s, ceiling=self._ceiling.bytes_per_second)
+            if isinstance(believed, PeerReport):
+                self._reports.append(believed)
+                del self._reports[:-_MOST_REPORTS]
+                self._peers_heard[report.peer] = now_s
+        if isinstance(believed, Reason):
+            self._refuse_report(believed, report.peer, f"reports of {report.peer!r}: {_WHY[believed]}")
+        else:
+            self._on_report_arrived()
+
+    def _refuse_report(self, reason: Reason, peer: str, words: str) -> None:
+        self._refused.note(Kind.REPORTS, reason, words, source=peer)
+
+    def _read_graph(self) -> None:
+        graph = read_graph(self._node, self._rmw, first=self._announced.topics | self._readers.topics)
+        self._crossings, self._peers = graph.crossings, graph.peers
+        with self._lock:
+            self._peer_admission.see(graph.peers)
+        self._announced.see(graph.announcers, graph.shows_writer)
+        self._readers.see(graph.reader_announcers, graph.shows_reader)
+
+    def _read_radio(self) -> None:
+        self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
+        with self._lock:
+            self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
+
+
+def _known_of_publisher(
+    state: PublisherState, *, crossings: Mapping[str, Crossing], driven: Mapping[str, Collection[str]]
+) -> Mapping[str, Any]:
+    """Return what the graph knows of a publisher.
+
+    Parameters
+    ----------
+    crossings : what crosses the link, by topic
+    driven : nodes whose readers arpd drives, by topic
+    """
+    if (crossing := crossings.get(state.topic)) is None:
+        return {}
+    return {
+        "direction": crossing.direction,
+        "remote_readers": crossing.remote_readers,
+        "requested_deadline_ns": crossing.tightest_request_ns(besides=driven.get(state.topic, ())),
+    }
+
+
+def _known_of_reader(state: ReaderState, *, crossings: Mapping[str, Crossing]) -> Mapping[str, Any]:
+    """Do the same for a reader."""
+    if (crossing := crossings.get(state.topic)) is None:
+        return {}
+    return {"requests_ns": crossing.requests_of(state.node), "offers_ns": crossing.offers_ns}

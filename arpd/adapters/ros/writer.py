@@ -1,0 +1,107 @@
+"""One rclpy publisher behind the `arpd.model.writer.Writer` protocol."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
+from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+_EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
+_FOREVER = Duration(seconds=-1)  # rclpy's default
+
+
+class RosWriter:
+    """A writer that stands in for the publisher the application sees.
+
+    Parameters
+    ----------
+    create : makes the rclpy publisher, given its ``event_callbacks``
+    event_callbacks : the application's own; they hear this writer only while it is the one samples leave by, so that
+        the application never learns that there are two for a while
+    is_current : whether samples leave by the given writer
+    disconnected : readers a writer of these settings would lose, by name
+    """
+
+    def __init__(
+        self,
+        *,
+        node: Node,
+        create: Callable[..., Any],
+        event_callbacks: PublisherEventCallbacks | None,
+        is_current: Callable[[RosWriter], bool],
+        disconnected: Callable[[], list[str]],
+    ) -> None:
+        self._node = node
+        self._is_current = is_current
+        self._disconnected = disconnected
+        self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
+        self.refused_policy = ""  # what the reader that refused last did not accept
+        self.publisher = create(event_callbacks=self._filtered(event_callbacks))
+
+    def publish(self, sample: bytes) -> None:
+        """Write one serialized sample."""
+        handle = self.publisher.handle
+        with handle:
+            handle.publish_raw(sample)  # rclpy's own publish would ask again what the sample is
+
+    def matched(self) -> int:
+        """Count the matched readers."""
+        return int(self.publisher.get_subscription_count())
+
+    def is_acknowledged(self) -> bool:
+        """Whether every sample written was acknowledged."""
+        # A zero timeout only looks; anything longer would block the pacing thread (shared/SWAP.md).
+        return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
+
+    def wait_for_all_acked(self, timeout: Duration | None) -> bool:
+        """Wait until every sample written was acknowledged; None = as long as it takes."""
+        return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
+
+    def disconnects_readers(self) -> bool:
+        """Whether readers the writer in force serves have refused this one."""
+        return self.refusals() > 0 and bool(self._disconnected())
+
+    def refusals(self) -> int:
+        """Count the readers that refused this writer's QoS since it was made, be they served by another or not."""
+        status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
+        if status is None:
+            return 0  # then a reader that does not match shows when matching times out
+        self.refused_policy = str(qos_policy_name_from_kind(status.last_policy_kind))
+        return int(status.total_count)
+
+    def deadlines_missed(self) -> int:
+        """Count the offered deadlines missed since it was made; by a destroyed one, as far as known."""
+        return self._deadlines.count(self.publisher)
+
+    def destroy(self) -> None:
+        """Destroy the writer."""
+        self._node.destroy_publisher(self.publisher)
+
+    def _filtered(self, callbacks: PublisherEventCallbacks | None) -> PublisherEventCallbacks:
+        """Return the application's callbacks, each of them deaf unless this writer is current."""
+        # No default callbacks: each is a waitable for the executor to visit in every round, only to log a warning.
+        filtered = PublisherEventCallbacks(use_default_callbacks=False)
+        for event in _EVENTS:
+            callback = getattr(callbacks, event, None)
+            if callback is not None:
+                heard = self._deadlines.told_by if event == "deadline" else passing_on
+                setattr(filtered, event, heard(callback, if_=lambda _event: self._is_current(self)))
+        return filtered
+
+
+def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
+    """Return the options without the two policies whose parameters stay writable here."""
+    if options is None:
+        return None
+    kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]
+    return QoSOverridingOptions(kinds, callback=options.callback, entity_id=options.entity_id)

@@ -1,0 +1,1 @@
+"""A robot and its link in virtual time, for fast scenarios."""

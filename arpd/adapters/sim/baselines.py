@@ -1,0 +1,198 @@
+"""What arpd's estimator is compared with: an oracle, and two estimates that look at throughput only."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from arpd.estimate.parameters import EstimatorTuning
+from arpd.model.values import CapacityKind, LinkEstimate, LinkState
+from arpd.model.wire import wire_size
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.model.probing import PeerReport, ProbeRequest
+    from arpd.model.settings import LinkSettings
+    from arpd.model.values import Observation
+
+_FIRST_S = 1.0  # of reports, before the first plan is made
+_ARPD = EstimatorTuning()  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Truth:
+    """What is true of a simulated link at one moment.
+
+    Parameters
+    ----------
+    capacity_bytes_per_second : rate of the link, whatever it loses (bytes/s)
+    queue_delay_s : what a packet sent now would wait on the robot's side (s)
+    foreign_bytes_per_second : what else is sent over the link (bytes/s)
+    packet_overhead_s : link time a packet costs beyond its bytes when the link is busy (s)
+    is_out : whether nothing arrives at all
+    """
+
+    capacity_bytes_per_second: float
+    queue_delay_s: float
+    foreign_bytes_per_second: float = 0.0
+    packet_overhead_s: float = 0.0
+    is_out: bool = False
+
+
+class Oracle:
+    """Knows the link: the most any estimator can tell the governor. A `arpd.daemon.world.CapacityEstimator`.
+
+    It sends no probes, and its traffic is as long under way as anybody's.
+
+    Parameters
+    ----------
+    truth : returns what is true now
+    """
+
+    def __init__(self, truth: Callable[[], Truth]) -> None:
+        self._truth = truth
+
+    @property
+    def has_evidence(self) -> bool:
+        """From the start."""
+        return True
+
+    def update(self, observation: Observation) -> LinkEstimate:
+        """Tell the truth."""
+        truth = self._truth()
+        capacity = max(1.0, truth.capacity_bytes_per_second)
+        largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
+        burst_s = min(_ARPD.burst_cap_s, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
+        return LinkEstimate(
+            capacity_bytes_per_second=capacity,
+            kind=CapacityKind.CONFIGURED,
+            state=LinkState.OUTAGE if truth.is_out else LinkState.STEADY,
+            queue_delay_s=truth.queue_delay_s,
+            queue_allowance_s=_ARPD.queue_low_s + burst_s,
+            delivery_rate_bytes_per_second=0.0,
+            age_s=0.0,
+            evidence="the truth",
+            foreign_bytes_per_second=truth.foreign_bytes_per_second,
+            packet_overhead_s=truth.packet_overhead_s,
+        )
+
+    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
+        """Ask for none."""
+        return ()
+
+    def reconfigure(self, settings: LinkSettings) -> None:
+        """Keep to the truth."""
+
+
+class _FromThroughput:
+    """What both estimates from throughput share: delivery rates out of the peer's reports, and silence as an outage.
+
+    They see no queue, and cannot tell a link that carries no more from a robot that sends no more.
+    """
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self._capacity = settings.initial_capacity_bytes_per_second
+        self._reports: deque[PeerReport] = deque()
+        self._first_at_s = math.inf
+        self._last_at_s = -math.inf
+
+    @property
+    def has_evidence(self) -> bool:
+        """After a second of reports."""
+        return self._last_at_s - self._first_at_s >= _FIRST_S
+
+    def update(self, observation: Observation) -> LinkEstimate:
+        """Digest the reports."""
+        for report in observation.reports:
+            self._note(report)
+        silent_s = observation.now_s - self._last_at_s
+        return LinkEstimate(
+            capacity_bytes_per_second=max(1.0, self._capacity),
+            kind=CapacityKind.PEER,
+            state=LinkState.OUTAGE if _ARPD.outage_s < silent_s < math.inf else LinkState.STEADY,
+            queue_delay_s=0.0,
+            delivery_rate_bytes_per_second=self._delivery_rate,
+            age_s=silent_s,
+            evidence="throughput",
+        )
+
+    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
+        """Ask for none."""
+        return ()
+
+    def reconfigure(self, settings: LinkSettings) -> None:
+        """Keep what was measured."""
+
+    @property
+    def _delivery_rate(self) -> float:
+        covered_s = sum(report.interval_s for report in self._reports)
+        return sum(report.rx_bytes for report in self._reports) / covered_s if covered_s > 0 else 0.0
+
+    def _note(self, report: PeerReport) -> None:
+        if report.received_at_s - self._last_at_s > _ARPD.outage_s:
+            self._reports.clear()  # what was lost with them leaves a gap
+        self._first_at_s = min(self._first_at_s, report.received_at_s)
+        self._last_at_s = report.received_at_s
+        self._reports.append(report)
+        while (
+            sum(report.interval_s for report in self._reports) - self._reports[0].interval_s >= _ARPD.delivery_window_s
+        ):
+            self._reports.popleft()
+        self._learn(report)
+
+    def _learn(self, report: PeerReport) -> None:
+        raise NotImplementedError
+
+
+class ThroughputAverage(_FromThroughput):
+    """An exponentially weighted average of what arrives, the estimate most adaptive streamers begin with.
+
+    Parameters
+    ----------
+    settings : first belief
+    time_constant_s : after so long a change has been followed to 63 % (s)
+    """
+
+    def __init__(self, settings: LinkSettings, *, time_constant_s: float = 1.0) -> None:
+        super().__init__(settings)
+        self._time_constant_s = time_constant_s
+        self._is_first = True
+
+    def _learn(self, report: PeerReport) -> None:
+        if report.interval_s <= 0:
+            return
+        rate = report.rx_bytes / report.interval_s
+        weight = 1.0 if self._is_first else -math.expm1(-report.interval_s / self._time_constant_s)
+        self._is_first = False
+        self._capacity += weight * (rate - self._capacity)
+
+
+class WindowMaximum(_FromThroughput):
+    """The largest delivery rate of a window, the bandwidth filter of BBR.
+
+    Cardwell, Cheng, Gunn, Yeganeh, Jacobson: BBR: Congestion-Based Congestion Control, ACM Queue 14(5), 2016: BtlBw is
+    the maximum delivery rate over six to ten round trips, of which Wi-Fi sees many more in the 8 s here; BBR's gain
+    cycle, which sends more than it believes from time to time, is a controller's and not part of it.
+
+    Parameters
+    ----------
+    settings : first belief
+    window_s : length of the window (s)
+    """
+
+    def __init__(self, settings: LinkSettings, *, window_s: float = 8.0) -> None:
+        super().__init__(settings)
+        self._window_s = window_s
+        self._rates: deque[tuple[float, float]] = deque()  # falling; the first is the maximum
+
+    def _learn(self, report: PeerReport) -> None:
+        now_s, rate = report.received_at_s, self._delivery_rate
+        while self._rates and self._rates[-1][1] <= rate:
+            self._rates.pop()
+        self._rates.append((now_s, rate))
+        while now_s - self._rates[0][0] > self._window_s:
+            self._rates.popleft()
+        self._capacity = self._rates[0][1]

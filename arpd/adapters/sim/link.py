@@ -1,0 +1,165 @@
+"""A link in virtual time: one FIFO bottleneck with tail drop, propagation delay and loss."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from arpd.adapters.sim.aggregation import AggregatingBottleneck
+from arpd.adapters.sim.bottleneck import FluidBottleneck
+from arpd.adapters.sim.loss import Losses, check_ascending, check_probability
+from arpd.adapters.sim.service import Service
+from arpd.adapters.sim.timeline import Alarm, Timeline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from random import Random
+
+    from arpd.adapters.sim.bottleneck import Bottleneck
+    from arpd.adapters.sim.loss import GilbertElliott, LossStep
+    from arpd.adapters.sim.schedule import RateSchedule
+
+__all__ = ["Alarm", "LinkModel", "SimulatedLink", "Timeline"]
+
+_MTU_FRAME_BYTES = 1514
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkModel:
+    """What the link is besides its rate; the queue is that of `scripts.netns.simlink`, so both links compare.
+
+    Parameters
+    ----------
+    delay_s : propagation, one way (s)
+    queue_bytes : queue in front of the bottleneck, tail drop (bytes)
+    loss : probability that a packet is lost after it has used the link, 0..1
+    outages : spans of run time in which nothing arrives in either direction (s, s)
+    losses : more loss, over run time, by ascending start
+    bursts : more loss, in bursts; the directions have them at different times
+    packet_overhead_s : link time a transmission takes besides that of its bytes, >= 0 (s)
+    aggregate_packets : most packets that one transmission carries if they stand in the queue together, >= 1; all of
+        them arrive when it ends, as in an A-MPDU of IEEE 802.11n
+    firmware_bytes : what the adapter holds below the interface's counter, where no host sees it, >= 0 (bytes)
+    """
+
+    delay_s: float = 0.002
+    queue_bytes: int = 256_000
+    loss: float = 0.0
+    outages: tuple[tuple[float, float], ...] = ()
+    losses: tuple[LossStep, ...] = ()
+    bursts: GilbertElliott | None = None
+    packet_overhead_s: float = 0.0
+    aggregate_packets: int = 1
+    firmware_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        check_probability("loss", self.loss)
+        check_ascending(self.losses)
+        least = {"delay_s": 0, "queue_bytes": 0, "packet_overhead_s": 0, "aggregate_packets": 1, "firmware_bytes": 0}
+        for name, bound in least.items():
+            if not bound <= (value := getattr(self, name)) < math.inf:
+                raise ValueError(f"{name} {value}: must be {bound} or more")
+
+
+class SimulatedLink:
+    """One direction of the link.
+
+    Parameters
+    ----------
+    timeline : virtual time
+    schedule : rate over run time
+    origin_s : when run time starts (s)
+    model : everything else
+    random : source of the losses
+    """
+
+    def __init__(
+        self, timeline: Timeline, schedule: RateSchedule, *, origin_s: float, model: LinkModel, random: Random
+    ) -> None:
+        self._timeline = timeline
+        self._firmware_bytes = model.firmware_bytes
+        self._service = Service(schedule, origin_s)
+        losses = Losses(
+            loss=model.loss,
+            steps=model.losses,
+            bursts=model.bursts,
+            outages=model.outages,
+            origin_s=origin_s,
+            random=random,
+        )
+        # One frame is in service, not queued.
+        room_bytes = model.queue_bytes + model.firmware_bytes + _MTU_FRAME_BYTES
+        self._bottleneck: Bottleneck
+        if model.packet_overhead_s == 0.0 and model.aggregate_packets == 1:
+            self._bottleneck = FluidBottleneck(
+                timeline, self._service, losses, delay_s=model.delay_s, room_bytes=room_bytes
+            )
+        else:
+            self._bottleneck = AggregatingBottleneck(
+                timeline,
+                self._service,
+                losses,
+                delay_s=model.delay_s,
+                room_bytes=room_bytes,
+                overhead_s=model.packet_overhead_s,
+                aggregate_packets=model.aggregate_packets,
+            )
+
+    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
+        """Put one datagram on the link; ``deliver`` runs when its last fragment arrives, unless one is missing.
+
+        Parameters
+        ----------
+        wire_bytes : bytes of all fragments, headers included (bytes)
+        packets : fragments
+
+        Returns
+        -------
+        When nothing of it is on the way any more, arrived or not; if others join its transmission, a little later (s).
+        """
+        return self._bottleneck.put(wire_bytes, packets, deliver)
+
+    @property
+    def capacity_bytes_per_second(self) -> float:
+        """Rate at which the link carries bytes now, the overhead of packets left aside (bytes/s)."""
+        return self._service.rate_at(self._timeline.now_s)
+
+    @property
+    def backlog_bytes(self) -> float:
+        """What the host still holds: queued, and above the firmware (bytes)."""
+        return max(0.0, self._bottleneck.waiting_bytes() - self._firmware_bytes)
+
+    @property
+    def queue_delay_s(self) -> float:
+        """How long a packet sent now would wait, in the host and in the firmware (s)."""
+        return self._bottleneck.wait_s()
+
+    @property
+    def sent_bytes(self) -> float:
+        """What has left the near interface (bytes)."""
+        return self._bottleneck.accepted_bytes - self.backlog_bytes
+
+    @property
+    def sent_packets(self) -> int:
+        """Packets the near interface took."""
+        return self._bottleneck.accepted_packets
+
+    @property
+    def dropped_packets(self) -> int:
+        """Packets that found the queue full."""
+        return self._bottleneck.dropped_packets
+
+    @property
+    def lost_packets(self) -> int:
+        """Packets that were sent and did not arrive; some of them may be on the way still."""
+        return self._bottleneck.lost_packets
+
+    def received_bytes(self) -> float:
+        """Count what has reached the far interface (bytes)."""
+        return self._bottleneck.received()[0]
+
+    @property
+    def received_packets(self) -> int:
+        """Packets that have reached the far interface."""
+        return self._bottleneck.received()[1]

@@ -1,0 +1,96 @@
+"""The rate of a simulated link over time: steps that each hold until the next one."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from arpd.model.quantities import parse_rate
+
+if TYPE_CHECKING:
+    from typing import Self
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RateStep:
+    """From here on, this rate.
+
+    Parameters
+    ----------
+    start_s : time since the start of the run, >= 0 (s)
+    rate_bytes_per_second : link rate from then on, >= 0; 0 = nothing is carried (bytes/s)
+    """
+
+    start_s: float
+    rate_bytes_per_second: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
+            raise ValueError(f"step at {self.start_s} s: the time must be zero or later")
+        if not (math.isfinite(self.rate_bytes_per_second) and self.rate_bytes_per_second >= 0.0):
+            raise ValueError(f"step at {self.start_s:g} s: the rate must be zero or more")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RateSchedule:
+    """Rate of a link over the time of a run.
+
+    Parameters
+    ----------
+    steps : by ascending start, the first at 0; the last one holds for ever
+    """
+
+    steps: tuple[RateStep, ...]
+
+    def __post_init__(self) -> None:
+        if not self.steps or self.steps[0].start_s != 0.0:
+            raise ValueError("the first step must start at 0, for example '0:20mbit,20:5mbit'")
+        for earlier, later in pairwise(self.steps):
+            if later.start_s == earlier.start_s:
+                raise ValueError(f"two steps start at {later.start_s:g} s; keep one")
+            if later.start_s < earlier.start_s:
+                raise ValueError(f"the step at {later.start_s:g} s comes after the one at {earlier.start_s:g} s")
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read ``SECONDS:RATE`` pairs separated by commas, in any order: ``0:20mbit,20:5mbit,50:20mbit``.
+
+        A rate of zero is refused: this text also shapes the real link, whose token bucket must have a rate.
+
+        Raises
+        ------
+        ValueError : the text is not a schedule; the message says which step and what would be right
+        """
+        steps = [_parse_step(part.strip()) for part in text.split(",")]
+        return cls(steps=tuple(sorted(steps, key=lambda step: step.start_s)))
+
+    @property
+    def duration_s(self) -> float:
+        """When the last step starts; from then on nothing changes (s)."""
+        return self.steps[-1].start_s
+
+    def rate_at(self, t_s: float) -> float:
+        """Rate in force at ``t_s`` seconds into the run (bytes/s)."""
+        if not t_s >= 0.0:
+            raise ValueError(f"time {t_s} s is before the start of the run")
+        return self.steps[bisect_right(self.steps, t_s, key=lambda step: step.start_s) - 1].rate_bytes_per_second
+
+
+def _parse_step(text: str) -> RateStep:
+    start, colon, rate = text.partition(":")
+    if not colon:
+        raise ValueError(f"step {text!r}: write SECONDS:RATE, for example 20:5mbit")
+    try:
+        start_s = float(start)
+    except ValueError:
+        raise ValueError(f"step {text!r}: {start!r} is not a number of seconds") from None
+    try:
+        rate_bytes_per_second = parse_rate(rate)
+    except ValueError as error:
+        raise ValueError(f"step {text!r}: {error}") from error
+    if not rate_bytes_per_second > 0.0:
+        raise ValueError(f"step {text!r}: the rate must be above zero; use loss 1 for an outage")
+    return RateStep(start_s=start_s, rate_bytes_per_second=rate_bytes_per_second)

@@ -1,0 +1,290 @@
+"""The daemon's world over the simulated link: relay, planner node and peer, and how the daemon reaches them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from arpd.adapters.sim.timeline import Alarm
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import PeerReport
+from arpd.model.values import Direction, MemoryState, Observation
+from arpd.model.wire import probe_wire_bytes
+from arpd.observe.receiver import Receiver, ReportSchedule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from random import Random
+
+    from arpd.adapters.sim.link import SimulatedLink
+    from arpd.adapters.sim.robot import SimulatedPublisher
+    from arpd.adapters.sim.timeline import Timeline
+    from arpd.model.probing import ProbeRequest
+    from arpd.model.publishers import PublisherState
+    from arpd.model.settings import GraphSettings
+    from arpd.model.values import Transition
+
+RELAY, PLANNER = "/arpd_relay", "/planner"
+_ON_HOST_S = 0.001
+_ANNOUNCE_S = 1.0
+_STALE_S = 3.5  # as in arpd.adapters.ros.world
+_GATE_LEASE_S = 5.0  # as in arpd.adapters.ros.node_publishers
+_BACKOFF_S = (1.5, 12.0)  # first and most, as in arpd.adapters.ros.parameters
+_PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this; nothing may depend on it
+_STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
+_PROBE_SPACING_S = 0.0001  # between the packets of a train, as Python publishes them
+_REPORT_BYTES, _GATE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 150, 900, 700  # on the wire
+
+
+@dataclass(slots=True)
+class _Node:
+    """One node with adaptive publishers, as the daemon reaches it."""
+
+    name: str
+    publishers: list[SimulatedPublisher]
+    is_remote: bool
+    generation: int = 0
+    lease_s: float = 0.0
+    gate_at_s: float = -1e9
+    asked_generation: int = -1
+    asked_at_s: float = -1e9
+    backoff_s: float = _BACKOFF_S[0]
+    announced: tuple[PublisherState, ...] = ()
+    announced_at_s: float = -1e9
+
+
+@dataclass(slots=True)
+class _Peer:
+    """The receiver on the CEDDP."""
+
+    schedule: ReportSchedule
+    receiver: Receiver = field(default_factory=Receiver)
+    rx_bytes: int = 0
+    rx_packets: int = 0
+    stamp_s: float = 0.0
+
+
+class SimulatedWorld:
+    """The daemon's `arpd.daemon.tick.World` over the simulated link; all that is remote crosses the link, both ways.
+
+    Parameters
+    ----------
+    up, down : the link, from and to the robot
+    publishers : what the daemon manages
+    random : source of phases and jitter
+    graph : pinned topic counts
+    on_report : called when a peer report arrives, so that a tick can follow at once
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        *,
+        up: SimulatedLink,
+        down: SimulatedLink,
+        publishers: Sequence[SimulatedPublisher],
+        random: Random,
+        graph: GraphSettings,
+        on_report: Callable[[], None],
+    ) -> None:
+        self._timeline = timeline
+        self._up, self._down = up, down
+        self._graph = graph
+        self._on_report_arrived = on_report
+        self._random = random
+        self._reports: list[PeerReport] = []
+        self._results: Counter[str] = Counter()
+        self._probes = 0
+        self._probe_bytes = 0
+        self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
+        self._report_bytes = 0
+        by_direction = {
+            direction: [p for p in publishers if p.topic.direction is direction]
+            for direction in (Direction.SENSING, Direction.ACTUATION)
+        }
+        self._nodes = {
+            RELAY: _Node(name=RELAY, publishers=by_direction[Direction.SENSING], is_remote=False),
+            PLANNER: _Node(name=PLANNER, publishers=by_direction[Direction.ACTUATION], is_remote=True),
+        }
+        self._counts = {direction: len(publishers) for direction, publishers in by_direction.items()}
+        for node in self._nodes.values():
+            first_s = self._timeline.now_s + self._random.random()
+            self._timeline.every(_ANNOUNCE_S, partial(self._announce, node), first_s=first_s)
+        self._report_alarm = Alarm(self._timeline, self._look)
+        self._report_alarm.set(self._peer.schedule.due_s)
+
+    # -- observe
+
+    def observe(self, now_s: float) -> Observation:
+        """Return everything one tick sees."""
+        reports, self._reports = tuple(self._reports), []
+        pinned = self._graph
+        return Observation(
+            now_s=now_s,
+            counters=self._counters(),
+            reports=reports,
+            publishers=tuple(
+                replace(state, age_s=now_s - node.announced_at_s)
+                for node in self._nodes.values()
+                if now_s - node.announced_at_s <= _STALE_S
+                for state in node.announced
+            ),
+            memory=MemoryState(total_bytes=4 * 2**30, available_bytes=2 * 2**30),
+            sensing_topics=self._counts[Direction.SENSING] if pinned.sensing_topics is None else pinned.sensing_topics,
+            actuation_topics=(
+                self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
+            ),
+        )
+
+    def _counters(self) -> LinkCounters:
+        up, down = self._up, self._down
+        return LinkCounters(
+            interface="sim0",
+            rx_bytes=int(down.received_bytes()),
+            tx_bytes=int(up.sent_bytes),
+            backlog_bytes=int(up.backlog_bytes),
+            rx_packets=down.received_packets,
+            tx_packets=up.sent_packets,
+            tx_dropped=up.dropped_packets,
+            state=InterfaceState.UP,
+        )
+
+    # -- act
+
+    def set_gate(self, gate: float) -> None:
+        """Tell every publisher the gate; best effort, as on the real topic."""
+        for node in self._nodes.values():
+            self._reach(node, _GATE_BYTES, partial(self._on_gate, node, gate))
+
+    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
+        """Send what is new at once and what is unconfirmed again after a growing back-off."""
+        for transition in transitions:
+            node = self._nodes[transition.node]
+            is_newer = transition.generation > node.asked_generation
+            if not is_newer and now_s - node.asked_at_s < node.backoff_s:
+                continue
+            node.backoff_s = _BACKOFF_S[0] if is_newer else min(2 * node.backoff_s, _BACKOFF_S[1])
+            node.asked_generation, node.asked_at_s = transition.generation, now_s
+            self._reach(node, _PARAMETERS_BYTES, partial(self._on_parameters, node, transition))
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Put one train (or ping) on the link."""
+        self._probes += 1
+        wire_bytes = probe_wire_bytes(request.packet_bytes)
+        self._probe_bytes += request.packets * wire_bytes
+        for index in range(request.packets):
+            sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
+            arrive = partial(self._on_probe, request, index, sent_s)
+            self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+        self._graph = graph
+
+    def results(self) -> Mapping[str, int]:
+        """Count parameter calls by result."""
+        return dict(self._results)
+
+    @property
+    def report_bytes(self) -> int:
+        """Wire bytes of all reports sent."""
+        return self._report_bytes
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Count probes, and their wire bytes."""
+        return self._probes, self._probe_bytes
+
+    # -- on the nodes
+
+    def _reach(self, node: _Node, wire_bytes: int, deliver: Callable[[], None]) -> None:
+        if node.is_remote:
+            self._up.send(wire_bytes, 1, deliver)
+        else:
+            self._timeline.at(self._timeline.now_s + _ON_HOST_S, deliver)
+
+    def _on_gate(self, node: _Node, gate: float) -> None:
+        node.gate_at_s = self._timeline.now_s
+        for publisher in node.publishers:
+            publisher.set_gate(gate)
+
+    def _on_parameters(self, node: _Node, transition: Transition) -> None:
+        if transition.generation < node.generation:
+            self._results["refused"] += 1
+            return
+        self._results["ok"] += 1
+        node.generation, node.lease_s = transition.generation, transition.lease_s
+        by_name = {publisher.state(generation=0).topic: publisher for publisher in node.publishers}
+        for topic, row in transition.topics.items():
+            by_name[topic].retune(row)
+
+    def _announce(self, node: _Node) -> None:
+        now_s = self._timeline.now_s
+        if now_s - node.gate_at_s > _GATE_LEASE_S:
+            for publisher in node.publishers:
+                publisher.set_gate(None)
+        states = tuple(
+            replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
+        )
+        deliver = partial(self._on_announcement, node, states)
+        if node.is_remote:
+            self._down.send(_ANNOUNCEMENT_BYTES, 1, deliver)
+        else:
+            self._timeline.at(now_s + _ON_HOST_S, deliver)
+
+    def _on_announcement(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
+        node.announced, node.announced_at_s = states, self._timeline.now_s
+
+    # -- on the peer
+
+    def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
+        # One thread stamps what it receives: late, and in order.
+        stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
+        self._peer.stamp_s = stamp_s = max(stamp_s, self._peer.stamp_s)
+        self._peer.receiver.on_probe(
+            train=request.number,
+            index=index,
+            packets=request.packets,
+            payload_bytes=request.packet_bytes,
+            sent_ns=round(sent_s * 1e9),
+            received_ns=round((stamp_s + _PEER_CLOCK_S) * 1e9),
+        )
+        self._peer.schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
+        if self._peer.schedule.due_s < self._report_alarm.when_s:
+            self._report_alarm.set(self._peer.schedule.due_s)
+
+    def _look(self) -> None:
+        """Report if that is due, as `arpd.adapters.ros.peer` does."""
+        schedule = self._peer.schedule
+        schedule.note_traffic(self._up.received_bytes() - self._peer.rx_bytes)
+        if self._timeline.now_s < schedule.due_s:
+            self._report_alarm.set(schedule.due_s)
+            return
+        self._report()
+        self._report_alarm.set(schedule.look_s)
+
+    def _report(self) -> None:
+        peer, up = self._peer, self._up
+        rx_bytes = int(up.received_bytes())
+        delays_s, trains = peer.receiver.take()
+        report = PeerReport(
+            peer="ceddp",
+            received_at_s=0.0,
+            interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
+            rx_bytes=rx_bytes - peer.rx_bytes,
+            rx_packets=up.received_packets - peer.rx_packets,
+            delays_s=delays_s,
+            trains=trains,
+            last_probe=peer.receiver.last_probe,
+            probe_packets=peer.receiver.packets_before,
+        )
+        peer.rx_bytes, peer.rx_packets = rx_bytes, up.received_packets
+        peer.schedule.note_sent(self._timeline.now_s)
+        self._report_bytes += _REPORT_BYTES
+        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
+
+    def _on_report(self, report: PeerReport, sent_s: float) -> None:
+        now_s = self._timeline.now_s
+        self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
+        self._on_report_arrived()

@@ -1,0 +1,181 @@
+"""A reliable DDS writer and its reader in virtual time, and the books of what arrived."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
+
+if TYPE_CHECKING:
+    from arpd.adapters.sim.arrivals import Arrivals
+    from arpd.adapters.sim.link import SimulatedLink
+    from arpd.adapters.sim.timeline import Timeline
+    from arpd.model.writer import WriterQos
+
+SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
+# Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
+# and never of a sample that is on its way; so the robot without arpd looks better here than it is.
+_RESEND_S = 0.1
+_MOST_ASKED = 256  # numbers that one ACKNACK can name (RTPS 2.3, §9.4.2.6)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Route:
+    """The way from a writer to its reader, and the way back for acknowledgements."""
+
+    timeline: Timeline
+    there: SimulatedLink
+    back: SimulatedLink
+
+
+class _Reader:
+    """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has.
+
+    As in Fast DDS 2.14 (StatefulReader, WriterProxy), what is next in order is handed over as it comes; what is not
+    waits until the gap is filled, or until a heartbeat says that it never will be.
+    """
+
+    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
+        self._arrivals = arrivals
+        self._payload_bytes = payload_bytes
+        self._timeline = timeline
+        self._held: dict[int, tuple[int, float]] = {}  # sequence and stamp of samples behind a gap
+        self._highest = 0
+        self.next = 1
+
+    def on_data(self, number: int, sample: bytes) -> None:
+        if number < self.next or number in self._held:
+            return
+        sequence, stamp_s = SAMPLE.unpack(sample)
+        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+        if number > self.next:
+            self._held[number] = sequence, stamp_s
+            return
+        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
+        self.next += 1
+        if self._held:
+            self._release()
+
+    def on_heartbeat(self, first: int, last: int) -> list[int]:
+        """Return the numbers to ask for again, lowest first."""
+        self._highest = max(self._highest, last)
+        if first > self.next:
+            for number in sorted(number for number in self._held if number < first):
+                self._deliver(number)
+            self.next = first
+            self._release()
+        if self._highest < self.next:
+            return []
+        most = min(self._highest, self.next + _MOST_ASKED - 1)
+        return [number for number in range(self.next, most + 1) if number not in self._held]
+
+    def _release(self) -> None:
+        while self.next in self._held:
+            self._deliver(self.next)
+            self.next += 1
+
+    def _deliver(self, number: int) -> None:
+        self._arrivals.on_delivery(*self._held.pop(number), self._payload_bytes)
+
+
+class SimulatedWriter:
+    """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
+
+    As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic one serves the others.
+    It is a `arpd.model.writer.Writer`.
+
+    Parameters
+    ----------
+    qos : depth (samples) and deadline (ns), a contract that changes nothing but what counts as missed
+    heartbeat_s : period of the heartbeat while something is unacknowledged (s)
+    """
+
+    def __init__(
+        self, route: Route, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
+    ) -> None:
+        self._timeline, self._there, self._back = route.timeline, route.there, route.back
+        self._depth = qos.depth
+        self._deadline_s = qos.deadline_ns / 1e9 or math.inf
+        self._published_s = math.inf  # when it last did
+        self._missed = 0
+        self._heartbeat_s = heartbeat_s
+        self._reader = _Reader(arrivals, route.timeline, payload_bytes)
+        self._history: dict[int, bytes] = {}
+        self._settled_at_s: dict[int, float] = {}
+        self._first, self._last = 1, 0
+        self._acknowledged = 0
+        self._is_alive = True
+        self._is_beating = False
+        self._wire_bytes, self._packets = wire_size(payload_bytes, rate_hz=math.inf)
+
+    def publish(self, sample: bytes) -> None:
+        """Write one sample; the oldest leaves a full history, acknowledged or not."""
+        self._missed, self._published_s = self.deadlines_missed(), self._timeline.now_s
+        self._last += 1
+        self._history[self._last] = sample
+        if len(self._history) > self._depth:
+            del self._history[self._first], self._settled_at_s[self._first]
+            self._first += 1
+        self._send(self._last)
+        if not self._is_beating:
+            self._is_beating = True
+            self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
+
+    def matched(self) -> int:
+        """One reader, known at once: a new writer's endpoint data travels ahead of its samples."""
+        return 1
+
+    def disconnects_readers(self) -> bool:
+        """No simulated reader asks for a deadline."""
+        return False
+
+    def is_acknowledged(self) -> bool:
+        """Whether the reader has everything, in order."""
+        return self._acknowledged >= self._last
+
+    def deadlines_missed(self) -> int:
+        """Count the periods that ended without a sample since the one before; from the first on, as in Fast DDS."""
+        return self._missed + int(max(0.0, self._timeline.now_s - self._published_s) / self._deadline_s)
+
+    def destroy(self) -> None:
+        """Stop resending; what is on the link still arrives."""
+        self._is_alive = False
+        self._first = self._last + 1
+        self._history.clear()
+        self._settled_at_s.clear()
+
+    def _send(self, number: int) -> None:
+        asked = (self._first, self._last) if len(self._history) >= self._depth else None
+        deliver = partial(self._arrive, number, self._history[number], asked)
+        self._settled_at_s[number] = self._there.send(self._wire_bytes, self._packets, deliver)
+
+    def _beat(self) -> None:
+        if not self._is_alive or self.is_acknowledged():
+            self._is_beating = False
+            return
+        self._there.send(HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
+        self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
+
+    # -- at the reader
+
+    def _arrive(self, number: int, sample: bytes, asked: tuple[int, int] | None) -> None:
+        self._reader.on_data(number, sample)
+        if asked is not None:
+            self._acknowledge(*asked)
+
+    def _acknowledge(self, first: int, last: int) -> None:
+        missing = self._reader.on_heartbeat(first, last)
+        self._back.send(ACKNACK_BYTES, 1, partial(self._on_acknack, self._reader.next - 1, missing))
+
+    # -- back at the writer
+
+    def _on_acknack(self, acknowledged: int, missing: list[int]) -> None:
+        self._acknowledged = max(self._acknowledged, acknowledged)
+        now_s = self._timeline.now_s
+        for number in missing:
+            if number in self._history and now_s - self._settled_at_s[number] >= _RESEND_S:
+                self._send(number)

@@ -1,0 +1,1 @@
+"""systemd: notify protocol and journal."""

@@ -1,0 +1,177 @@
+"""Logging into the systemd journal with fields of its own, so that `journalctl ARPD_EVENT=plan` finds every plan.
+
+The wire protocol is logging-journald's: pure Python, where systemd-python and cysystemd need libsystemd to build with.
+Its handler is not used: it waits for a journal that is full, and gives every message another MESSAGE_ID.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import re
+import select
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TextIO
+
+from logging_journald import Facility, JournaldTransport
+
+from arpd.report.events import Event, EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+SOCKET = Path("/run/systemd/journal/socket")
+# Fixed for ever: `journalctl MESSAGE_ID=…` and systemd/arpd.catalog know an event by it.
+MESSAGE_IDS: Mapping[EventKind, str] = MappingProxyType(
+    {
+        EventKind.STARTED: "4e20a19c0e7e4a5493ca2757515a75d5",
+        EventKind.OUTAGE: "32c4ce334a894fc6932278bd88e17243",
+        EventKind.RECOVERED: "f2494d975fad45718d11ef7e3c7e17df",
+        EventKind.INTERFACE: "56baaf112fad4a9696cf65993f5fafcd",
+        EventKind.PEER_FOUND: "c716434f875146e79ba858ed4b525e28",
+        EventKind.PEER_LOST: "d7d08a21c03147eab689d2cdb537711c",
+        EventKind.PLAN: "bbbb582cc18347c595a8792d76eb4057",
+        EventKind.CONFIRMED: "eb0e5cf552d24fa5a7ebde2747d2430f",
+        EventKind.PLAN_REFUSED: "c74bec9dcc544a79999250a0f02fcd4a",
+        EventKind.INFEASIBLE: "0931344a58e643f4970621aab49ff3f5",
+        EventKind.FEASIBLE: "879c338a9b844d4cb6ae624e9fd99d1b",
+        EventKind.MEMORY: "114c4af89dd34bbfacdd32ae3bb50293",
+        EventKind.SWAP: "baab9d07406841ef85e991140b3f5467",
+        EventKind.SWAP_FAILED: "83e0d45721be4b2f8998afba53860af0",
+        EventKind.REFUSED: "7784c21ab40844eeb26bec48639300fe",
+        EventKind.TOPIC_FOUND: "44d339d99f5844f6928ddcd380c86c95",
+        EventKind.TOPIC_LOST: "0d243dff404746549e94b08b3fb16d38",
+        EventKind.RELOADED: "5d9245eafe1b4b78b87647010a3fa5bf",
+        EventKind.RELOAD_FAILED: "35736c7d631142bdb8129cbf76075abf",
+        EventKind.STANDING_BY: "087aa90fdbde474c8d0d06feb8442741",
+        EventKind.IN_CHARGE: "1de773e7854d4b7c9395e883a4998466",
+    }
+)
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+_NO_FIELD = re.compile(r"[^A-Z0-9_]")
+
+
+def priority_of(level: int) -> int:
+    """Return the syslog priority of a logging level."""
+    return next((priority for least, priority in _PRIORITIES if level >= least), 7)
+
+
+def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
+    """Whether what is written to a stream goes to the journal: JOURNAL_STREAM names its file (systemd.exec(5))."""
+    try:
+        status = os.fstat(stream.fileno())
+    except (OSError, ValueError):  # closed, or no file at all
+        return False
+    return environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
+
+
+class JournalHandler(logging.Handler):
+    """Sends every record as one entry; never waits, for a tick may be what logs.
+
+    What the journal does not take goes to stderr with a priority, and what that does not take either is counted.
+
+    Parameters
+    ----------
+    identifier : SYSLOG_IDENTIFIER, the name `journalctl -t` and every line shows
+    stderr : where records go while the journal takes none
+    path : the journal's socket
+    """
+
+    def __init__(self, identifier: str, *, stderr: TextIO, path: Path = SOCKET) -> None:
+        super().__init__()
+        self._identifier = identifier
+        self._transport = JournaldTransport(path, connected=False)  # finds a journal that was restarted
+        self._transport.socket.settimeout(0.0)
+        self._stderr = stderr
+        self._lost = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send one record."""
+        try:
+            message = self.format(record)
+        except Exception:  # noqa: BLE001 - whatever a record holds, logging never raises
+            self.handleError(record)
+            return
+        try:
+            self._transport.send(self._fields(record, message))
+        except (OSError, ValueError):
+            self._write(record, message)
+        else:
+            self._tell_lost()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._transport.socket.close()
+        super().close()
+
+    def _fields(self, record: logging.LogRecord, message: str) -> Iterator[tuple[str, str | int]]:
+        yield from self._frame(priority_of(record.levelno), message)
+        yield "LOGGER", record.name
+        yield "CODE_FILE", _text(record.pathname)
+        yield "CODE_LINE", record.lineno
+        yield "CODE_FUNC", record.funcName or ""
+        event = getattr(record, "event", None)
+        if isinstance(event, Event):
+            yield from _fields_of(event)
+
+    def _frame(self, priority: int, message: str) -> Iterator[tuple[str, str | int]]:
+        yield "MESSAGE", _text(message)
+        yield "PRIORITY", priority
+        yield "SYSLOG_IDENTIFIER", self._identifier
+        yield "SYSLOG_FACILITY", Facility.DAEMON.value
+
+    def _write(self, record: logging.LogRecord, message: str) -> None:
+        """Write to stderr, unless that would wait: it is the journal's, too."""
+        line = prefixed(record.levelno, message)
+        try:
+            if not _is_writable(self._stderr):
+                self._lost += 1
+                return
+            self._stderr.write(line + "\n")
+            self._stderr.flush()
+        except (OSError, ValueError):
+            self._lost += 1
+
+    def _tell_lost(self) -> None:
+        if not self._lost:
+            return
+        lost, self._lost = self._lost, 0
+        try:
+            self._transport.send(self._frame(4, f"messages that the journal did not take and that are lost: {lost}"))
+        except OSError:
+            self._lost += lost
+
+
+def prefixed(level: int, message: str) -> str:
+    """Write ``<n>``, the syslog priority that systemd takes off every line (sd-daemon(3)), before each of them."""
+    return "\n".join(f"<{priority_of(level)}>{line}" for line in message.splitlines())
+
+
+def _fields_of(event: Event) -> Iterator[tuple[str, str | int]]:
+    yield "MESSAGE_ID", MESSAGE_IDS[event.kind]
+    yield "ARPD_EVENT", str(event.kind)
+    yield "ARPD_SEVERITY", str(event.severity)
+    yield "ARPD_NUMBER", event.number
+    if event.topic:
+        yield "ARPD_TOPIC", _text(event.topic)
+    if event.node:
+        yield "ARPD_NODE", _text(event.node)
+    for name, text in event.details.items():
+        yield f"ARPD_{_NO_FIELD.sub('_', name.upper())}", _text(text)
+
+
+def _text(text: str) -> str:
+    """Return a text that has a UTF-8 form: file names and ROS names may hold bytes that have none."""
+    return text.encode("utf-8", "replace").decode()
+
+
+def _is_writable(stream: TextIO) -> bool:
+    try:
+        number = stream.fileno()
+    except (OSError, ValueError, io.UnsupportedOperation):
+        return True
+    waiting = select.poll()
+    waiting.register(number, select.POLLOUT)
+    return bool(waiting.poll(0))

@@ -1,0 +1,1 @@
+"""One adaptive endpoint: pacing, and the make-before-break swap of its writer or reader."""

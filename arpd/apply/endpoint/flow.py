@@ -1,0 +1,311 @@
+"""The flow of one adaptive publisher, from the application's sample to the writer: pure, whatever the writer is."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from arpd.apply.endpoint.deadlines import DeadlineCount
+from arpd.apply.endpoint.meters import SampleRate
+from arpd.apply.endpoint.pacing import DropCause, Pacer
+from arpd.apply.endpoint.slow_start import SLOW_START_HZ, SlowStart
+from arpd.apply.endpoint.writer_swap import SwapResult, SwapTiming, WriterSwap
+from arpd.model.publishers import FlowState
+from arpd.model.settings import Overflow
+from arpd.model.values import TopicPlan
+from arpd.model.writer import Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.model.writer import WriterQos
+
+# What a swap held leaves at twice the rate it came at: a burst would push samples out of a small history, the
+# writer's or a reader's, and crowd the link.
+_CATCH_UP = 0.5
+_LEAST_CATCH_UP_HZ = 10.0
+
+W = TypeVar("W", bound=Writer)
+
+
+class Flow(Generic[W]):
+    """Paces samples into the current writer, and swaps that writer when its QoS shall change.
+
+    Until somebody retunes it, it behaves as a plain publisher: unpaced, with the QoS it was made with. Only where a
+    daemon is heard that has not planned it yet, large samples that may be conflated wait for that plan (`SlowStart`).
+
+    Parameters
+    ----------
+    create : makes a writer with the given QoS
+    qos : what the first writer runs with
+    overflow : what gives way when samples come faster than they may leave
+    clock : monotonic clock (s)
+    on_swap : told how every swap ended, and the QoS it was about
+    timing : timeouts of a swap
+
+    Notes
+    -----
+    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_gate` and `state`: an owner with threads takes
+    samples one by one under its lock and writes them outside, because a writer may block when the link's queue is full.
+    """
+
+    def __init__(
+        self,
+        *,
+        create: Callable[[WriterQos], W],
+        qos: WriterQos,
+        overflow: Overflow,
+        clock: Callable[[], float],
+        on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
+        timing: SwapTiming | None = None,
+    ) -> None:
+        self._clock = clock
+        self._on_swap = on_swap
+        self._swaps: Counter[str] = Counter()
+        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
+        self._may_conflate = overflow is Overflow.LATEST
+        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
+        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        self._gate = 1.0
+        self._slow_start = SlowStart()
+        self._paced_for = (1.0, False)  # gate, and whether for a slow start
+        self._source, self._departures = SampleRate(), SampleRate()
+        self._withheld: Counter[str] = Counter()  # by cause
+        self._deadlines = DeadlineCount(self._swap.current)
+        self._blocked_s = 0.0
+        self._payload_bytes = 0.0
+        self._held: deque[bytes] = deque()  # through the pacing, but not through the swap
+        self._catch_up_s = -math.inf  # when the next of them may leave
+        self._history: deque[bytes] | None = None
+        self._replay: deque[bytes] = deque()
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings last asked for."""
+        return self._plan
+
+    @property
+    def qos(self) -> WriterQos:
+        """QoS of the writer samples leave by."""
+        return self._swap.qos
+
+    @property
+    def writer(self) -> W:
+        """Writer samples leave by."""
+        return self._swap.current
+
+    @property
+    def offered(self) -> int:
+        """Samples the application gave so far."""
+        return self._source.samples
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether samples wait, for pacing or for a swap."""
+        return bool(len(self._pacer) or self._held)
+
+    def publish(self, sample: bytes) -> None:
+        """Send a sample, now or when pacing lets it."""
+        self.offer(sample)
+        self._release()
+
+    def offer(self, sample: bytes) -> None:
+        """Queue a sample; somebody calls `take` and `write`, or `service`, soon."""
+        now_s = self._clock()
+        self._count(sample, now_s)
+        self._pacer.offer(sample, now_s)
+
+    def admit(self, sample: bytes) -> bool:
+        """Tell whether a sample may be written at once, before anything else; queue it as `offer` does if not."""
+        now_s = self._clock()
+        self._count(sample, now_s)
+        is_free = not (self._held or self._replay or self._swap.awaits_silence)
+        if is_free and self._pacer.admits(now_s):
+            return True
+        self._pacer.offer(sample, now_s)
+        return False
+
+    def before_take(self) -> None:
+        """Let a swap use the moment before a sample leaves; `replay` comes next."""
+        # Just before a sample leaves, the one before it is likeliest to be acknowledged: most swaps need no holding.
+        if self._swap.awaits_silence and self.is_waiting:
+            self.step(self._clock())
+
+    def take(self) -> bytes | None:
+        """Return the next sample if it may leave now: pacing lets it, and no swap holds it."""
+        now_s = self._clock()
+        sample = self._pacer.take(now_s)
+        if not self._held and not self._swap.is_holding:
+            return sample
+        # A swap holds behind the pacing, so that no sample is conflated for it.
+        while sample is not None:
+            self._held.append(sample)
+            sample = self._pacer.take(now_s)
+        if self._swap.is_holding or now_s < self._catch_up_s:
+            return None
+        spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
+        # Who looks late may take two more.
+        self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
+        return self._held.popleft()
+
+    def write(self, sample: bytes) -> float:
+        """Write a sample that was taken or admitted; may block while the link's queue is full.
+
+        Returns
+        -------
+        How long it took (s).
+        """
+        before_s = self._clock()
+        try:
+            self._swap.current.publish(sample)
+        except Exception:
+            self._on_withheld(1, DropCause.FAILED)  # it left the queue and reached nobody
+            raise
+        after_s = self._clock()
+        took_s = after_s - before_s
+        self._blocked_s += took_s
+        self._departures.count(after_s)
+        if self._swap.awaits_silence:
+            self._swap.wrote(self._clock())
+        if self._history is not None:
+            self._history.append(sample)
+        return took_s
+
+    def keep_history(self) -> None:
+        """Let a new writer first have what the old one held, for the late readers of a TRANSIENT_LOCAL topic."""
+        self._history = deque(maxlen=self.qos.depth)
+        self._swap.needs_proof = False  # a reader that matches late gets all of it
+
+    def replay(self) -> None:
+        """Give a new writer what the old one held; may block like `write`, and comes before the next `take`."""
+        while self._replay:
+            self._swap.current.publish(self._replay.popleft())
+
+    def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
+        """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
+
+        Parameters
+        ----------
+        plan : what was asked for
+        qos : what the writer shall really run with, after clamps and refusals
+        """
+        now_s = self._clock()
+        self._plan = plan
+        self._slow_start.end()
+        self._pace(now_s)
+        self._swap.request(qos)
+
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        now_s = self._clock()
+        self._slow_start.has_daemon = gate is not None
+        self._gate = 1.0 if gate is None else gate
+        if self._paced_for != (self._gate, self._slow_start.holds(now_s)):
+            self._pace(now_s)
+
+    def service(self, now_s: float) -> float:
+        """Do what is due: a step of the swap, samples whose time has come.
+
+        Returns
+        -------
+        When to be called again, ``inf`` = not before something changes (s).
+        """
+        if not (self._swap.is_busy or self._replay or self.is_waiting):
+            return math.inf
+        self.step(now_s)
+        self._release()
+        return self.due_s(now_s)
+
+    def step(self, now_s: float) -> None:
+        """Move a swap on as far as its writers allow."""
+        if not self._swap.is_busy:
+            return
+        before = self._swap.current
+        self._swap.step(now_s)
+        if self._swap.current is before:
+            return
+        self._deadlines.follow(self._swap.current)
+        if self._history is not None:
+            self._replay = deque(self._history)
+            self._history = deque(self._history, maxlen=self._swap.qos.depth)
+
+    def due_s(self, now_s: float) -> float:
+        """When to look again, ``inf`` = not before something changes (s)."""
+        due_s = self._pacer.due_s(now_s)
+        if self._held and not self._swap.is_holding:
+            due_s = min(due_s, max(now_s, self._catch_up_s))
+        return min(due_s, now_s + self._swap.poll_s) if self._swap.is_busy else due_s
+
+    def state(self) -> FlowState:
+        """Return what is in force and counted; called about once a second."""
+        now_s = self._clock()
+        rate_hz, published_rate_hz = self._source.rate_hz(now_s), self._departures.rate_hz(now_s)
+        self._source.mark(now_s)
+        self._departures.mark(now_s)
+        withheld, ledger = dict(self._withheld), self._swap.ledger
+        return FlowState(
+            payload_bytes=self._payload_bytes,
+            source_rate_hz=rate_hz,
+            published_rate_hz=published_rate_hz,
+            offered=self.offered,
+            published=self._departures.samples,
+            withheld=sum(withheld.values()),
+            withheld_by_cause=withheld,
+            queued=len(self._pacer) + len(self._held),
+            blocked_s=self._blocked_s,
+            rate_hz=self._plan.rate_hz,
+            depth=self.qos.depth,
+            deadline_ns=self.qos.deadline_ns,
+            deadlines_missed=self._deadlines.missed,
+            swaps_by_result=dict(self._swaps),
+            swaps_begun=ledger.begun,
+            swap_seconds_by_phase=dict(ledger.seconds_by_phase),
+            last_swap=ledger.last,
+        )
+
+    def close(self) -> None:
+        """Give up what waits, and destroy every writer a swap may have in flight."""
+        self._pacer.clear()
+        if self._held:
+            self._on_withheld(len(self._held), DropCause.CLOSED)
+        self._held.clear()
+        self._replay.clear()
+        self._swap.close()
+
+    def _release(self) -> None:
+        self.before_take()
+        self.replay()
+        while self.is_waiting and (sample := self.take()) is not None:
+            self.write(sample)
+
+    def _count(self, sample: bytes, now_s: float) -> None:
+        self._source.count(now_s)
+        if not self._payload_bytes and self._may_conflate:
+            self._slow_start.begin(len(sample), now_s)
+            self._pace(now_s)
+        weight = 0.1 if self._payload_bytes else 1.0
+        self._payload_bytes += weight * (len(sample) - self._payload_bytes)
+
+    def _flowing_hz(self, now_s: float) -> float:
+        """Return the rate of what leaves, or would if nothing held it, as far as it is known."""
+        rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)
+        # A rate planned with room to spare would swallow the first part of a gate.
+        return min(rate_hz, source_hz) if source_hz > 0 else rate_hz
+
+    def _pace(self, now_s: float) -> None:
+        rate_hz = self._plan.rate_hz
+        if self._gate < 1.0:
+            rate_hz = max(self._flowing_hz(now_s) * self._gate, min(self._plan.min_rate_hz, rate_hz))
+        self._paced_for = self._gate, self._slow_start.holds(now_s)
+        if self._paced_for[1]:
+            rate_hz = min(rate_hz, SLOW_START_HZ)
+        limit = DropCause.GATE if rate_hz < self._plan.rate_hz else DropCause.RATE
+        self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s, limit=limit)
+
+    def _on_withheld(self, samples: int, cause: DropCause) -> None:
+        self._withheld[cause.value] += samples
+
+    def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
+        self._swaps[result.value] += 1
+        self._on_swap(result, qos)

@@ -1,0 +1,269 @@
+"""The order in which writers and adaptive readers of a topic come to a plan, so that no pair of them disconnects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from arpd.govern.plan import has_lease, is_confirmed, publisher_transitions
+from arpd.model.readers import ReaderPlan, is_reader_confirmed
+from arpd.model.values import Transition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from arpd.model.publishers import PublisherState
+    from arpd.model.readers import ReaderPlans, ReaderState
+    from arpd.model.values import QosPlan, TopicPlan
+
+PATIENCE_S = 10.0  # a handover that ends in nothing takes 7 s, and its answer another
+
+_MOST_ASKED = 64
+
+_Identity = tuple[str, str]  # node and topic
+E = TypeVar("E", "PublisherState", "ReaderState")
+
+
+class _Ask(NamedTuple):
+    generation: int
+    deadline_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Steps:
+    """What is to be sent now, and how far the plan is in force.
+
+    Parameters
+    ----------
+    transitions : one per node and kind of endpoint, to be repeated until they are announced
+    confirmed, readers_confirmed : publishers and readers that need nothing more
+    """
+
+    transitions: tuple[Transition, ...]
+    confirmed: int
+    readers_confirmed: int
+
+
+class _Side:
+    """All endpoints of one kind: what each was asked for, and since when it waits for the other kind."""
+
+    def __init__(self, patience_s: float) -> None:
+        self._patience_s = patience_s
+        self._asked: dict[_Identity, list[_Ask]] = {}
+        self._waiting_since_s: dict[_Identity, float] = {}
+        self._waiting: dict[_Identity, float] = {}
+
+    def hear(self, states: Iterable[PublisherState | ReaderState]) -> None:
+        """Forget what can no longer come into force: a node refuses plans that are older than the one it announces."""
+        heard = {(state.node, state.topic): state.generation for state in states}
+        self._asked = {
+            identity: [ask for ask in asks if ask.generation >= heard[identity]]
+            for identity, asks in self._asked.items()
+            if identity in heard
+        }
+        self._waiting_since_s, self._waiting = self._waiting, {}
+
+    def ask(self, identity: _Identity, ask: _Ask) -> None:
+        """Remember a request: from now on it may be in force."""
+        others = [known for known in self._asked.get(identity, ()) if known.deadline_ns != ask.deadline_ns]
+        self._asked[identity] = [*others[-_MOST_ASKED:], ask]
+
+    def is_unanswered(self, state: PublisherState | ReaderState) -> bool:
+        """Whether an endpoint does not yet show what it was asked for last."""
+        asks = self._asked.get((state.node, state.topic))
+        if not asks or (state.refusal_reason.is_lasting and state.generation >= asks[-1].generation):
+            return False
+        return state.generation < asks[-1].generation or state.deadline_ns != asks[-1].deadline_ns
+
+    def periods(self, state: PublisherState | ReaderState) -> list[float]:
+        """Return every period that may be in force (ns)."""
+        asks = self._asked.get((state.node, state.topic), ())
+        return [_period(state.deadline_ns), *(_period(ask.deadline_ns) for ask in asks)]
+
+    def is_patient(self, identity: _Identity, now_s: float) -> bool:
+        """Whether an endpoint that has to wait for the other side still does."""
+        since_s = self._waiting[identity] = self._waiting_since_s.get(identity, now_s)
+        return now_s - since_s <= self._patience_s
+
+
+class Ordering:
+    """Brings publishers and adaptive readers to a plan: to relax, readers move first; to tighten, writers do.
+
+    A writer is heard only while the period it offers is no longer than the one requested. What an endpoint runs with
+    is not known exactly: what it announced, or anything it was asked for since. So a writer is never asked for more
+    than the shortest period that a reader may request at the moment, and a reader never for less than the longest
+    that a writer it hears may offer.
+
+    Invariant: in whatever order the answers come in, no pair that is compatible becomes incompatible.
+
+    Rates wait for nobody. Depth waits with the deadline, because each change costs a new writer or reader. Nobody waits
+    for longer than ``patience_s``: then the writer offers what the slowest reader still requests, and the reader
+    requests what the slowest writer still offers, until they answer after all.
+
+    Parameters
+    ----------
+    patience_s : how long one side waits for the other (s)
+    """
+
+    def __init__(self, *, patience_s: float = PATIENCE_S) -> None:
+        self._writers, self._readers = _Side(patience_s), _Side(patience_s)
+        self._floors: dict[_Identity, float] = {}  # asked for last; no announcement shows it
+
+    def steps(
+        self,
+        now_s: float,
+        *,
+        publishers: Sequence[PublisherState],
+        readers: Sequence[ReaderState],
+        plan: QosPlan,
+        reader_plans: ReaderPlans,
+        reason: str,
+        lease_s: float = 0.0,
+    ) -> Steps:
+        """Return the steps that may be taken now; to be asked at every tick.
+
+        Parameters
+        ----------
+        now_s : monotonic clock (s)
+        publishers, readers : all that are live
+        plan : what the publishers shall run with
+        reader_plans : what the readers shall run with; the others are left alone
+        reason : why, in words
+        lease_s : silence after which nodes return to their own QoS, 0 = never (s)
+        """
+        self._writers.hear(publishers)
+        self._readers.hear(readers)
+        here = {(publisher.node, publisher.topic) for publisher in publishers}
+        self._floors = {identity: floor for identity, floor in self._floors.items() if identity in here}
+        driven = [reader for reader in readers if (reader.node, reader.topic) in reader_plans]
+        readers_of, writers_of = _by_topic(driven), _by_topic(publishers)
+        rows = {
+            (publisher.node, publisher.topic): self._writer_row(
+                now_s, publisher, row, readers_of.get(publisher.topic, ()), reader_plans
+            )
+            for publisher in publishers
+            if (row := plan.topics.get(publisher.topic)) is not None
+        }
+        reader_rows = {
+            (reader.node, reader.topic): self._reader_row(now_s, reader, writers_of.get(reader.topic, ()), reader_plans)
+            for reader in driven
+        }
+        return Steps(
+            transitions=(
+                *self._publisher_steps(publishers, rows, plan.generation, reason, lease_s),
+                *self._reader_steps(driven, reader_rows, plan.generation, reason, lease_s),
+            ),
+            confirmed=sum(
+                not is_held and is_confirmed(publisher, row)
+                for publisher in publishers
+                if (publisher.node, publisher.topic) in rows
+                for row, is_held in (rows[publisher.node, publisher.topic],)
+            ),
+            readers_confirmed=sum(
+                (target := reader_rows[reader.node, reader.topic]) is not None and is_reader_confirmed(reader, target)
+                for reader in driven
+            ),
+        )
+
+    def _writer_row(
+        self,
+        now_s: float,
+        publisher: PublisherState,
+        row: TopicPlan,
+        readers: Sequence[ReaderState],
+        reader_plans: ReaderPlans,
+    ) -> tuple[TopicPlan, bool]:
+        """Return what a writer may run with now, and whether it waits for readers with the rest."""
+        # Longer than what a reader shall request in the end is longer than what any waiting could bring.
+        targets = (_period(reader_plans[reader.node, reader.topic].deadline_ns) for reader in readers)
+        wanted = min((_period(row.deadline_ns), *targets))
+        requests = (
+            period
+            for reader in readers
+            for period in (*self._readers.periods(reader), *map(_period, reader.requests_ns))
+        )
+        longest = min(requests, default=math.inf)
+        if wanted <= longest:
+            deadline_ns = _nanoseconds(wanted)
+            return (row if deadline_ns == row.deadline_ns else replace(row, deadline_ns=deadline_ns)), False
+        if self._writers.is_patient((publisher.node, publisher.topic), now_s):
+            kept = min(_period(publisher.deadline_ns), longest)
+            return replace(row, depth=publisher.depth, deadline_ns=_nanoseconds(kept)), True
+        return replace(row, deadline_ns=_nanoseconds(longest)), False
+
+    def _reader_row(
+        self, now_s: float, reader: ReaderState, writers: Iterable[PublisherState], reader_plans: ReaderPlans
+    ) -> ReaderPlan | None:
+        """Return what a reader may run with now, None while it waits for writers."""
+        row = reader_plans[reader.node, reader.topic]
+        offers = [period for writer in writers for period in self._writers.periods(writer)]
+        # A writer that it cannot be hearing has nothing to lose.
+        most = max(self._readers.periods(reader))
+        heard = (period for period in (*offers, *map(_period, reader.offers_ns)) if period <= most)
+        shortest = max(heard, default=0)
+        if _period(row.deadline_ns) >= shortest:
+            return row
+        if self._readers.is_patient((reader.node, reader.topic), now_s):
+            return None
+        return replace(row, deadline_ns=_nanoseconds(shortest))
+
+    def _publisher_steps(
+        self,
+        publishers: Iterable[PublisherState],
+        rows: Mapping[_Identity, tuple[TopicPlan, bool]],
+        generation: int,
+        reason: str,
+        lease_s: float,
+    ) -> tuple[Transition, ...]:
+        due = []
+        for publisher in publishers:
+            identity = publisher.node, publisher.topic
+            if identity not in rows:
+                continue
+            row, _ = rows[identity]
+            has_floor = self._floors.get(identity, row.min_rate_hz) == row.min_rate_hz
+            self._floors[identity] = row.min_rate_hz
+            is_settled = has_floor and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
+            if not is_settled or self._writers.is_unanswered(publisher):
+                self._writers.ask(identity, _Ask(generation, row.deadline_ns))
+                due.append((publisher, row))
+        return publisher_transitions(due, generation=generation, reason=reason, lease_s=lease_s)
+
+    def _reader_steps(
+        self,
+        readers: Iterable[ReaderState],
+        rows: Mapping[_Identity, ReaderPlan | None],
+        generation: int,
+        reason: str,
+        lease_s: float,
+    ) -> tuple[Transition, ...]:
+        due: dict[str, dict[str, ReaderPlan]] = {}
+        for reader in readers:
+            identity = reader.node, reader.topic
+            if (row := rows[identity]) is None:
+                continue
+            is_settled = is_reader_confirmed(reader, row) and has_lease(reader, lease_s)
+            if not is_settled or self._readers.is_unanswered(reader):
+                self._readers.ask(identity, _Ask(generation, row.deadline_ns))
+                due.setdefault(reader.node, {})[reader.topic] = row
+        return tuple(
+            Transition(node=node, generation=generation, topics={}, readers=topics, reason=reason, lease_s=lease_s)
+            for node, topics in sorted(due.items())
+        )
+
+
+def _by_topic(states: Iterable[E]) -> dict[str, list[E]]:
+    found: dict[str, list[E]] = {}
+    for state in states:
+        found.setdefault(state.topic, []).append(state)
+    return found
+
+
+def _period(deadline_ns: int) -> float:
+    """Return a deadline as a number that compares: longer is larger, none is infinite (ns)."""
+    return deadline_ns or math.inf
+
+
+def _nanoseconds(period: float) -> int:
+    return 0 if math.isinf(period) else int(period)

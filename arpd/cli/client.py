@@ -1,0 +1,187 @@
+"""Asking a running daemon over HTTP: where it is, who to be, and what an answer that is none means."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.errors import DaemonUnreachableError, UsageError
+from arpd.model.settings import HttpSettings
+
+# Imported where they are used, because every command has this module's options: base64, http.client, ssl, urllib.
+if TYPE_CHECKING:
+    import argparse
+    import ssl
+
+_TIMEOUT_S = 3.0
+_MAX_BYTES = 16 * 2**20
+_DEFAULT = HttpSettings()
+_PASSWORD = "ARPD_PASSWORD"  # noqa: S105 - the variable's name
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Login:
+    """What a protected daemon asks for.
+
+    Parameters
+    ----------
+    cacert : CA the daemon's certificate is verified with, None = the system's
+    user, password : basic authentication, no user = none
+    """
+
+    cacert: Path | None = None
+    user: str = ""
+    password: str = field(default="", repr=False)
+
+    def authorization(self) -> str:
+        """Return the Authorization header, empty without a user."""
+        import base64
+
+        return f"Basic {base64.b64encode(f'{self.user}:{self.password}'.encode()).decode()}" if self.user else ""
+
+    def context(self) -> ssl.SSLContext:
+        """Return how to verify the daemon.
+
+        Raises
+        ------
+        UsageError
+            If the CA cannot be used.
+        """
+        import ssl
+
+        try:
+            return ssl.create_default_context(cafile=self.cacert)
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise UsageError(f"--cacert {str(self.cacert)!r} cannot be used ({why}); name a PEM file") from None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DaemonAddress:
+    """A daemon to ask.
+
+    Parameters
+    ----------
+    url : base URL, like http://127.0.0.1:9464
+    login : what to trust and who to be
+    """
+
+    url: str
+    login: Login = field(default_factory=Login)
+
+    def status(self) -> dict[str, Any]:
+        """Return the status document (`arpd.report.status`); of a daemon that is not ready, what there is of it.
+
+        Raises
+        ------
+        UsageError
+            If the URL is none, or the CA cannot be used.
+        DaemonUnreachableError
+            If nothing answers there, or something that is not arpd, or arpd refuses.
+        """
+        status = _document(self._answer("/api/v1/status")[1])
+        if status is None:
+            raise DaemonUnreachableError(
+                f"what answers at {self.url} is not arpd; name the daemon's address with --url"
+            )
+        return status
+
+    def history(self) -> dict[str, Any] | None:
+        """Return the last minutes, None from a daemon that keeps no history.
+
+        Raises
+        ------
+        UsageError, DaemonUnreachableError
+            As `status`.
+        """
+        code, body = self._answer("/api/v1/history")
+        return _document(body) if code == HTTPStatus.OK else None
+
+    def _answer(self, path: str) -> tuple[int, bytes]:
+        from http.client import HTTPException
+
+        url, login = self.url, self.login
+        if not url.startswith(("http://", "https://")):
+            raise UsageError(f"--url {url!r} is not an HTTP address; write it like http://127.0.0.1:9464")
+        try:
+            code, body = _get(url.rstrip("/") + path, login)
+        except (OSError, HTTPException) as error:
+            raise DaemonUnreachableError(_no_answer(url, getattr(error, "reason", None) or error)) from None
+        except ValueError as error:
+            raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
+        if code == HTTPStatus.UNAUTHORIZED:
+            wrong = f"refuses the password of {login.user}" if login.user else "asks for a user; give --user NAME"
+            raise DaemonUnreachableError(f"the daemon at {url} {wrong}; the password is taken from ${_PASSWORD}")
+        if code == HTTPStatus.TOO_MANY_REQUESTS:
+            raise DaemonUnreachableError(
+                f"the daemon at {url} had too many wrong passwords from here; wait a few seconds"
+            )
+        if code == HTTPStatus.BAD_REQUEST and b"HTTPS" in body[:100]:
+            raise DaemonUnreachableError(f"the daemon at {url} speaks HTTPS; write https:// in --url")
+        return code, body
+
+
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say which daemon to ask."""
+    parser.add_argument(
+        "--url", default=f"http://{_DEFAULT.host}:{_DEFAULT.port}", help="base URL of the daemon (default %(default)s)"
+    )
+    parser.add_argument(
+        "--cacert", type=Path, metavar="FILE", help="CA of the daemon's certificate (default: the system's)"
+    )
+    parser.add_argument("--user", metavar="NAME", default="", help=f"log in; the password is taken from ${_PASSWORD}")
+
+
+def address(options: argparse.Namespace) -> DaemonAddress:
+    """Return which daemon the options ask.
+
+    Raises
+    ------
+    UsageError
+        If a user is named, and no password is there.
+    """
+    if options.user and _PASSWORD not in os.environ:
+        raise UsageError(f"--user needs the password in ${_PASSWORD}; it is no option, because ps shows those")
+    password = os.environ.get(_PASSWORD, "")
+    return DaemonAddress(url=options.url, login=Login(cacert=options.cacert, user=options.user, password=password))
+
+
+def _document(body: bytes) -> dict[str, Any] | None:
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) and "api_version" in document else None
+
+
+def _no_answer(url: str, reason: object) -> str:
+    import ssl
+
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        return f"the certificate of {url} is not trusted ({reason.verify_message}); name its CA with --cacert"
+    if isinstance(reason, ssl.SSLError):
+        return f"{url} cannot be reached by TLS ({reason.reason or 'the handshake failed'}); does it speak https?"
+    return f"no daemon answers at {url} ({reason}); is it running (systemctl status arpd), and is http.port the same?"
+
+
+def _get(address: str, login: Login) -> tuple[int, bytes]:
+    import urllib.error
+    import urllib.request
+
+    # The daemon is a neighbour: a proxy from the environment would only be in the way.
+    handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({})]
+    if address.startswith("https:"):
+        handlers.append(urllib.request.HTTPSHandler(context=login.context()))
+    request = urllib.request.Request(address)  # noqa: S310 - the caller admits http and https only
+    if header := login.authorization():
+        request.add_unredirected_header("Authorization", header)
+    try:
+        with urllib.request.build_opener(*handlers).open(request, timeout=_TIMEOUT_S) as response:
+            return response.status, response.read(_MAX_BYTES)
+    except urllib.error.HTTPError as error:
+        # A daemon that is not ready says so in the body of its 503.
+        return error.code, error.read(_MAX_BYTES)

@@ -1,0 +1,104 @@
+"""Cells, columns and numbers of the tables that commands print."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from arpd.adapters.config.yaml_source import printable
+from arpd.model.quantities import format_duration, format_rate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_LONGEST_NAME = 32  # what a line of 120 columns leaves for it
+_WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8  # what is worth a column of lesser use, and what stays readable
+
+
+def aligned(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
+    """Put cells into columns: the first and the last ``words`` to the left, numbers to the right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    numbers = len(widths) - words
+    lines = []
+    for row in rows:
+        cells = [
+            text.rjust(width) if 0 < column < numbers else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join([" ".join(cells[:numbers]), *cells[numbers:]]).rstrip())
+    return lines
+
+
+def short_name(name: str) -> str:
+    """Cut a long name short at its front; its end tells topics apart."""
+    shown = printable(name, longest=250)
+    return shown if len(shown) <= _LONGEST_NAME else f"…{shown[1 - _LONGEST_NAME :]}"
+
+
+def figures(value: float, *, digits: int = 4) -> str:
+    """Write a number with so many figures, and no exponent where people expect none."""
+    if 10.0 ** (digits - 1) <= value < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"
+
+
+def rate(bytes_per_second: float | None) -> str:
+    """Write a rate, a dash where there is none."""
+    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
+
+
+def duration(seconds: float | None) -> str:
+    """Write a duration, a dash where there is none."""
+    return "-" if seconds is None else format_duration(seconds)
+
+
+def fitted(rows: Sequence[Sequence[str]], *, ranks: Sequence[int], width: int) -> list[str]:
+    """Lay rows out under their first so that none is wider than ``width``; all columns but first and last are numbers.
+
+    What does not fit is given up in this order: columns of rank 5 and more, the front of the first (the end tells
+    topics apart), further columns, those that rank highest first, the end of the last.
+
+    Parameters
+    ----------
+    ranks : one per column; 0 is never given up
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    kept = list(range(len(widths)))
+
+    def excess(longest_name: int) -> int:
+        least = min(widths[0], longest_name) + min(widths[-1], _LEAST_LAST)
+        return least + sum(widths[column] for column in kept[1:-1]) + 2 * (len(kept) - 1) - width
+
+    for longest_name, lowest_rank in ((_WHOLE_NAME, 5), (_LEAST_NAME, 1)):
+        while excess(longest_name) > 0 and any(ranks[column] >= lowest_rank for column in kept):
+            kept.remove(max(kept, key=lambda column: ranks[column]))
+    room = width - sum(widths[column] for column in kept[1:-1]) - 2 * (len(kept) - 1)
+    widths[0] = max(min(widths[0], _LEAST_NAME), min(widths[0], room - widths[-1]))
+    last = max(1, room - widths[0])
+    lines = []
+    for row in rows:
+        numbers = (row[column].rjust(widths[column]) for column in kept[1:-1])
+        lines.append("  ".join((from_end(row[0], widths[0]).ljust(widths[0]), *numbers, cut(row[-1], last))).rstrip())
+    return lines
+
+
+def from_end(text: str, longest: int) -> str:
+    """Keep the end of a text that is too long."""
+    return text if len(text) <= longest else f"…{text[1 - longest :]}" if longest > 1 else "…"
+
+
+def cut(text: str, longest: int) -> str:
+    """Keep the beginning of a text that is too long."""
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def wrapped(text: str, width: int, *, indent: int, most: int = 2) -> list[str]:
+    """Break a text into lines, the second and later ones indented; what ``most`` do not hold ends in an ellipsis."""
+    return textwrap.wrap(
+        text,
+        max(width, 3 * indent, 20),
+        subsequent_indent=" " * indent,
+        max_lines=most,
+        placeholder=" …",
+        break_on_hyphens=False,
+    )

@@ -1,0 +1,221 @@
+"""The `arpd` command: parses, hands over to the subcommand, turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.cli.simulate import add_simulate
+from arpd.cli.solve import add_solve
+from arpd.cli.status import add_status
+from arpd.cli.top import add_top
+from arpd.model.errors import ArpdError, ConfigError
+from arpd.model.settings import Settings
+from arpd.model.version import VERSION
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DEFAULT_CONFIG = Path("/etc/arpd/arpd.yaml")
+_INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
+_BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
+_LEVELS = ("debug", "info", "warning", "error")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : command line without the program's name; the process's own by default
+    """
+    try:
+        options = _parser().parse_args(arguments)
+        code: int = options.handler(options)
+        sys.stdout.flush()
+    except ConfigError as error:
+        # Bare, so that an editor finds the place.
+        for fault in error.faults:
+            print(fault, file=sys.stderr)
+        return error.exit_code
+    except ArpdError as error:
+        print(f"arpd: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # The interpreter flushes stdout once more at exit, and must not complain then.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="arpd",
+        description="Keeps a ROS 2 robot's wireless traffic inside what the link can carry, live.",
+        epilog="""\
+on the robot:     arpd run      the daemon: measures the link, plans rate, DEADLINE and DEPTH, applies them
+                  arpd relay    carries topics of nodes whose code is not yours (optional)
+on the other end: arpd peer     reports what arrives, so that the daemon knows the link
+
+`arpd COMMAND --help` explains each, with examples.
+
+exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 78 the configuration is wrong;
+`arpd status` exits 3 where there is no daemon""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"arpd {VERSION}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_relay(commands)
+    _add_peer(commands)
+    _add_check(commands)
+    add_solve(commands)
+    add_simulate(commands, default_config=DEFAULT_CONFIG)
+    add_status(commands)
+    add_top(commands)
+    return parser
+
+
+def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "run",
+        help="run the daemon on the robot computer",
+        description="""\
+Run the daemon in the foreground: ten times a second it observes the link and the ROS graph, estimates what the link
+carries, solves for rate, DEADLINE and DEPTH of every topic, and applies what changed to the live publishers.
+It is never in the data path: when it stops, messages keep flowing. A clean stop (SIGTERM, Ctrl-C) gives the
+publishers their own QoS back (on_stop in the configuration); SIGHUP reloads the configuration.""",
+        epilog="""\
+examples:
+  arpd run                                   with /etc/arpd/arpd.yaml, as systemd runs it
+  arpd run --config my.yaml --log-level debug""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_config(parser)
+    _add_log_level(parser)
+    parser.set_defaults(handler=_run)
+
+
+def _add_relay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "relay",
+        help="carry topics of nodes whose code is not yours",
+        description="""\
+Subscribe on this host to the topics under relay.topics in the configuration and publish them again, unchanged, as
+relay.prefix + name, through publishers that arpd can tune. Readers across the link subscribe to the new name.
+Any installed message type; no message is decoded.""",
+        epilog="""\
+examples:
+  arpd relay                                 with /etc/arpd/arpd.yaml
+  arpd relay --config my.yaml --node-name arpd_relay_camera""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_config(parser)
+    parser.add_argument("--node-name", metavar="NAME", help="name of the ROS node (default arpd_relay_HOST)")
+    _add_log_level(parser)
+    parser.set_defaults(handler=_relay)
+
+
+def _add_peer(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "peer",
+        help="report what arrives at the other end of the link",
+        description="""\
+Run on the computer at the other end of the link (the CEDDP). Ten times a second it tells the daemon what its
+interface received and how probe packets fared; the daemon cannot see either from the robot. Needs no configuration.""",
+        epilog="""\
+examples:
+  arpd peer                                  the likeliest interface, this host's name
+  arpd peer --interface wlan0 --name laptop""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--interface", default="auto", help="interface of the link on this host (default %(default)s)")
+    parser.add_argument("--name", metavar="HOST", help="name in the reports (default: this host's name)")
+    _add_log_level(parser)
+    parser.set_defaults(handler=_peer)
+
+
+def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "check",
+        help="check a configuration file",
+        description="""\
+Check a configuration file exactly as the daemon would. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
+what would be right. Exits 0 when there is none, 78 otherwise.""",
+        epilog="""\
+examples:
+  arpd check                                 checks /etc/arpd/arpd.yaml
+  arpd check my.yaml && sudo systemctl reload arpd
+  arpd check --no-interfaces robot.yaml      on another computer than the robot
+  arpd check --json my.yaml | jq .settings   every key with the value in force""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", nargs="?", type=Path, default=DEFAULT_CONFIG, help="YAML file (default %(default)s)")
+    parser.add_argument("--no-interfaces", action="store_true", help="do not check that link.interface exists here")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(handler=_check)
+
+
+def _add_config(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="YAML configuration (default %(default)s)"
+    )
+
+
+def _add_log_level(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--log-level", choices=_LEVELS, default="info", help="how much to log (default %(default)s)")
+
+
+def _run(options: argparse.Namespace) -> int:
+    from arpd.daemon.supervisor import run_daemon
+
+    return run_daemon(config_path=options.config, log_level=options.log_level)
+
+
+def _relay(options: argparse.Namespace) -> int:
+    from arpd.adapters.ros.relay import run_relay
+
+    return run_relay(config_path=options.config, node_name=options.node_name, log_level=options.log_level)
+
+
+def _peer(options: argparse.Namespace) -> int:
+    from arpd.adapters.ros.peer import run_peer
+
+    return run_peer(interface=options.interface, name=options.name, log_level=options.log_level)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from arpd.adapters.config.load import load_settings
+    from arpd.adapters.config.schema import flatten
+    from arpd.adapters.host.interface import list_interfaces
+    from arpd.adapters.http.web_config import check_web_config
+
+    try:
+        settings = load_settings(options.file, interfaces=None if options.no_interfaces else list_interfaces)
+        check_web_config(settings.http, directory=options.file.parent)
+    except ConfigError as error:
+        if not options.json:
+            raise
+        print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
+        return error.exit_code
+    if options.json:
+        print(json.dumps({"ok": True, "file": str(options.file), "settings": flatten(settings)}, indent=2))
+    else:
+        print(_summary(settings))
+    return 0
+
+
+def _summary(settings: Settings) -> str:
+    """Say what the file amounts to: what it changes from the defaults, and how much it names."""
+    from arpd.adapters.config.load import describe_change
+
+    changes = describe_change(Settings(), settings)
+    counts = f"topics: {len(settings.topics)}, relayed: {len(settings.relay.topics)}"
+    ok = f"OK ({counts}, keys that differ from the default: {len(changes)})"
+    return "\n".join([ok, *(f"  {line}" for line in changes)])

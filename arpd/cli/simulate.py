@@ -1,0 +1,224 @@
+"""`arpd simulate`: what arpd would do on a recorded link, beside no arpd and an oracle."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.model.errors import UsageError
+
+if TYPE_CHECKING:
+    from arpd.adapters.sim.link import LinkModel
+    from arpd.adapters.sim.robot import SimTopic
+    from arpd.adapters.sim.trace import LinkTrace
+    from arpd.model.settings import Settings
+
+_LEAST_S, _MOST_S = 20.0, 86_400.0
+_DEFAULT_S = 60.0  # when the trace is shorter
+_DRAIN_S = 10.0  # a run goes on for a while after its end
+_MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
+_MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """What was asked for, understood.
+
+    Parameters
+    ----------
+    trace : the link, as long as the run
+    duration_s : length of the run (s)
+    is_demo : whether the robot is the demo's, for lack of topics in the configuration
+    """
+
+    config: Path
+    settings: Settings
+    trace: LinkTrace
+    duration_s: float
+    seed: int
+    model: LinkModel
+    robot: tuple[SimTopic, ...]
+    is_demo: bool
+
+
+def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "simulate",
+        help="try a configuration on a recorded or made-up link",
+        description="""\
+Let the daemon drive a robot over a simulated link, three times with the same seed: with arpd, without it (rclpy's
+defaults, unpaced), and with an oracle that knows the link in place of arpd's estimator. It is the daemon's own code, in
+virtual time: no ROS, no root, and no waiting.
+
+The robot publishes what the configuration says of its topics (payload and source_rate_hz), to one reader each; if it
+says nothing, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per
+change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
+        epilog="""\
+examples:
+  arpd simulate --config robot.yaml --trace walk.csv
+  arpd simulate --config robot.yaml --trace walk.csv --plot walk.png
+  arpd simulate --config robot.yaml --rate 0:20mbit,20:5mbit,50:20mbit      no trace at hand
+  arpd simulate --config robot.yaml --trace lte.up --duration 5min --delay 30ms --loss 0.01
+  arpd simulate --config robot.yaml --rate 0:20mbit --packet-overhead 200us --aggregate 16     like 802.11n
+  arpd simulate --config new.yaml --trace walk.csv --json | jq .ways.arpd.summary""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--config", type=Path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
+    )
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--trace", type=Path, metavar="FILE", help="the link's rate, and perhaps loss, over time")
+    source.add_argument("--rate", metavar="SECONDS:RATE,...", help="the same in place, like 0:20mbit,20:5mbit")
+    parser.add_argument(
+        "--duration", metavar="TIME", help="length of the run, like 5min (default: the trace's, at least 60s)"
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of phases and losses (default %(default)s)")
+    parser.add_argument(
+        "--actuation",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="this topic of the configuration crosses towards the robot; may be repeated",
+    )
+    _add_link(parser.add_argument_group("the link, besides its rate"))
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the course, too (needs arpd[plot])")
+    parser.add_argument("--json", action="store_true", help="print JSON, with the course ten times a second")
+    parser.set_defaults(handler=_simulate)
+
+
+def _add_link(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--loss", metavar="SHARE", help="of packets lost, 0..1, besides the trace's (default 0)")
+    group.add_argument("--delay", metavar="TIME", help="one way, without a queue (default 2ms)")
+    group.add_argument("--queue", metavar="SIZE", help="queue in front of the link (default 256kB)")
+    group.add_argument("--packet-overhead", metavar="TIME", help="link time a transmission costs besides its bytes")
+    group.add_argument("--aggregate", metavar="N", help="packets that may share a transmission (default 1)")
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from arpd.cli.plot import drawing, refuse_all_but_png, writing
+
+    if options.plot is not None:
+        refuse_all_but_png(options.plot)
+    draw = None if options.plot is None else drawing("arpd.cli.comparison_plot", "draw_comparison")
+    asked = _understand(options)
+
+    from arpd.cli.comparison import comparison_document, comparison_tables
+    from arpd.cli.progress import progress
+    from arpd.daemon.compare import compare
+    from arpd.model.quantities import format_duration
+
+    with progress(f"simulating {format_duration(asked.duration_s)} three ways", total=3) as shown:
+        comparison = compare(
+            asked.settings,
+            asked.trace.rates,
+            asked.duration_s,
+            seed=asked.seed,
+            model=asked.model,
+            topics=asked.robot,
+            on_way=shown.step,
+        )
+    if options.json:
+        print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
+    else:
+        print(comparison_tables(asked, comparison))
+    if draw:
+        with writing(options.plot):
+            draw(comparison, title=asked.trace.name, path=options.plot)
+    return 0
+
+
+def _understand(options: argparse.Namespace) -> Asked:
+    from arpd.adapters.config.load import load_settings
+    from arpd.adapters.sim.robot import DEMO_TOPICS, configured_topics
+
+    model = _model(options)
+    trace, duration_s = _trace(options)
+    settings = load_settings(options.config, interfaces=None)  # it may be another computer's
+    configured = configured_topics(settings, actuation=options.actuation)
+    known = {topic.prefix + topic.name for topic in configured}
+    for name in options.actuation:
+        if name not in known:
+            raise UsageError(
+                f"--actuation {name}: {options.config} does not say what it publishes; "
+                f"give it payload and source_rate_hz under topics"
+            )
+    from dataclasses import replace
+
+    return Asked(
+        config=options.config,
+        settings=settings,
+        trace=trace,
+        duration_s=duration_s,
+        seed=options.seed,
+        model=replace(model, losses=trace.losses),
+        robot=configured or DEMO_TOPICS,
+        is_demo=not configured,
+    )
+
+
+def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
+    """Return the trace, as long as it takes, and the length of the run (s)."""
+    from arpd.adapters.config.yaml_source import printable
+    from arpd.adapters.sim.schedule import RateSchedule
+    from arpd.adapters.sim.trace import LinkTrace, read_trace
+
+    asked_s = None if options.duration is None else _quantity("duration", options.duration, "duration", _MOST_S)
+    if asked_s is not None and asked_s < _LEAST_S:
+        raise UsageError(f"--duration {options.duration} is too short; the first 10 s are start-up, write 20s or more")
+    if options.trace is not None:
+        trace = read_trace(options.trace)
+    else:
+        try:
+            rates = RateSchedule.parse(options.rate)
+        except ValueError as error:
+            raise UsageError(f"--rate: {error}") from None
+        name = printable(options.rate)
+        trace = LinkTrace(name=name, rates=rates, losses=(), duration_s=rates.duration_s)
+    duration_s = asked_s or min(_MOST_S, max(_DEFAULT_S, trace.duration_s))
+    return trace.lasting(duration_s + _DRAIN_S), duration_s
+
+
+def _model(options: argparse.Namespace) -> LinkModel:
+    from arpd.adapters.sim.link import LinkModel
+
+    default = LinkModel()
+    delay, queue, overhead = options.delay, options.queue, options.packet_overhead
+    return LinkModel(
+        loss=_number("--loss", options.loss or "0", float, (0.0, 1.0)),
+        delay_s=default.delay_s if delay is None else _quantity("delay", delay, "duration", _MOST_DELAY_S),
+        queue_bytes=default.queue_bytes if queue is None else int(_quantity("queue", queue, "size", _MOST_QUEUE_BYTES)),
+        packet_overhead_s=(
+            0.0 if overhead is None else _quantity("packet-overhead", overhead, "duration", _MOST_OVERHEAD_S)
+        ),
+        aggregate_packets=int(_number("--aggregate", options.aggregate or "1", int, (1, _MOST_AGGREGATE))),
+    )
+
+
+def _quantity(option: str, text: str, kind: str, most: float) -> float:
+    from arpd.model.quantities import parse_duration, parse_size, spell_duration, spell_size
+
+    parse, spell = (parse_size, spell_size) if kind == "size" else (parse_duration, spell_duration)
+    try:
+        value = parse(text)
+    except ValueError as error:
+        raise UsageError(f"--{option}: {error}") from None
+    if value > most:
+        raise UsageError(f"--{option}: {text} is out of range; write at most {spell(most)}")
+    return value
+
+
+def _number(option: str, text: str, kind: type[float], bounds: tuple[float, float]) -> float:
+    from arpd.adapters.config.yaml_source import printable
+
+    low, high = bounds
+    try:
+        value = kind(text)
+    except ValueError:
+        value = None
+    if value is None or not low <= value <= high:
+        raise UsageError(f"{option} '{printable(text)}' is not a number from {low:g} to {high:g}")
+    return value

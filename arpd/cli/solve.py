@@ -1,0 +1,162 @@
+"""`arpd solve`: the published program, Eq. (4), for given numbers, or arpd's own for a configuration's topics."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.model.errors import ArpdError, UsageError
+from arpd.model.settings import Backend
+
+if TYPE_CHECKING:
+    from arpd.solve.eq4 import Eq4Problem, Eq4Solution
+
+_PAPER = ("rmax", "sensing", "actuation", "rmin", "dmin", "dmax")
+_PAPER_NEEDS = ("rmax", "sensing", "actuation")
+_OFFLINE = ("config", "capacity", "sweep", "status", "points", "plot")
+_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity or --sweep (your topics)"
+
+
+def add_solve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "solve",
+        help="solve the published program, or plan your topics offline to tune their weights",
+        description="""\
+Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
+share, checked against the exact vertex in rational arithmetic. Exits 1 when the constraints cannot be met.
+
+    max R + D    subject to    Rmax/N - R >= Rmin                            (2)
+                               Dmax*R/Rmax - D >= Dmin                       (3)
+                               Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
+
+With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or over a range of
+capacities. What a topic publishes comes from its payload and source_rate_hz in the file, or from what a running daemon
+measured (--status). Needs neither ROS nor a daemon.""",
+        epilog="""\
+examples:
+  arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
+  arpd solve --rmax 1000 --sensing 11 --actuation 1 --backend exact --json
+  arpd solve --rmax 100 --sensing 80 --actuation 1            infeasible: too many topics
+
+  arpd solve --config robot.yaml --capacity 5mbit             rate, DEADLINE and DEPTH of every topic
+  arpd solve --config robot.yaml --sweep 0.5mbit:54mbit       how the rates move with the link
+  arpd solve --config robot.yaml --sweep 0.5mbit:54mbit --plot sweep.png
+  arpd status --json > robot.json && arpd solve --config new.yaml --status robot.json --capacity 5mbit
+
+what a rate or depth is bound by:
+  desired   it has what it asked for: max_rate_hz, or all that its source publishes
+  link      it would use more of the link; weight decides who gets how much
+  floor     min_rate_hz or min_depth keeps it up
+  latency   latency_budget: a deeper history would only be staler
+  max       max_depth            memory    program.memory_budget""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_paper(parser.add_argument_group("the paper's program"))
+    _add_offline(parser.add_argument_group("your topics, offline"))
+    parser.add_argument(
+        "--backend",
+        choices=[str(backend) for backend in Backend],
+        help="solver (default osqp, or the configuration's)",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(handler=_solve)
+
+
+def _add_paper(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--rmax", type=float, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
+    group.add_argument("--sensing", type=int, metavar="N", help="topics from the robot, SPt")
+    group.add_argument("--actuation", type=int, metavar="N", help="topics to the robot, PAAt")
+    group.add_argument("--rmin", type=float, metavar="HZ", help="Rmin (Hz, default 1)")
+    group.add_argument("--dmin", type=int, metavar="N", help="Dmin (samples, default 1)")
+    group.add_argument("--dmax", type=int, metavar="N", help="Dmax (samples, default 5000)")
+
+
+def _add_offline(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
+    group.add_argument("--capacity", metavar="RATE", help="plan for a link that carries so much, like 5mbit")
+    group.add_argument("--sweep", metavar="LOW:HIGH", help="plan for capacities between two, like 0.5mbit:54mbit")
+    group.add_argument(
+        "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
+    )
+    group.add_argument("--points", type=int, metavar="N", help="capacities in the sweep's table (default 8)")
+    group.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the sweep, too (needs arpd[plot])")
+
+
+def _solve(options: argparse.Namespace) -> int:
+    paper = [name for name in _PAPER if getattr(options, name) is not None]
+    offline = [name for name in _OFFLINE if getattr(options, name) is not None]
+    if paper and offline:
+        raise UsageError(f"--{paper[0]} and --{offline[0]} do not go together; give {_BOTH_MODES}")
+    if not paper and not offline:
+        raise UsageError(f"nothing to solve; give {_BOTH_MODES}")
+    if not offline:
+        return _solve_paper(options)
+    if options.config is None:
+        raise UsageError(f"--{offline[0]} needs --config FILE, whose topics are planned")
+    from arpd.cli.solve_allocation import solve_allocation
+
+    return solve_allocation(options)
+
+
+class _InfeasibleError(ArpdError):
+    """The constraints cannot be met together."""
+
+
+def _solve_paper(options: argparse.Namespace) -> int:
+    from arpd.solve.eq4 import Eq4Status, solve_eq4
+
+    problem = _problem(options)
+    backend = Backend(options.backend or Backend.OSQP)
+    try:
+        solution = solve_eq4(problem, backend)
+    except ImportError as error:
+        raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
+    infeasible = solution.status is Eq4Status.INFEASIBLE
+    if options.json:
+        print(json.dumps(asdict(solution), indent=2))
+        return 1 if infeasible else 0
+    if infeasible:
+        raise _InfeasibleError(f"infeasible: {solution.binding}")
+    print(_table(problem, solution))
+    if not solution.agreed:
+        print(f"arpd: {backend} gave no correct answer; this one is exact's", file=sys.stderr)
+    return 0
+
+
+def _problem(options: argparse.Namespace) -> Eq4Problem:
+    from arpd.solve.eq4 import Eq4Problem
+
+    missing = [f"--{name}" for name in _PAPER_NEEDS if getattr(options, name) is None]
+    if missing:
+        raise UsageError(f"the paper's program needs {' and '.join(missing)}, too; give {_BOTH_MODES}")
+    for name, count in (("--sensing", options.sensing), ("--actuation", options.actuation)):
+        if count < 0:
+            raise UsageError(f"{name} {count} is below 0; count the topics")
+    try:
+        return Eq4Problem(
+            max_rate_hz=options.rmax,
+            topics=options.sensing + options.actuation,
+            min_rate_hz=1.0 if options.rmin is None else options.rmin,
+            min_depth=1 if options.dmin is None else options.dmin,
+            max_depth=5000 if options.dmax is None else options.dmax,
+        )
+    except (ValueError, OverflowError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _table(problem: Eq4Problem, solution: Eq4Solution) -> str:
+    return f"""\
+{problem.topics} topics share Rmax {problem.max_rate_hz:g} Hz: publish each at {solution.rate_hz_floor} Hz \
+with a history of {solution.depth_floor} samples.
+
+              optimum   published      applied
+  rate    {solution.rate_hz:11.3f} {solution.rate_hz_floor:11d}  {1e9 / solution.deadline_ns:11.3f} Hz
+  depth   {solution.depth:11.3f} {solution.depth_floor:11d}  {solution.depth_applied:11d} samples
+  DEADLINE {"":22}  {solution.deadline_ns:11d} ns
+
+binding: {solution.binding}; solved by {solution.backend}"""

@@ -1,0 +1,194 @@
+"""`arpd solve --config`: what the daemon would plan for a configuration's topics, offline, to tune weights with."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.config.yaml_source import Fault, Place, config_error, printable
+from arpd.cli.plot import drawing, refuse_all_but_png, writing
+from arpd.cli.status_file import read_status
+from arpd.govern.what_if import OfflinePlanner, spread
+from arpd.model.errors import ArpdError, UsageError
+from arpd.model.quantities import parse_rate
+from arpd.model.settings import Backend
+from arpd.solve.topics import assumed_traffic, measured_traffic
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from arpd.govern.what_if import OfflinePlan, PlannedTopic
+    from arpd.model.publishers import PublisherState
+    from arpd.model.settings import Settings
+    from arpd.solve.topics import Traffic
+
+DEFAULT_POINTS = 8  # as many columns as fit a terminal
+_MOST_POINTS = 1000
+_PLOT_POINTS = 200
+_FASTEST = "100gbit"  # as in the configuration
+_EXAMPLE = "topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Demand:
+    """What there is to plan for.
+
+    Parameters
+    ----------
+    traffic : one entry per topic, measured where the status has it, else as the configuration assumes
+    publishers : what the status file lists
+    left_out : topics that are named somewhere, but nothing says what they bring
+    """
+
+    traffic: tuple[Traffic, ...]
+    publishers: tuple[PublisherState, ...]
+    left_out: tuple[str, ...]
+
+
+def solve_allocation(options: argparse.Namespace) -> int:
+    """Run ``arpd solve --config`` with exactly one of ``--capacity`` and ``--sweep``."""
+    capacities = _capacities(options)
+    draw = drawing("arpd.cli.sweep_plot", "draw_sweep") if options.plot else None
+    settings = load_settings(options.config, interfaces=None)  # it may be another computer's
+    demand = _demand(settings, options)
+    backend = Backend(options.backend) if options.backend else settings.program.backend
+    try:
+        planner = OfflinePlanner(settings, demand.traffic, publishers=demand.publishers, backend=backend)
+    except ImportError as error:
+        raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
+    plans = [planner.plan(capacity) for capacity in capacities]
+    if options.json:
+        documents = [_document(plan, settings, demand.left_out) for plan in plans]
+        print(json.dumps(documents if options.sweep else documents[0], indent=2))
+    else:
+        _print_table(plans, settings, is_sweep=options.sweep is not None)
+    if demand.left_out:
+        print(_note(demand.left_out, options), file=sys.stderr)
+    if draw:
+        dense = [planner.plan(capacity) for capacity in spread(capacities[0], capacities[-1], _PLOT_POINTS)]
+        with writing(options.plot):
+            draw(dense, headroom=settings.link.headroom, path=options.plot)
+    return 0
+
+
+def _capacities(options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the capacities asked for, after checking what belongs to them (bytes/s)."""
+    if (options.capacity is None) == (options.sweep is None):
+        raise UsageError("--config needs one of --capacity RATE (5mbit) and --sweep LOW:HIGH (0.5mbit:54mbit)")
+    if options.sweep is None:
+        for name in ("points", "plot"):
+            if getattr(options, name) is not None:
+                raise UsageError(f"--{name} belongs to --sweep; write --sweep 0.5mbit:54mbit instead of --capacity")
+        return (_rate("--capacity", options.capacity),)
+    points = DEFAULT_POINTS if options.points is None else options.points
+    if not 2 <= points <= _MOST_POINTS:
+        raise UsageError(f"--points {points} is not 2..{_MOST_POINTS}; both ends of the sweep are among them")
+    if options.plot is not None:
+        refuse_all_but_png(options.plot)
+    return spread(*_ends(options.sweep), points)
+
+
+def _ends(text: str) -> tuple[float, float]:
+    parts = text.split(":")
+    if len(parts) != 2:
+        raise UsageError(f"--sweep '{printable(text)}' is not LOW:HIGH; write it like 0.5mbit:54mbit")
+    low, high = (_rate("--sweep", part) for part in parts)
+    if not 0 < low < high:
+        raise UsageError(f"--sweep '{printable(text)}' does not rise from above 0; write it like 0.5mbit:54mbit")
+    return low, high
+
+
+def _rate(option: str, text: str) -> float:
+    try:
+        rate = parse_rate(text)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None
+    if rate > parse_rate(_FASTEST):
+        raise UsageError(f"{option}: '{printable(text)}' is out of range; write at most {_FASTEST}")
+    return rate
+
+
+def _demand(settings: Settings, options: argparse.Namespace) -> _Demand:
+    publishers = () if options.status is None else read_status(options.status)
+    # What was measured beats what is assumed; both are sorted by the planner.
+    traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
+    if not traffic:
+        raise _nothing_to_plan(options.config, options.status)
+    relayed = (settings.relay.prefix + name for name in settings.relay.topics)
+    named = {*settings.topics, *relayed, *(publisher.topic for publisher in publishers)}
+    return _Demand(
+        traffic=tuple(traffic.values()), publishers=publishers, left_out=tuple(sorted(named - traffic.keys()))
+    )
+
+
+def _nothing_to_plan(config: Path, status: Path | None) -> ArpdError:
+    wrong = "no topic has a payload and a source_rate_hz"
+    if status is None:
+        right = (
+            f"write `{_EXAMPLE}`, or take both from a robot: arpd status --json > robot.json, then --status robot.json"
+        )
+    else:
+        wrong += f", and {printable(str(status), longest=4096)} has none that publishes across the link"
+        right = f"write `{_EXAMPLE}`, or save the status while the robot publishes"
+    return config_error(config, [Fault(place=Place(), key="topics", text=f"{wrong}; {right}")])
+
+
+def _note(left_out: Sequence[str], options: argparse.Namespace) -> str:
+    names = ", ".join(printable(name, longest=250) for name in left_out)
+    wrong = f"{options.config} does not say both their payload and their source_rate_hz"
+    if options.status is None:
+        return f"arpd: left out: {names}; {wrong} (or measure them: --status)"
+    return f"arpd: left out: {names}; {options.status} has no traffic of theirs across the link, and {wrong}"
+
+
+def _print_table(plans: Sequence[OfflinePlan], settings: Settings, *, is_sweep: bool) -> None:
+    from arpd.cli.solve_tables import sweep_table, topic_table
+
+    print(sweep_table(plans, settings) if is_sweep else topic_table(plans[0], settings))
+
+
+def _document(plan: OfflinePlan, settings: Settings, left_out: Sequence[str]) -> dict[str, Any]:
+    """Return the plan for one capacity as JSON; ``null`` is a DEADLINE that is infinite."""
+    allocation = plan.allocation
+    return {
+        "capacity_bytes_per_second": plan.capacity_bytes_per_second,
+        "headroom": settings.link.headroom,
+        "level_bytes_per_second": allocation.capacity_bytes_per_second,
+        "status": str(allocation.status),
+        "binding": str(allocation.binding),
+        "degradation": allocation.degradation,
+        "backend": str(allocation.backend),
+        "share": plan.link_share,
+        "memory_bytes": plan.memory_bytes,
+        "memory_budget_bytes": settings.program.memory_budget_bytes,
+        "topics": [_topic(row) for row in plan.topics],
+        "left_out": list(left_out),
+    }
+
+
+def _topic(row: PlannedTopic) -> dict[str, Any]:
+    traffic, topic, allocation = row.traffic, row.topic, row.allocation
+    return {
+        "topic": topic.name,
+        "weight": topic.weight,
+        "payload_bytes": traffic.payload_bytes,
+        "source_rate_hz": traffic.source_rate_hz,
+        "copies": traffic.copies,
+        "wire_bytes": topic.wire_bytes,
+        "max_rate_hz": allocation.max_rate_hz,
+        "min_rate_hz": topic.min_rate_hz,
+        "desired_rate_hz": topic.desired_rate_hz,
+        "rate_hz": row.rate_hz,
+        "optimal_rate_hz": allocation.rate_hz,
+        "share": allocation.share,
+        "deadline_ns": row.qos.deadline_ns or None,
+        "depth": row.qos.depth,
+        "optimal_depth": allocation.depth,
+        "rate_binding": str(allocation.binding),
+        "depth_binding": str(allocation.depth_binding),
+    }

@@ -1,0 +1,136 @@
+"""The tables of `arpd solve --config`: every topic at one capacity, or its rate over several."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from arpd.cli.columns import aligned, figures, short_name
+from arpd.model.quantities import format_rate, format_size
+from arpd.model.values import AllocationStatus, Binding
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from arpd.govern.what_if import OfflinePlan, PlannedTopic
+    from arpd.model.settings import Settings
+
+_COLUMNS = 8  # capacities side by side in as wide a line
+_COLUMN = " " * 7  # as wide as the words in it
+_WORDS = {
+    Binding.DESIRED_RATE: "desired",
+    Binding.LATENCY_BUDGET: "latency",
+    Binding.MAX_DEPTH: "max",
+}
+_HAS_WISH, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
+_LEGEND = (
+    f"{_HAS_WISH} has all it desires    {_AT_FLOOR} at its floor    {_BELOW_FLOOR} below its floor    paused: no rate"
+)
+
+
+def topic_table(plan: OfflinePlan, settings: Settings) -> str:
+    """Lay out what each topic asks for and is given at one capacity, and what holds it back."""
+    allocation, rows = plan.allocation, plan.topics
+    used, budget = format_size(plan.memory_bytes), format_size(settings.program.memory_budget_bytes)
+    head = [
+        f"link     {_link(format_rate(plan.capacity_bytes_per_second), settings, len(rows))}",
+        f"program  {allocation.status}, bound by {_word(allocation.binding)}, solved by {allocation.backend}",
+        *([f"         gave way: {allocation.degradation}"] if allocation.degradation else []),
+        f"memory   {used} of {budget} when every history is full",
+    ]
+    titles = (
+        ("", "", "payload", "Rmax", "floor", "desired", "rate", "rate", "link", "DEADLINE", "DEPTH", "bound by", ""),
+        ("topic", "weight", "B", "Hz", "Hz", "Hz", "Hz", "%", "%", "ms", "", "rate", "depth"),
+    )
+    total = (
+        *(f"total of {len(rows)}", "", "", "", ""),
+        figures(sum(row.topic.desired_rate_hz for row in rows)),
+        figures(sum(row.rate_hz for row in rows)),
+        *("", f"{plan.link_share:.1%}".rstrip("%"), ""),
+        *(str(sum(row.qos.depth for row in rows)), "", ""),
+    )
+    return "\n".join([*head, "", *aligned([*titles, *map(_topic_cells, rows), total], words=2)])
+
+
+def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
+    """Lay out how each topic's rate moves with the capacity, as many capacities in a line as fit."""
+    low, high = (format_rate(plan.capacity_bytes_per_second) for plan in (plans[0], plans[-1]))
+    lines = [f"link     {_link(f'{low} to {high}', settings, len(plans[0].topics))}"]
+    for start in range(0, len(plans), _COLUMNS):
+        lines += ["", *_sweep_block(plans[start : start + _COLUMNS])]
+    lines += ["", _LEGEND]
+    degraded = [plan for plan in plans if plan.allocation.degradation]
+    if degraded:
+        lines += ["", "what gave way", *aligned([_degraded_cells(plan) for plan in degraded], words=1)]
+    return "\n".join(lines)
+
+
+def _link(capacity: str, settings: Settings, topics: int) -> str:
+    planned = f"{100 * settings.link.headroom:.4g}%"
+    return f"{capacity}, of which {planned} may be planned for {topics} topic{'s' if topics != 1 else ''}"
+
+
+def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:
+    topic, allocation = row.topic, row.allocation
+    return (
+        short_name(topic.name),
+        f"{topic.weight:g}",
+        figures(row.traffic.payload_bytes),
+        figures(allocation.max_rate_hz),
+        figures(topic.min_rate_hz),
+        figures(topic.desired_rate_hz),
+        figures(row.rate_hz) if row.rate_hz else "paused",
+        f"{row.rate_hz / topic.desired_rate_hz:.0%}".rstrip("%") if topic.desired_rate_hz else "-",
+        f"{allocation.share:.1%}".rstrip("%"),
+        figures(row.qos.deadline_ns * 1e-6) if row.qos.deadline_ns else "none",
+        str(row.qos.depth),
+        _word(allocation.binding),
+        _word(allocation.depth_binding),
+    )
+
+
+def _sweep_block(plans: Sequence[OfflinePlan]) -> list[str]:
+    def foot(title: str, cell: Callable[[OfflinePlan], str]) -> tuple[str, ...]:
+        return (title, "", "", "", *(cell(plan) for plan in plans))
+
+    rows: list[tuple[str, ...]] = [
+        ("", "", "floor", "desired", *(_COLUMN for _ in plans)),
+        ("topic", "weight", "Hz", "Hz", *(f"{_short_rate(plan.capacity_bytes_per_second)} " for plan in plans)),
+    ]
+    for same in zip(*(plan.topics for plan in plans), strict=True):
+        topic = same[0].topic
+        wishes = (f"{topic.weight:g}", figures(topic.min_rate_hz), figures(topic.desired_rate_hz))
+        rows.append((short_name(topic.name), *wishes, *map(_sweep_cell, same)))
+    rows += [
+        foot("link used, %", lambda plan: f"{plan.link_share:.1%}".replace("%", " ")),
+        foot("bound by", lambda plan: _word(plan.allocation.binding)),
+        foot("degraded", lambda plan: "yes " if plan.allocation.status is AllocationStatus.DEGRADED else "- "),
+    ]
+    title, *lines = aligned(rows, words=0)
+    return [f"{title}   rate (Hz) at a capacity (bit/s) of", *lines]
+
+
+def _sweep_cell(row: PlannedTopic) -> str:
+    if not row.rate_hz:
+        return "paused"
+    if row.has_its_wish:
+        mark = _HAS_WISH
+    elif row.is_below_floor:
+        mark = _BELOW_FLOOR
+    else:
+        mark = _AT_FLOOR if row.is_at_floor else " "
+    return f"{figures(row.rate_hz, digits=3)}{mark}"
+
+
+def _degraded_cells(plan: OfflinePlan) -> tuple[str, str]:
+    return f"  {_short_rate(plan.capacity_bytes_per_second)}", plan.allocation.degradation
+
+
+def _word(binding: Binding) -> str:
+    return _WORDS.get(binding, str(binding))
+
+
+def _short_rate(bytes_per_second: float) -> str:
+    """Write a capacity for the head of a column: ``500k``, ``1.91M`` bit/s."""
+    number, unit = format_rate(bytes_per_second).split()
+    shown = number.rstrip("0").rstrip(".") if "." in number else number
+    return shown + unit.removesuffix("bit/s")

@@ -1,0 +1,100 @@
+"""A saved status document (`arpd status --json > robot.json`) as publishers: what a running daemon measured."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from arpd.adapters.config.yaml_source import printable
+from arpd.model.errors import ArpdError, UsageError
+from arpd.model.publishers import PublisherState
+from arpd.model.values import Direction
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MAX_BYTES = 16 * 2**20
+_HIGHEST = 1e12  # beyond any payload (bytes), rate (Hz) or period (ns) there is; keeps nonsense finite
+_DIRECTIONS = tuple(str(direction) for direction in Direction)
+
+
+def read_status(path: Path) -> tuple[PublisherState, ...]:
+    """Return the publishers a status document lists, with what was measured of each; the rest is neutral.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read.
+    ArpdError
+        If it is not a status document of a daemon that was ready.
+    """
+    try:
+        document = json.loads(_text(path))
+    except (ValueError, RecursionError):  # ValueError: not JSON, not UTF-8, or a number too long to convert
+        raise _refused(path, "is not JSON") from None
+    if not isinstance(document, dict) or "api_version" not in document:
+        raise _refused(path, "is not a status of arpd")
+    rows = document.get("topics")
+    if rows is None:
+        raise _refused(path, "was saved before the daemon was ready")
+    if not isinstance(rows, list):
+        raise _refused(path, "topics: is not a list")
+    return tuple(_publisher(row, f"topics[{index}]", path) for index, row in enumerate(rows))
+
+
+def _text(path: Path) -> bytes:
+    name = printable(str(path), longest=4096)
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"--status {name} cannot be read ({reason}); save it with arpd status --json > FILE") from None
+    if not text:
+        raise _refused(path, "is empty")
+    if len(text) > _MAX_BYTES:
+        raise _refused(path, "is larger than 16 MiB")
+    return text
+
+
+def _publisher(row: Any, where: str, path: Path) -> PublisherState:
+    if not isinstance(row, dict):
+        raise _refused(path, f"{where}: is not a publisher")
+
+    def text(key: str) -> str:
+        value = row.get(key)
+        if not isinstance(value, str):
+            raise _refused(path, f"{where}.{key}: {_shown(value)} is not text")
+        return value
+
+    def number(key: str) -> float:
+        value = row.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= _HIGHEST:
+            raise _refused(path, f"{where}.{key}: {_shown(value)} is not a number of 0 to {_HIGHEST:g}")
+        return float(value)
+
+    direction = text("direction")
+    if direction not in _DIRECTIONS:
+        raise _refused(path, f"{where}.direction: {_shown(direction)} is none of {', '.join(_DIRECTIONS)}")
+    return PublisherState(
+        node=text("node"),
+        topic=text("topic"),
+        type_name="",
+        direction=Direction(direction),
+        payload_bytes=number("payload_bytes"),
+        source_rate_hz=number("source_rate_hz"),
+        remote_readers=int(number("remote_readers")),
+        requested_deadline_ns=0 if row.get("requested_deadline_ns") is None else int(number("requested_deadline_ns")),
+        # What the robot ran with when the file was saved is no part of what it would be given now.
+        depth=1,
+        baseline_depth=1,
+    )
+
+
+def _shown(value: Any) -> str:
+    return printable(json.dumps(value))
+
+
+def _refused(path: Path, wrong: str) -> ArpdError:
+    name = printable(str(path), longest=4096)
+    return ArpdError(f"{name}: {wrong}; save it on the robot with arpd status --json > {name}")

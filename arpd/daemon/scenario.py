@@ -1,0 +1,319 @@
+"""The whole of arpd against a robot in virtual time: the daemon's own tick, no ROS, no waiting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from random import Random
+from typing import TYPE_CHECKING
+
+from arpd.adapters.sim.baselines import Truth
+from arpd.adapters.sim.link import LinkModel, SimulatedLink
+from arpd.adapters.sim.robot import DEMO_TOPICS, PREFIX, SimulatedPublisher, Source
+from arpd.adapters.sim.service import Service
+from arpd.adapters.sim.timeline import Alarm, Timeline
+from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
+from arpd.adapters.sim.writer import Route
+from arpd.daemon.tick import TICK_S, Daemon
+from arpd.model.settings import RelaySettings, Settings, TopicSettings
+from arpd.model.values import Direction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeAlias
+
+    from arpd.adapters.sim.foreign import ForeignFlow
+    from arpd.adapters.sim.result import TopicResult
+    from arpd.adapters.sim.robot import SimTopic
+    from arpd.adapters.sim.schedule import RateSchedule
+    from arpd.daemon.world import CapacityEstimator
+    from arpd.model.values import LinkState
+
+    EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
+
+_RUN_STARTS_S = 1000.0  # an uptime like any other; run time is counted from here
+_LEAD_S = 3.0  # daemon, relay and peer are up this long before the sensors publish
+_DRAIN_S = 4.0  # as in the real demo: late samples still count as delivered
+_AGE_S = 0.05
+_SHOW_S = 0.1
+_UNIX_S = 1.7e9
+_PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
+_ARPD_HEARTBEAT_S = 0.05  # arpd/adapters/ros/fastdds.xml
+_RELAY_HOP_S = 0.0005
+_ON_HOST_S = 0.001
+_LEAST_PAUSE_S = 0.02  # as in arpd.daemon.supervisor
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Moment:
+    """What was true and what was believed, ten times a second; beliefs are None without arpd.
+
+    Parameters
+    ----------
+    t_s : run time (s)
+    truth_bytes_per_second : rate of the link until the next moment, in the mean (bytes/s)
+    queue_delay_s : what a packet sent now would wait on the robot's side (s)
+    estimate_bytes_per_second : the estimator's capacity (bytes/s)
+    foreign_bytes_per_second : the estimator's foreign traffic (bytes/s)
+    level_bytes_per_second : what the plan in force was made for (bytes/s)
+    packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
+    gate, generation : gate in force, generation of the plan
+    planned, confirmed : publishers in the plan, and those that announce it
+    cause : why the plan changed since the last moment, empty if it did not
+    delivered_bytes : payload that has reached its readers across the link so far, from the robot (bytes)
+    probe_bytes, report_bytes : what measuring has put on the link so far, there and back (wire bytes)
+    swaps : writers made to take another's place so far, all topics together
+    """
+
+    t_s: float
+    truth_bytes_per_second: float
+    queue_delay_s: float
+    estimate_bytes_per_second: float | None = None
+    foreign_bytes_per_second: float | None = None
+    level_bytes_per_second: float | None = None
+    packet_overhead_s: float | None = None
+    state: LinkState | None = None
+    gate: float = 1.0
+    generation: int = 0
+    planned: int = 0
+    confirmed: int = 0
+    cause: str = ""
+    delivered_bytes: int = 0
+    probe_bytes: int = 0
+    report_bytes: int = 0
+    swaps: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScenarioResult:
+    """One run: figures per topic, and the course of the link and of arpd's beliefs."""
+
+    topics: tuple[TopicResult, ...]
+    moments: tuple[Moment, ...]
+
+    @property
+    def plans(self) -> tuple[Moment, ...]:
+        """The moments at which a new plan was made."""
+        return tuple(moment for moment in self.moments if moment.cause)
+
+
+def demo_settings() -> Settings:
+    """Return the demo robot's configuration, as in scripts/robot/arpd.yaml."""
+    return Settings(
+        relay=RelaySettings(
+            topics=tuple(topic.name for topic in DEMO_TOPICS if topic.direction is Direction.SENSING), prefix=PREFIX
+        ),
+        topics={
+            "/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=20.0),
+            f"{PREFIX}/imu": TopicSettings(weight=4.0, min_rate_hz=50.0),
+            f"{PREFIX}/odom": TopicSettings(weight=4.0, min_rate_hz=20.0),
+        },
+    )
+
+
+def run(
+    settings: Settings,
+    schedule: RateSchedule,
+    duration_s: float,
+    *,
+    seed: int,
+    managed: bool,
+    model: LinkModel | None = None,
+    foreign: tuple[ForeignFlow, ...] = (),
+    topics: tuple[SimTopic, ...] = DEMO_TOPICS,
+    make_estimator: EstimatorMaker | None = None,
+) -> ScenarioResult:
+    """Let a robot work for ``duration_s`` of virtual time.
+
+    Parameters
+    ----------
+    settings : configuration of arpd; without arpd nothing reads it
+    schedule : rate of the link over run time, both directions
+    seed : of phases, jitter and losses; the same seed gives the same result
+    managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
+    model : delay, queue, loss and outages of the link
+    foreign : what else goes from the robot over the link
+    topics : what the robot publishes; the demo robot's by default
+    make_estimator : makes what tells arpd the capacity, out of what tells the truth; arpd's own by default
+    """
+    plant = _Plant(schedule, duration_s, seed=seed, model=model or LinkModel(), foreign=foreign, topics=topics)
+    return _managed(plant, settings, make_estimator) if managed else _plain(plant)
+
+
+class _Plant:
+    """Links, publishers and sources of one run, and the course of what is measured."""
+
+    def __init__(
+        self,
+        schedule: RateSchedule,
+        duration_s: float,
+        *,
+        seed: int,
+        model: LinkModel,
+        foreign: tuple[ForeignFlow, ...],
+        topics: tuple[SimTopic, ...],
+    ) -> None:
+        self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
+        self._service = Service(schedule, 0.0)
+        self._model = model
+        self._foreign = foreign
+        self._topics = topics
+        self.end_s = _RUN_STARTS_S + duration_s
+        self._seed = seed
+        self.up, self.down = (
+            SimulatedLink(
+                self.timeline, schedule, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}")
+            )
+            for name in ("up", "down")
+        )
+        for flow in foreign:
+            flow.play(self.timeline, self.up, origin_s=_RUN_STARTS_S)
+        self.publishers: list[SimulatedPublisher] = []
+        self.moments: list[Moment] = []
+
+    def random(self, purpose: str) -> Random:
+        """Make a source of randomness of its own for every part, so that one does not disturb another."""
+        return Random(f"{self._seed} {purpose}")  # noqa: S311 - a repeatable run, not a secret
+
+    def populate(self, *, managed: bool) -> None:
+        """Make a publisher and a source per topic; with arpd, some cross the link under the relay's name."""
+        for topic in self._topics:
+            sensing = topic.direction is Direction.SENSING
+            there, back = (self.up, self.down) if sensing else (self.down, self.up)
+            relayed = managed and bool(topic.prefix)
+            publisher = SimulatedPublisher(
+                Route(timeline=self.timeline, there=there, back=back),
+                topic,
+                name=topic.prefix + topic.name if relayed else topic.name,
+                node=RELAY if sensing else PLANNER,
+                heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
+                ingress_s=_RELAY_HOP_S if relayed else 0.0,
+            )
+            self.publishers.append(publisher)
+            Source(
+                self.timeline,
+                publisher.publish,
+                rate_hz=topic.rate_hz,
+                start_s=_RUN_STARTS_S,
+                end_s=self.end_s,
+                random=self.random(topic.name),
+            )
+        self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
+
+    def truth(self) -> Truth:
+        """Say what is true of the link now."""
+        run_s = max(0.0, self.timeline.now_s - _RUN_STARTS_S)
+        rate = self._mean_rate(run_s, TICK_S)
+        return Truth(
+            capacity_bytes_per_second=rate,
+            queue_delay_s=self.up.queue_delay_s,
+            foreign_bytes_per_second=sum(
+                flow.rate_bytes_per_second for flow in self._foreign if flow.start_s <= run_s < flow.end_s
+            ),
+            # On a busy link aggregates are full.
+            packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
+            is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
+        )
+
+    def finish(self, show: Callable[[Moment], Moment]) -> ScenarioResult:
+        """Run to the end, noting a moment ten times a second."""
+        self.timeline.every(_SHOW_S, partial(self._show, show), first_s=_RUN_STARTS_S)
+        self.timeline.run_until(self.end_s + _DRAIN_S)
+        return ScenarioResult(
+            topics=tuple(publisher.result() for publisher in self.publishers), moments=tuple(self.moments)
+        )
+
+    def _mean_rate(self, start_s: float, span_s: float) -> float:
+        """Return the rate over a span of run time; a recorded one changes faster than anybody looks (bytes/s)."""
+        return (self._service.by(start_s + span_s) - self._service.by(start_s)) / span_s
+
+    def _sample_ages(self) -> None:
+        if self.timeline.now_s < self.end_s:
+            for publisher in self.publishers:
+                publisher.arrivals.on_age(self.timeline.now_s)
+
+    def _show(self, show: Callable[[Moment], Moment]) -> None:
+        t_s = round(self.timeline.now_s - _RUN_STARTS_S, 6)  # run time people can read
+        if self.timeline.now_s < self.end_s:
+            self.moments.append(
+                show(
+                    Moment(
+                        t_s=t_s,
+                        truth_bytes_per_second=self._mean_rate(t_s, _SHOW_S),
+                        queue_delay_s=self.up.queue_delay_s,
+                        delivered_bytes=sum(
+                            publisher.arrivals.delivered_bytes
+                            for publisher in self.publishers
+                            if publisher.topic.direction is Direction.SENSING
+                        ),
+                        swaps=sum(publisher.swaps for publisher in self.publishers),
+                    )
+                )
+            )
+
+
+def _plain(plant: _Plant) -> ScenarioResult:
+    plant.populate(managed=False)
+    return plant.finish(lambda moment: moment)
+
+
+def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker | None) -> ScenarioResult:
+    plant.populate(managed=True)
+    clock = plant.timeline
+    ticked_s = clock.now_s
+
+    def wake() -> None:
+        alarm.set(min(alarm.when_s, max(clock.now_s + _ON_HOST_S, ticked_s + _LEAST_PAUSE_S)))
+
+    world = SimulatedWorld(
+        clock,
+        up=plant.up,
+        down=plant.down,
+        publishers=plant.publishers,
+        random=plant.random("world"),
+        graph=settings.graph,
+        on_report=wake,
+    )
+    daemon = Daemon(
+        world,
+        settings,
+        interface="sim0",
+        clock=lambda: clock.now_s,
+        wall_clock=lambda: _UNIX_S + clock.now_s,
+        estimator=make_estimator(plant.truth) if make_estimator else None,
+    )
+    causes: list[str] = []
+
+    def tick() -> None:
+        nonlocal ticked_s
+        ticked_s = clock.now_s
+        alarm.set(ticked_s + TICK_S)
+        decision = daemon.tick(clock.now_s)
+        if decision.level_changed:
+            causes.append(decision.reason)
+
+    def show(moment: Moment) -> Moment:
+        snapshot = daemon.snapshot
+        if snapshot is None:
+            return moment
+        cause = ", ".join(causes)
+        causes.clear()
+        return replace(
+            moment,
+            estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
+            foreign_bytes_per_second=snapshot.link.foreign_bytes_per_second,
+            level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
+            packet_overhead_s=snapshot.link.packet_overhead_s,
+            state=snapshot.link.state,
+            gate=snapshot.decision.gate,
+            generation=snapshot.decision.plan.generation,
+            planned=len(snapshot.decision.plan.topics),
+            confirmed=snapshot.confirmed,
+            cause=cause,
+            probe_bytes=world.probes_sent()[1],
+            report_bytes=world.report_bytes,
+        )
+
+    alarm = Alarm(clock, tick)
+    alarm.set(clock.now_s + TICK_S)
+    return plant.finish(show)

@@ -1,0 +1,1 @@
+"""Rmax: the capacity of the link, from counters, receiver reports and probe trains."""

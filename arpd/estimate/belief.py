@@ -1,0 +1,80 @@
+"""What is believed of the link's capacity, since when and why."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from arpd.model.values import CapacityKind
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class EstimatorEvent(StrEnum):
+    """Which rule changed the estimate (DESIGN §5), or that the link fell silent."""
+
+    FIRST = "first"  # the first trains replace what was configured
+    DOWN = "down"  # a queue stands: what is delivered is the capacity
+    UNDO = "undo"  # trains contradict the last fall
+    AGREE = "agree"  # two trains see clearly more
+    CARRIED = "carried"  # clearly more than was believed arrived
+    FOLLOW = "follow"  # a step towards what trains see, either way
+    RESUME = "resume"  # reports came back after an outage
+    OUTAGE = "outage"  # reports ceased
+    LOCAL = "local"  # no peer: the queue of this host's interface said it
+
+
+class Belief:
+    """The capacity that is believed, and what made it so.
+
+    Parameters
+    ----------
+    capacity : what is believed before any evidence (bytes/s)
+    """
+
+    def __init__(self, capacity: float) -> None:
+        self.capacity = capacity
+        self.kind = CapacityKind.CONFIGURED
+        self.changed_at_s = -math.inf
+        self.evidence = "no evidence yet"
+        self._events: Counter[str] = Counter()
+
+    @property
+    def events_by_kind(self) -> Mapping[str, int]:
+        """How often each rule spoke."""
+        return MappingProxyType(dict(self._events))
+
+    def change(self, event: EstimatorEvent, now_s: float, capacity: float, why: str) -> None:
+        """Believe a capacity from now on (bytes/s)."""
+        before, self.capacity = self.capacity, max(capacity, 1.0)
+        self.changed_at_s = now_s
+        self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
+        # Without a peer the rule speaks every second, and mostly says the same.
+        self._events[event] += event is not EstimatorEvent.LOCAL or self.capacity != before
+
+    def note(self, event: EstimatorEvent) -> None:
+        """Count an event that changes no capacity."""
+        self._events[event] += 1
+
+    def stated(
+        self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None, radio_share: float
+    ) -> tuple[float, CapacityKind, str, float]:
+        """Return what is said of the capacity: how much (bytes/s), how it is known, why, and how old that is (s).
+
+        Parameters
+        ----------
+        since_s : when the newest evidence came, be it none that changed anything (s)
+        pinned : what the configuration says, which is the last word (bytes/s)
+        radio, radio_share : bit rate of the radio, if it tells (bytes/s), and how much of it can be used at most
+        """
+        if pinned is not None:
+            return pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0
+        capacity, kind, evidence = self.capacity, self.kind, self.evidence
+        if radio is not None and kind is not CapacityKind.PEER and radio_share * radio < capacity:
+            capacity, kind = radio_share * radio, CapacityKind.RADIO
+            evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
+        return capacity, kind, evidence, now_s - max(self.changed_at_s, since_s)

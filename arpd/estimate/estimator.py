@@ -1,0 +1,400 @@
+"""Rmax's other half: the capacity of the link, from receiver reports, probe trains and one-way delay (DESIGN §5)."""
+
+from __future__ import annotations
+
+import math
+from statistics import median
+from typing import TYPE_CHECKING
+
+from arpd.estimate.belief import Belief, EstimatorEvent
+from arpd.estimate.cross_traffic import ForeignTraffic
+from arpd.estimate.local_queue import LocalQueue
+from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.peer_gauges import PeerGauges
+from arpd.estimate.peer_queue import SentProbe
+from arpd.estimate.probe_loss import ProbeLoss
+from arpd.estimate.probes import ProbeSchedule
+from arpd.estimate.silence import Hearing
+from arpd.estimate.trains import TrainLog
+from arpd.model.values import CapacityKind, LinkEstimate, LinkState
+from arpd.model.wire import probe_wire_bytes, wire_size
+
+if TYPE_CHECKING:
+    from arpd.estimate.probes import ProbeTuning
+    from arpd.model.probing import PeerReport, ProbeRequest
+    from arpd.model.settings import LinkSettings
+    from arpd.model.values import Observation
+
+_ENOUGH_TRAINS = 3
+
+
+class Estimator:
+    """Estimates the link's capacity; one `update` per tick.
+
+    Throughput alone never shows capacity, so it is believed only while a queue stands (rule *down*). Otherwise the
+    dispersion of probe trains speaks (rules *first*, *undo*, *agree*, *follow*). Silence is an outage, not a capacity.
+
+    The capacity is that of the whole link: what the peer receives while a queue stands includes foreign traffic, and a
+    train, sent faster than the link, leaves others little room between its packets. So foreign traffic is subtracted
+    from it. Twice for a moment where that reasoning fails: for traffic to another host than the peer, until trains
+    correct the capacity; and for what a train lets in between. The bound on what is yielded bounds that, too.
+
+    Several peers share the link: what they receive adds up, the longest queue counts, and a train crosses once for
+    each of them. The trains of one are read, the one heard for the longest: a second reading would confirm nothing.
+
+    Parameters
+    ----------
+    settings : pins, first belief
+    tuning, probing : the constants
+    """
+
+    def __init__(
+        self, settings: LinkSettings, tuning: EstimatorTuning | None = None, probing: ProbeTuning | None = None
+    ) -> None:
+        self._settings = settings
+        self._tuning = tuning or EstimatorTuning()
+        self._schedule = ProbeSchedule(probing)
+        self._belief = Belief(settings.initial_capacity_bytes_per_second)
+        self._before_down: float | None = None
+        self._down_at_s = -math.inf
+        self._state = LinkState.APP_LIMITED
+        self._started_at_s: float | None = None
+        self._last_s = -math.inf
+        self._reported_s = -math.inf
+        self._peers = PeerGauges(self._tuning)
+        self._loss = ProbeLoss()
+        self._copies = 1
+        self._first_wait_s = self._tuning.first_wait_s
+        self._trains = TrainLog(self._tuning.train_memory_s)
+        self._local = LocalQueue(self._tuning.local_window_s)
+        self._foreign = ForeignTraffic()
+        self._hearing = Hearing()
+        self._foreign_rate = 0.0
+        self._burst_s = 0.0  # link time of the largest message, which is no queue
+        self._burst_bytes = 0.0
+        self._train: tuple[float, float] = (-math.inf, 0.0)  # the last one: when s, bytes on the link
+        self._queue_delay_s = 0.0
+        self._alarm_s = 0.0  # what the bytes say of the queue, which no ping has confirmed
+        self._high_reports = 0
+        self._onset_s = -math.inf
+
+    @property
+    def has_evidence(self) -> bool:
+        """Whether the first plan may be made: capacity measured, pinned, or nobody there to measure it with."""
+        return (
+            self._belief.kind in (CapacityKind.PEER, CapacityKind.LOCAL)
+            or self._settings.capacity_bytes_per_second is not None
+            or (self._started_at_s is not None and self._last_s - self._started_at_s > self._first_wait_s)
+        )
+
+    def reconfigure(self, settings: LinkSettings) -> None:
+        """Take new settings; what was measured stays."""
+        self._settings = settings
+        if self._belief.kind is CapacityKind.CONFIGURED:
+            self._belief.capacity = settings.initial_capacity_bytes_per_second
+        if settings.capacity_bytes_per_second is not None:
+            self._forget_queue()
+
+    def update(self, observation: Observation) -> LinkEstimate:
+        """Digest one observation and return what is believed now."""
+        now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
+        if self._started_at_s is None:
+            self._started_at_s = now_s
+        elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
+        self._last_s = now_s
+        self._expect_bursts(observation)
+        # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
+        self._first_wait_s = self._tuning.peer_lost_s if observation.peers else self._tuning.first_wait_s
+        self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
+        self._foreign_rate = self._foreign.update(observation)
+        self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
+        for report in observation.reports:
+            self._digest(report)
+        self._measure_queue(now_s)
+        silence_s = now_s - self._reported_s
+        self._hearing.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
+        if silence_s <= self._outage_s:
+            self._state = self._judge(now_s, elapsed_s)
+        elif self._hearing.is_cut or (
+            silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered
+        ):
+            self._state = LinkState.OUTAGE
+        else:
+            self._forget_queue()
+            self._state = self._judge_alone(observation)
+        if self._state is LinkState.OUTAGE and not was_out:
+            self._belief.note(EstimatorEvent.OUTAGE)
+        return self._estimate(observation)
+
+    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
+        """Probes to send now: a ping for the delay, a train for the capacity when one is due and affordable."""
+        if self._settings.capacity_bytes_per_second is not None:
+            return ()
+        requests = tuple(
+            self._schedule.wanted(
+                now_s,
+                capacity_bytes_per_second=self._capacity,
+                is_measured=self._belief.kind is CapacityKind.PEER,
+                is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
+                is_free=self._queue_delay_s < self._queue_low_s,
+                is_urgent=self._before_down is not None and now_s - self._down_at_s < self._tuning.undo_window_s,
+                surprise_bytes_per_second=self._surprise(now_s),
+                needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
+                copies=self._copies,
+            )
+        )
+        for request in requests:
+            self._foreign.note_probe(request, now_s, peers=self._copies)
+            if request.packets > 1:
+                self._train = now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes)
+            probe = SentProbe(
+                number=request.number,
+                sent_s=now_s,
+                handed_bytes=self._local.handed_bytes,
+                is_ping=request.packets == 1,
+            )
+            self._peers.note_sent(probe)
+            self._loss.note_sent(request)
+        return requests
+
+    # -- evidence
+
+    def _expect_bursts(self, observation: Observation) -> None:
+        """Say how much may stand before the link without being a queue."""
+        sizes = [
+            publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
+            for publisher in observation.publishers
+            if publisher.payload_bytes > 0
+        ]
+        train_bytes = self._train[1] if observation.now_s - self._train[0] < self._tuning.train_is_near_s else 0.0
+        largest = max(sizes, default=0.0)
+        self._burst_bytes = max(self._tuning.burst_bytes, self._tuning.burst_share * largest) + train_bytes
+        self._burst_s = min(self._tuning.burst_cap_s, largest / self._capacity)
+
+    def _digest(self, report: PeerReport) -> None:
+        t, now_s = self._tuning, report.received_at_s
+        silent_s = now_s - self._reported_s
+        if t.outage_forget_s < silent_s < math.inf:
+            self._resume(now_s, silent_s)
+        self._reported_s = now_s
+        self._loss.digest(report)
+        peer = self._peers.digest(report, handed_bytes=self._local.handed_bytes)
+        if report.delays_s:
+            self._high_reports = self._high_reports + 1 if peer.delay_s > self._queue_high_s else 0
+        if self._peers.is_first(report.peer):
+            for train in report.trains:
+                self._trains.note(train, now_s, copies=self._copies)
+
+    def _measure_queue(self, now_s: float) -> None:
+        was_quiet = self._queue_delay_s <= self._queue_high_s
+        backlog_s = self._peers.backlog_s(
+            now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity
+        )
+        # While nothing arrives, what is lost looks like what waits.
+        is_out = now_s - self._reported_s > self._outage_s
+        self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
+        self._queue_delay_s = max(0.0, self._peers.delay_s(now_s), self._alarm_s)
+        if was_quiet and self._queue_delay_s > self._queue_high_s:
+            self._onset_s = max(self._onset_s, now_s)  # what was delivered before is demand, not capacity
+
+    def _forget_queue(self) -> None:
+        """Nobody measures the queue any more; its last length must not hold the gate."""
+        self._peers.forget()
+        self._queue_delay_s = self._alarm_s = self._local.backlog_s
+        self._high_reports = 0
+
+    def _resume(self, now_s: float, silent_s: float) -> None:
+        self._forget_queue()
+        self._trains.clear()
+        # Reports that waited tell of the outage, and the first of what is delivered then is what the gate let pass.
+        self._onset_s = now_s + self._tuning.resume_patience_s
+        self._foreign.note_outage(now_s - silent_s, now_s)
+        if self._belief.kind is CapacityKind.PEER:
+            self._before_down, self._down_at_s = self._capacity, now_s
+            resumed = self._tuning.resume_ratio * self._capacity
+            why = f"reports resumed after {silent_s:.1f} s of silence"
+            self._belief.change(EstimatorEvent.RESUME, now_s, resumed, why)
+
+    # -- the rules
+
+    def _judge(self, now_s: float, elapsed_s: float) -> LinkState:
+        """With a peer that reports: the rules down, first, undo, agree and follow."""
+        t = self._tuning
+        if self._is_certain():
+            return self._queue_stands(now_s)
+        if self._queue_delay_s > self._queue_low_s:
+            return self._congested(now_s)
+        recent = self._capacities(now_s - t.train_window_s)
+        if self._belief.kind is not CapacityKind.PEER:
+            if len(recent) >= _ENOUGH_TRAINS:
+                self._belief.kind = CapacityKind.PEER
+                self._belief.change(EstimatorEvent.FIRST, now_s, median(recent), f"first {len(recent)} trains")
+            return LinkState.APP_LIMITED
+        if not (self._undo(now_s) or self._agree(now_s) or self._carried(now_s)):
+            trains = recent if len(recent) >= _ENOUGH_TRAINS else self._capacities(-math.inf)[-_ENOUGH_TRAINS:]
+            if len(trains) >= _ENOUGH_TRAINS and now_s - self._down_at_s >= t.up_after_down_s:
+                self._follow(trains, now_s, elapsed_s)
+        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
+        return LinkState.STEADY if busy else LinkState.APP_LIMITED
+
+    def _is_certain(self) -> bool:
+        """Whether a queue stands: two pings say so, or the bytes and somebody else."""
+        if self._high_reports >= 2:
+            return True
+        if self._alarm_s <= self._queue_high_s:
+            return False
+        return self._high_reports == 1 or self._local.stands or self._peers.is_steady(self._onset_s)
+
+    def _congested(self, now_s: float) -> LinkState:
+        is_draining = now_s - self._down_at_s < self._tuning.undo_window_s
+        return LinkState.DRAINING if is_draining else LinkState.CONGESTED
+
+    def _queue_stands(self, now_s: float) -> LinkState:
+        """Believe what is delivered while the link is never idle, the time its packets cost taken out."""
+        t = self._tuning
+        rate, packet_rate = self._peers.delivery(self._onset_s)
+        rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)
+        if rate > 0 and now_s - self._down_at_s >= t.down_interval_s:
+            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
+            if rate < t.down_margin * self._capacity:
+                if now_s - self._down_at_s > t.undo_window_s or self._before_down is None:
+                    self._before_down = self._capacity
+                self._belief.kind = CapacityKind.PEER
+                self._down_at_s = now_s
+                self._belief.change(EstimatorEvent.DOWN, now_s, rate, why)
+                # Trains from before say nothing of the link that is now.
+                self._trains.clear()
+            elif rate * t.down_margin > self._capacity:
+                self._belief.change(EstimatorEvent.CARRIED, now_s, rate, why)
+        return self._congested(now_s)
+
+    def _undo(self, now_s: float) -> bool:
+        """Return to what was before the last fall when two trains since then saw nearly as much."""
+        t = self._tuning
+        if self._before_down is None or now_s - self._down_at_s > t.undo_window_s:
+            return False
+        later = self._capacities(self._down_at_s)[-2:]
+        if len(later) < 2 or min(later) < t.undo_ratio * self._before_down or min(later) < self._capacity:
+            return False
+        self._belief.change(EstimatorEvent.UNDO, now_s, min(later), "trains contradict the last fall")
+        self._before_down = None
+        return True
+
+    def _agree(self, now_s: float) -> bool:
+        """Go at once to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
+        t = self._tuning
+        last = self._capacities(now_s - t.agree_window_s)[-2:]
+        if len(last) < 2 or t.caution * min(last) <= t.clearly_more * self._capacity:
+            return False
+        self._before_down = None
+        self._belief.change(
+            EstimatorEvent.AGREE, now_s, t.caution * min(last), f"two trains see {min(last) * 8e-6:.1f} Mbit/s"
+        )
+        return True
+
+    def _carried(self, now_s: float) -> bool:
+        """Believe at least what was sent and arrived; what a peer receives from others is no evidence."""
+        t = self._tuning
+        rate = t.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
+        if rate <= t.clearly_more * self._capacity:
+            return False
+        self._belief.change(EstimatorEvent.CARRIED, now_s, rate, "more than what was believed arrived")
+        return True
+
+    def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
+        """Move towards what trains see, by a bounded part per second either way.
+
+        A sample that lands inside a train makes it read low, never high: one low train is no evidence of a fall, so
+        the estimate follows downwards only what the best of the last three still sees.
+        """
+        step = self._tuning.climb_per_second * elapsed_s
+        middle, best = median(trains), max(trains[-_ENOUGH_TRAINS:])
+        if middle > self._capacity:
+            seen, moved = middle, min(middle, self._capacity * (1 + step))
+        elif best < self._tuning.fall_ratio * self._capacity:
+            seen, moved = best, max(best, self._capacity * (1 - step))
+        else:
+            return
+        self._belief.change(EstimatorEvent.FOLLOW, now_s, moved, f"trains see {seen * 8e-6:.1f} Mbit/s")
+
+    def _judge_alone(self, observation: Observation) -> LinkState:
+        """Without a peer: what leaves while the local queue pushes back is the capacity; else nothing is learnt."""
+        counters, now_s = observation.counters, observation.now_s
+        if counters is None or not counters.is_up:
+            return LinkState.OUTAGE
+        if (told := self._local.pushes_back(observation)) is None:
+            return LinkState.CONGESTED if self._local.stands else LinkState.APP_LIMITED
+        pushes_back, sent = told
+        if pushes_back and sent > 0:
+            self._belief.kind = CapacityKind.LOCAL
+            self._belief.change(EstimatorEvent.LOCAL, now_s, sent, "local queue pushed back at this send rate")
+            return LinkState.CONGESTED
+        if self._belief.kind is not CapacityKind.CONFIGURED:
+            self._belief.kind = CapacityKind.LOCAL
+            ceiling = max(self._settings.initial_capacity_bytes_per_second, self._capacity)
+            grown = self._capacity * (1 + self._tuning.alone_climb_per_second * self._tuning.local_window_s)
+            self._belief.change(
+                EstimatorEvent.LOCAL, now_s, min(ceiling, grown), "no peer reports; probing upwards slowly"
+            )
+        return LinkState.APP_LIMITED
+
+    @property
+    def _outage_s(self) -> float:
+        """Silence that is an outage: more than a report that is lost (s)."""
+        return max(self._tuning.outage_s, 1.6 * self._schedule.quiet_s)
+
+    @property
+    def _queue_low_s(self) -> float:
+        return self._tuning.queue_low_s + self._burst_s
+
+    @property
+    def _queue_high_s(self) -> float:
+        return self._tuning.queue_high_s + self._burst_s
+
+    # -- results
+
+    @property
+    def _capacity(self) -> float:
+        return self._belief.capacity
+
+    @property
+    def _overhead_s(self) -> float:
+        pinned = self._settings.packet_overhead_s
+        return self._trains.packet_overhead_s if pinned is None else pinned
+
+    def _capacities(self, since_s: float) -> list[float]:
+        return self._trains.capacities(since_s, packet_overhead_s=self._overhead_s)
+
+    def _surprise(self, now_s: float) -> float | None:
+        """Return what the last train saw, if that is far from what is believed (bytes/s)."""
+        last = self._capacities(now_s - self._tuning.agree_window_s)[-1:]
+        return last[0] if last and abs(last[0] / self._capacity - 1) > self._tuning.surprise else None
+
+    def _estimate(self, observation: Observation) -> LinkEstimate:
+        assert self._started_at_s is not None
+        now_s = observation.now_s
+        since_s = max(self._trains.newest_s or -math.inf, self._started_at_s)
+        capacity, kind, evidence, age_s = self._belief.stated(
+            now_s,
+            since_s=since_s,
+            pinned=self._settings.capacity_bytes_per_second,
+            radio=observation.radio_bytes_per_second,
+            radio_share=self._tuning.radio_share,
+        )
+        is_out = self._state is LinkState.OUTAGE
+        return LinkEstimate(
+            capacity_bytes_per_second=capacity,
+            kind=kind,
+            state=self._state,
+            queue_delay_s=self._queue_delay_s,
+            queue_allowance_s=self._queue_low_s,
+            delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
+            age_s=age_s,
+            evidence=evidence,
+            foreign_bytes_per_second=self._foreign_rate,
+            packet_overhead_s=self._overhead_s,
+            # What is not answered in an outage is not known to be lost.
+            loss_ratio=None if is_out else self._loss.ratio(now_s),
+            return_delay_s=None if is_out else self._peers.return_delay_s,
+            events_by_kind=self._belief.events_by_kind,
+        )

@@ -1,0 +1,117 @@
+"""What this host alone can see of the link: its interface's counters, and the queue in front of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from arpd.estimate.standing import StandingBacklog
+from arpd.model.values import Direction
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.model.interface import LinkCounters
+    from arpd.model.values import Observation
+
+_BLOCKED_SHARE = 0.2  # of the time: that long publishers waited for room in the socket
+_SENT_WINDOW_S = 0.35
+_ANNOUNCED_S = 1.0  # how old what a publisher says of its waiting may be
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Look:
+    at_s: float
+    sent_bytes: int
+    dropped: int
+    blocked_s: Mapping[tuple[str, str], float]  # by node and topic
+
+
+class LocalQueue:
+    """The queue of this host's interface, where the kernel shows one, and what leaves while it stands.
+
+    Parameters
+    ----------
+    window_s : span over which sending is averaged when nobody else measures it (s)
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
+        self._backlog = StandingBacklog()
+        self._since: _Look | None = None
+        self._sent: deque[tuple[float, int]] = deque()  # when s, sent bytes
+        self.handed_bytes: float | None = None
+        self.backlog_s = 0.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether the queue stood at every look lately: then the interface was never idle."""
+        return self.backlog_s > 0.0
+
+    @property
+    def sent_bytes_per_second(self) -> float:
+        """What left the interface lately (bytes/s), 0 while that is not known."""
+        span_s = self._sent[-1][0] - self._sent[0][0] if self._sent else 0.0
+        return (self._sent[-1][1] - self._sent[0][1]) / span_s if span_s > 0.5 * _SENT_WINDOW_S else 0.0
+
+    def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
+        """Look at the interface.
+
+        Parameters
+        ----------
+        burst_bytes : what may stand in its queue without being one
+        capacity : what is believed of the link (bytes/s)
+        """
+        self.handed_bytes, self.backlog_s = None, 0.0
+        if counters is None or not counters.is_up:
+            self._backlog.clear()
+            self._sent.clear()
+            return
+        if self._sent and counters.tx_bytes < self._sent[-1][1]:
+            self._backlog.clear()  # made anew: it counts from zero
+            self._sent.clear()
+        left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
+        self._sent.append((now_s, counters.tx_bytes))
+        while now_s - self._sent[0][0] > _SENT_WINDOW_S:
+            self._sent.popleft()
+        backlog = counters.backlog_bytes or 0
+        self.handed_bytes = counters.tx_bytes + backlog
+        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
+        self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
+
+    def pushes_back(self, observation: Observation) -> tuple[bool, float] | None:
+        """Tell whether the interface could not keep up, and what it sent (bytes/s), once in a window; else None."""
+        counters = observation.counters
+        if counters is None:
+            self._since = None
+            return None
+        look = _Look(
+            at_s=observation.now_s,
+            sent_bytes=counters.tx_bytes,
+            dropped=counters.tx_dropped,
+            # What stands on another host waits for that host's interface.
+            blocked_s={
+                (publisher.node, publisher.topic): publisher.blocked_s
+                for publisher in observation.publishers
+                if publisher.direction is Direction.SENSING
+            },
+        )
+        since = self._since
+        # Longer than two windows ago somebody else measured, or the interface was down: that was another time.
+        if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * self._window_s:
+            self._since = look
+            return None
+        span_s = look.at_s - since.at_s
+        if span_s < self._window_s:
+            return None
+        self._since = look
+        is_late = _waited_s(since, look) > _BLOCKED_SHARE * span_s or look.dropped > since.dropped
+        return self.stands or is_late, (look.sent_bytes - since.sent_bytes) / span_s
+
+
+def _waited_s(since: _Look, look: _Look) -> float:
+    """Return how long publishers waited between two looks; who says more than that speaks of an earlier time (s)."""
+    most_s = look.at_s - since.at_s + _ANNOUNCED_S
+    waited = (blocked_s - since.blocked_s[who] for who, blocked_s in look.blocked_s.items() if who in since.blocked_s)
+    return sum(each for each in waited if 0.0 < each <= most_s)

@@ -1,0 +1,227 @@
+"""How long the queue in front of the link is, as one peer's reports show it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from statistics import median
+from typing import TYPE_CHECKING
+
+from arpd.estimate.standing import StandingBacklog
+from arpd.observe.receiver import PROMPT_S
+
+if TYPE_CHECKING:
+    from arpd.estimate.parameters import EstimatorTuning
+    from arpd.model.probing import PeerReport
+
+_BYTES_ARE_FRESH_S = 0.3
+_MISSING_PINGS = 5
+_MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
+_LEAST_INTERVAL_S = 0.05  # a shorter one counts too few packets
+_STEADY_INTERVALS = 2
+_WAITED_S = 0.3  # longer than this a report did not wait for others of its kind
+_RESUMING_S = 3.0
+_STEADY_RATIO = 0.85
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SentProbe:
+    """A probe that left.
+
+    Parameters
+    ----------
+    number : its number
+    sent_s : when (s)
+    handed_bytes : what the interface had been handed by then (bytes), None = not known
+    is_ping : whether it is a single packet, which is reported as soon as it arrives
+    """
+
+    number: int
+    sent_s: float
+    handed_bytes: float | None
+    is_ping: bool = True
+
+
+class QueueGauge:
+    """Three witnesses of the queue between this host and one peer, none of which needs the two clocks to agree.
+
+    And of the way back: a report's own one-way delay above its least of the last 10 s, which is what commands wait.
+
+    - *Delay*: the one-way delay of a ping above its least of the last 10 s. Exact, and late by the queue itself.
+    - *Overdue*: a ping that is under way for longer than usual; the queue is at least as long.
+    - *Bytes*: what the interface was handed since the last ping that arrived was sent, less what the peer received
+      since it arrived. In a FIFO that is exactly what stands between the two, half a second before a ping can tell.
+      But what is lost looks the same until the next ping comes through; so bytes may only raise an alarm.
+
+    Parameters
+    ----------
+    tuning : the windows
+    """
+
+    def __init__(self, tuning: EstimatorTuning) -> None:
+        self._tuning = tuning
+        self.reported_s = -math.inf
+        self.delay_s = 0.0
+        self.return_delay_s: float | None = None
+        self._delays: deque[tuple[float, float]] = deque()
+        self._return_delays: deque[tuple[float, float]] = deque()
+        self._usual_return_s = math.inf  # least return delay before what was measured was forgotten
+        self._resumed_s: float | None = -math.inf  # first report since then; None = it has yet to come
+        self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
+        self._under_way: deque[SentProbe] = deque(maxlen=100)
+        self._round_trips: deque[tuple[float, float]] = deque()  # when reported s, how long after sending s
+        self._since_ping: tuple[float, float] | None = None  # handed when it was sent, received since it came (bytes)
+        self._good_s = -math.inf  # when the last ping came that waited for nothing
+        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # what was on the way when it did (bytes)
+        self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # parts of what was handed over
+        self._backlog = StandingBacklog(fresh_s=_BYTES_ARE_FRESH_S)
+
+    def note_sent(self, probe: SentProbe) -> None:
+        """Note a probe that leaves."""
+        self._under_way.append(probe)
+
+    def forget(self) -> None:
+        """Start anew: what was measured was of another link, or of another queue."""
+        self._usual_return_s = min((delay for _, delay in self._return_delays), default=self._usual_return_s)
+        self._resumed_s = None
+        self.delay_s = 0.0
+        self.return_delay_s = None
+        self._delays.clear()
+        self._return_delays.clear()
+        self._deliveries.clear()
+        self._under_way.clear()
+        self._round_trips.clear()
+        self._since_ping = None
+        self._missing.clear()
+        self._in_flight.clear()
+        self._backlog.clear()
+
+    def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
+        """Note what a report says.
+
+        Parameters
+        ----------
+        handed_bytes : what this host's interface has been handed by now (bytes), None = not known
+        """
+        now_s = self.reported_s = report.received_at_s
+        if not self._waited_out(report):
+            self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
+        while (
+            len(self._deliveries) > 1
+            and now_s - self._deliveries[0][0] > self._tuning.delivery_window_s - report.interval_s / 2
+        ):
+            self._deliveries.popleft()
+        if self._since_ping is not None:
+            self._since_ping = self._since_ping[0], self._since_ping[1] + report.rx_bytes
+        round_trip_s = self._arrived(report.last_probe, now_s)
+        # What no probe of ours that is under way explains says nothing: a second peer of the same name, say.
+        if report.delays_s and round_trip_s < math.inf:
+            # Round trips are on our own clock: what a step of the peer's clock adds to the delay is no queue. The least
+            # one waited for the report at most `PROMPT_S` longer than this one did.
+            most_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips) + PROMPT_S
+            # The smallest of a report: a late wake-up of the receiver can only add delay.
+            self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
+            if report.return_delay_s is not None:
+                self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
+        is_good = bool(report.delays_s) and self.delay_s < self._tuning.queue_low_s
+        if is_good:
+            self._good_s = now_s
+        if handed_bytes is None or self._since_ping is None:
+            return
+        if self._missing and median(self._missing) > _MOST_MISSING:
+            self._backlog.clear()  # much of what this host sends goes elsewhere, or is lost: nobody knows what stands
+            return
+        outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
+        if is_good:
+            self._in_flight.append(outstanding)
+        # Without a queue, too, something is on the way, and what came since the ping did is not all counted yet.
+        backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
+        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes)
+
+    def _waited_out(self, report: PeerReport) -> bool:
+        """Whether a report waited for the end of an outage on its way: what it counts is not of the link that is now.
+
+        Only soon after the outage, for by then the peer's clock may have been set.
+        """
+        if self._resumed_s is None:
+            self._resumed_s = report.received_at_s
+        if report.return_delay_s is None or report.received_at_s - self._resumed_s > _RESUMING_S:
+            return False
+        return report.return_delay_s - self._usual_return_s > _WAITED_S
+
+    def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
+        """Note a one-way delay, offset as it is, and return by how much it exceeds the least of late (s)."""
+        delays.append((now_s, delay_s))
+        while now_s - delays[0][0] > self._tuning.delay_window_s:
+            delays.popleft()
+        return delay_s - min(delay for _, delay in delays)
+
+    def _arrived(self, last_probe: int, now_s: float) -> float:
+        """Settle every probe up to a number, and return the last one's round trip (s)."""
+        round_trip_s = math.inf
+        while self._under_way and self._under_way[0].number <= last_probe:
+            probe = self._under_way.popleft()
+            if not probe.is_ping:
+                continue  # its report waits for company
+            round_trip_s = now_s - probe.sent_s
+            self._round_trips.append((now_s, round_trip_s))
+            if probe.number == last_probe:
+                self._note_missing(probe)
+                self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, 0.0)
+        while self._round_trips and now_s - self._round_trips[0][0] > self._tuning.delay_window_s:
+            self._round_trips.popleft()
+        return round_trip_s
+
+    def _note_missing(self, probe: SentProbe) -> None:
+        """Note how much of what was handed over between two pings did not arrive between them: in a FIFO, no queue."""
+        if self._since_ping is None or probe.handed_bytes is None:
+            return
+        handed, received = self._since_ping
+        if (sent := probe.handed_bytes - handed) > self._tuning.burst_bytes:
+            self._missing.append(1.0 - received / sent)
+
+    def overdue_s(self, now_s: float) -> float:
+        """How much longer than usual the oldest unreported probe is under way: the queue is at least that long.
+
+        A queue delays the very pings that measure it; what has not arrived yet is the earliest evidence there is.
+        """
+        oldest = next((probe for probe in self._under_way if probe.is_ping), None)
+        if oldest is None or not self._round_trips:
+            return 0.0
+        usual_s = median(round_trip_s for _, round_trip_s in self._round_trips)
+        return max(0.0, now_s - oldest.sent_s - usual_s)
+
+    def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
+        """Return how long what has not arrived will take to arrive; 0 while it may be a burst of messages (s).
+
+        Parameters
+        ----------
+        burst_bytes : what may stand there without being a queue
+        capacity_bytes_per_second : what is believed of the link
+        """
+        return self._backlog.delay_s(
+            now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second
+        )
+
+    def is_steady(self, since_s: float) -> bool:
+        """Whether what arrived since then came at one rate: so serves a queue, and not an application or bad luck."""
+        if self._good_s > since_s:
+            return False
+        rates = [
+            size / interval_s
+            for at_s, interval_s, size, _ in self._deliveries
+            if at_s - interval_s >= since_s and interval_s > _LEAST_INTERVAL_S
+        ]
+        return len(rates) >= _STEADY_INTERVALS and min(rates) >= _STEADY_RATIO * max(rates) > 0
+
+    def delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
+        """Return what the peer received in the last intervals that began since then: bytes/s and packets/s."""
+        counted = [each for each in self._deliveries if each[0] - each[1] >= since_s]
+        covered_s = sum(interval_s for _, interval_s, _, _ in counted)
+        if covered_s <= 0:
+            return 0.0, 0.0
+        return (
+            sum(size for _, _, size, _ in counted) / covered_s,
+            sum(packets for *_, packets in counted) / covered_s,
+        )

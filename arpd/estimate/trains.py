@@ -1,0 +1,120 @@
+"""What probe trains say of the link: its capacity, and what a packet costs beyond its bytes."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.model.probing import Train
+
+_SENDER_LIMITED = 0.8  # a train that arrives as it left says that the link takes that long at most
+_SMALL = 0.5  # of the size of a large packet
+_PAIR_S = 1.0  # a small and a large train this close saw the same link
+_PAIRS = 15
+_LEAST_PAIRS = 5
+_SLOWER = 2.0  # times the time of a packet now
+_MOST_OVERHEAD = 0.8
+_LATE = 3
+# Less than either is what jitter makes of nothing; 802.11 spends 100 us and more on a packet of its own.
+_LEAST_OVERHEAD_S = 50e-6
+_LEAST_OVERHEAD = 0.03  # of the time a large packet takes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Reading:
+    at_s: float
+    packet_bytes: float
+    packet_s: float
+
+
+class TrainLog:
+    """Readings of trains, newest last.
+
+    A packet of s bytes takes T(s) = t_ovh + s/C of the link's time (DESIGN §4). Large packets alone cannot tell the two
+    apart; a train of small ones right after one of large ones can: t_ovh = (T_small·s_large − T_large·s_small) /
+    (s_large − s_small). What others send in between only makes a train longer: so the least T_large of late is taken,
+    and of what the pairs then say the second least, for one that saw the link change between its halves may say less.
+
+    Parameters
+    ----------
+    memory_s : age at which a reading is forgotten (s)
+    """
+
+    def __init__(self, memory_s: float) -> None:
+        self._memory_s = memory_s
+        self._large: deque[_Reading] = deque()
+        self._last: _Reading | None = None  # of a large packet; outlives `clear`
+        # t_ovh s, whether it is that or less, and the time of a large packet then s
+        self._overheads: deque[tuple[float, bool, float]] = deque(maxlen=_PAIRS)
+
+    def note(self, train: Train, now_s: float, *, copies: int = 1) -> None:
+        """Note a train that a report brought.
+
+        Parameters
+        ----------
+        copies : times each of its packets crossed the link, one for each peer
+        """
+        if train.packets < 1 or train.duration_s <= 0 or train.payload_bytes <= 0:
+            return
+        reading = _Reading(
+            at_s=now_s,
+            packet_bytes=train.payload_bytes / train.packets,
+            packet_s=train.duration_s / train.packets / copies,
+        )
+        large = self._large[-1] if self._large else None
+        if large is None or reading.packet_bytes > _SMALL * large.packet_bytes:
+            self._large.append(reading)
+            self._last = reading
+            self._forget(now_s)
+        elif now_s - large.at_s <= _PAIR_S:
+            least = min(each.packet_s for each in list(self._large)[-_LATE:])
+            if reading.packet_s > least:
+                return  # a small packet takes no longer than a large one: there was something in between
+            excess = reading.packet_s * large.packet_bytes - least * reading.packet_bytes
+            is_bound = train.sent_s >= _SENDER_LIMITED * train.duration_s
+            self._overheads.append((excess / (large.packet_bytes - reading.packet_bytes), is_bound, least))
+
+    def clear(self) -> None:
+        """Forget the capacity; what a packet costs is the radio's, and stays."""
+        self._large.clear()
+
+    @property
+    def packet_overhead_s(self) -> float:
+        """t_ovh, 0 until it is known and while it is too little to tell from jitter (s)."""
+        if (last := self._last) is None or len(known := self._known(last)) < _LEAST_PAIRS:
+            return 0.0
+        overhead_s, is_bound, _ = sorted(known)[1]
+        if is_bound or overhead_s < max(_LEAST_OVERHEAD_S, _LEAST_OVERHEAD * last.packet_s):
+            return 0.0
+        return min(overhead_s, _MOST_OVERHEAD * last.packet_s)
+
+    @property
+    def needs_pairs(self) -> bool:
+        """Whether too few pairs tell the overhead on a link of this speed."""
+        return not self._large or len(self._known(self._large[-1])) < _LEAST_PAIRS
+
+    def _known(self, last: _Reading) -> list[tuple[float, bool, float]]:
+        """Return the pairs that tell the overhead on a link as fast as the last reading.
+
+        On a slow link the jitter of a pair is as long as the overhead on a fast one.
+        """
+        return [each for each in self._overheads if each[2] <= _SLOWER * last.packet_s]
+
+    @property
+    def newest_s(self) -> float | None:
+        """When the newest train of large packets was reported (s)."""
+        return self._large[-1].at_s if self._large else None
+
+    def capacities(self, since_s: float, *, packet_overhead_s: float) -> list[float]:
+        """Return what large trains since then saw, newest last: C = s / (T − t_ovh) (bytes/s)."""
+        return [
+            reading.packet_bytes / max(reading.packet_s - packet_overhead_s, 0.1 * reading.packet_s)
+            for reading in self._large
+            if reading.at_s >= since_s
+        ]
+
+    def _forget(self, now_s: float) -> None:
+        while now_s - self._large[0].at_s > self._memory_s:
+            self._large.popleft()

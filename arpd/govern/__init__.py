@@ -1,0 +1,1 @@
+"""When a measured change becomes action: the gate, the level, the plan."""

@@ -1,0 +1,86 @@
+"""When depths follow the memory of the robot computer: down at once, up again late."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from arpd.model.values import Binding
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from arpd.model.values import Allocation, Topic, TopicPlan
+
+_EXCESS = 0.1  # of what the plan's histories may take: less is not worth swaps
+_SPACING_S = 1.0  # between two falls: memory that runs out is not followed sample by sample
+_ROOM = 0.25  # more than the plan's histories may take
+_CALM_S = 30.0  # there must have been so much room for that long
+_MOST_CALM_S = 480.0
+_RELAPSE_S = 120.0  # depths that fall again so soon after they rose wait longer to rise the next time
+
+
+class MemoryWatch:
+    """Compares what the histories under the plan in force may take with what the program gives them.
+
+    Falling depths keep the robot from running out of memory, so they wait for nothing. Rising ones are a convenience,
+    and what made memory short tends to come back: they wait for calm, each time longer.
+    """
+
+    def __init__(self) -> None:
+        self._is_short = False
+        self._room_since_s: float | None = None
+        self._calm_s = _CALM_S
+        self._fell_s = self._rose_s = -math.inf
+
+    def calls_for_depths(
+        self,
+        now_s: float,
+        allocation: Allocation,
+        planned: Iterable[tuple[Topic, TopicPlan]],
+        *,
+        besides: Collection[str],
+    ) -> bool:
+        """Whether the plan in force should have the allocation's depths now.
+
+        Parameters
+        ----------
+        now_s : monotonic clock (s)
+        allocation : what the program gives
+        planned : the topics of the plan in force, with their rows
+        besides : topics whose history does not fill: nobody publishes
+        """
+        given = {row.name: row.depth_applied for row in allocation.topics if row.name not in besides}
+        rows = [(topic.slot_bytes, row.depth, given[topic.name]) for topic, row in planned if topic.name in given]
+        taken = sum(slot * depth for slot, depth, _ in rows)
+        excess = sum(slot * (depth - less) for slot, depth, less in rows if depth > less)
+        room = sum(slot * (more - depth) for slot, depth, more in rows if more > depth)
+        if _is_bound(allocation) and excess > _EXCESS * taken:
+            self._room_since_s = None
+            return now_s - self._fell_s >= _SPACING_S
+        if not self._is_short or room - excess <= _ROOM * taken:
+            self._room_since_s = None
+            return False
+        if self._room_since_s is None:
+            self._room_since_s = now_s
+        return now_s - self._room_since_s >= self._calm_s
+
+    def note_depths(self, now_s: float, allocation: Allocation) -> None:
+        """Take in that the plan has these depths now because memory called for them."""
+        if self._room_since_s is not None:
+            self._rose_s = now_s
+        else:
+            if self._rose_s > self._fell_s:  # the first of a row of falls
+                has_relapsed = now_s - self._rose_s < _RELAPSE_S
+                self._calm_s = min(2 * self._calm_s, _MOST_CALM_S) if has_relapsed else _CALM_S
+            self._fell_s = now_s
+        self.note_plan(allocation)
+
+    def note_plan(self, allocation: Allocation) -> None:
+        """Take in that there is a plan with these depths, whatever called for it."""
+        self._room_since_s = None
+        self._is_short = _is_bound(allocation)
+
+
+def _is_bound(allocation: Allocation) -> bool:
+    return any(row.depth_binding is Binding.MEMORY for row in allocation.topics)

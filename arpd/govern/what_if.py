@@ -1,0 +1,139 @@
+"""What the daemon would plan for a link of a given capacity: its program and its planner, without a link."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from arpd.govern.plan import make_plan
+from arpd.model.values import NANOSECONDS_PER_SECOND, Binding, QosPlan
+from arpd.solve.program import Program
+from arpd.solve.topics import rows_of_traffic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from arpd.model.publishers import PublisherState
+    from arpd.model.settings import Backend, Settings
+    from arpd.model.values import Allocation, Topic, TopicAllocation, TopicPlan
+    from arpd.solve.topics import Traffic
+
+_NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
+_ROUNDING = 1e-9  # a rate that short of a bound is at it
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlannedTopic:
+    """One topic: what it brings, what it asks for, what it is given, and the QoS its publisher would offer."""
+
+    traffic: Traffic
+    topic: Topic
+    allocation: TopicAllocation
+    qos: TopicPlan
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate after rounding to whole nanoseconds of period, 0 = paused (Hz)."""
+        period_ns = self.allocation.deadline_ns
+        return NANOSECONDS_PER_SECOND / period_ns if period_ns else 0.0
+
+    @property
+    def has_its_wish(self) -> bool:
+        """Whether it gets all it desires."""
+        return self.allocation.binding is Binding.DESIRED_RATE
+
+    @property
+    def is_below_floor(self) -> bool:
+        """Whether not even its floor could be kept."""
+        return self.allocation.rate_hz < self.topic.min_rate_hz * (1 - _ROUNDING)
+
+    @property
+    def is_at_floor(self) -> bool:
+        """Whether it gets its floor and no more."""
+        return math.isclose(self.allocation.rate_hz, self.topic.min_rate_hz, rel_tol=_ROUNDING)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OfflinePlan:
+    """The plan for one capacity.
+
+    Parameters
+    ----------
+    capacity_bytes_per_second : what the link carries for these topics, before headroom (bytes/s)
+    topics : one row per topic, sorted by name
+    allocation : the program's whole answer
+    """
+
+    capacity_bytes_per_second: float
+    topics: tuple[PlannedTopic, ...]
+    allocation: Allocation
+
+    @property
+    def link_share(self) -> float:
+        """Share of link time all topics take together (dimensionless)."""
+        return sum(row.allocation.share for row in self.topics)
+
+    @property
+    def memory_bytes(self) -> float:
+        """Memory all full histories take together (bytes)."""
+        return sum(row.topic.slot_bytes * row.allocation.depth_applied for row in self.topics)
+
+
+class OfflinePlanner:
+    """Plans the same topics for one capacity after the other.
+
+    Parameters
+    ----------
+    settings : the configuration
+    traffic : what is to be planned for
+    publishers : those of them that were measured, for the deadlines their readers request
+    backend : solver; None = the one in ``settings``
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        traffic: Iterable[Traffic],
+        *,
+        publishers: Iterable[PublisherState] = (),
+        backend: Backend | None = None,
+    ) -> None:
+        self._settings = settings
+        self._traffic = {each.topic: each for each in traffic}
+        self._publishers = tuple(publishers)
+        self._topics = rows_of_traffic(self._traffic.values(), settings)
+        self._program = Program.of(settings, backend=backend)
+
+    def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
+        """Return what the daemon's first plan would be on a link that carries so much.
+
+        Parameters
+        ----------
+        capacity_bytes_per_second : before headroom, ≥ 0 (bytes/s)
+        """
+        budget_bytes = self._settings.program.memory_budget_bytes
+        allocation = self._program.solve(capacity_bytes_per_second, self._topics, budget_bytes)
+        plan = make_plan(
+            allocation, self._topics, self._publishers, previous=_NO_PLAN, generation=1, settings=self._settings
+        )
+        rows = (
+            PlannedTopic(traffic=self._traffic[topic.name], topic=topic, allocation=row, qos=plan.topics[topic.name])
+            for topic, row in zip(self._topics, allocation.topics, strict=True)
+        )
+        return OfflinePlan(
+            capacity_bytes_per_second=capacity_bytes_per_second, topics=tuple(rows), allocation=allocation
+        )
+
+
+def spread(low: float, high: float, points: int) -> tuple[float, ...]:
+    """Return ``points`` values at equal ratios from ``low`` to ``high``, both of them exactly.
+
+    Parameters
+    ----------
+    low, high : ends, 0 < low < high
+    points : how many, at least 2
+    """
+    between = (low * (high / low) ** (step / (points - 1)) for step in range(1, points - 1))
+    return (low, *between, high)

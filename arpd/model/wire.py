@@ -1,0 +1,54 @@
+"""What one sample costs on the wire: the headers around its payload, and the talk of its writer and reader."""
+
+from __future__ import annotations
+
+import math
+
+MTU_BYTES = 1500
+ETHERNET_BYTES = 14
+IPV4_BYTES = 20
+UDP_BYTES = 8
+_HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
+# RTPS 2.3 §9.4: header 20 and INFO_DST 16; and Fast DDS 2.14 ends every datagram with a submessage of its own, 60 bytes
+# for its statistics module. All sizes here are those of captured frames.
+_RTPS_BYTES = 20 + 16 + 60
+DATA_BYTES = _RTPS_BYTES + 12 + 24  # INFO_TS and the DATA submessage's header
+_DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
+#: Largest RTPS message of arpd's writers (arpd/adapters/ros/fastdds.xml). Fast DDS keeps room for a heartbeat in each.
+_MESSAGE_BYTES = 1392
+FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
+HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
+ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
+#: Heartbeat period of arpd's writers (arpd/adapters/ros/fastdds.xml) while something is unacknowledged.
+HEARTBEAT_S = 0.05
+
+
+def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
+    """Bytes and packets one reliable sample puts on the link, for one reader.
+
+    Fast DDS cuts what is larger than ``FRAGMENT_BYTES`` into DATA_FRAG submessages, each a datagram of its own (RTPS
+    2.3 §8.3.7.3). A heartbeat asks for an acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air
+    with the data. So a slow topic pays for them with every sample, and of a fast one several samples share them.
+
+    Parameters
+    ----------
+    payload_bytes : serialized size of the sample (bytes)
+    rate_hz : rate of the samples; ``inf`` = only what the sample itself costs (Hz)
+
+    Returns
+    -------
+    Wire bytes and packets, heartbeat and acknowledgement included.
+    """
+    fragments = max(1, math.ceil(payload_bytes / FRAGMENT_BYTES))
+    headers = _HEADERS_BYTES + (DATA_BYTES if fragments == 1 else _DATA_FRAG_BYTES)
+    asked = 1.0 if rate_hz * HEARTBEAT_S <= 1.0 else 1.0 / (rate_hz * HEARTBEAT_S)
+    wire_bytes = payload_bytes + fragments * headers + asked * (HEARTBEAT_BYTES + ACKNACK_BYTES)
+    return wire_bytes, fragments + round(2.0 * asked)
+
+
+def probe_wire_bytes(data_bytes: int) -> int:
+    """Bytes one best-effort probe packet with ``data_bytes`` of data puts on the link.
+
+    No heartbeat and no acknowledgement; the std_msgs layout and the CDR header cost 16 bytes.
+    """
+    return _HEADERS_BYTES + DATA_BYTES + 16 + data_bytes

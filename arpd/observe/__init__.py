@@ -1,0 +1,1 @@
+"""What arrives from the network: who may say how much, and what is believed of it."""

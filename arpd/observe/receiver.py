@@ -1,0 +1,212 @@
+"""What the peer makes of the probes that reach it: delays, trains, and when to report them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
+
+from arpd.model.probing import Train
+from arpd.model.wire import probe_wire_bytes
+
+# A report is the answer to a ping; the other two only bound how long what is known stays unsaid.
+PROMPT_S = 0.02  # least time between two reports; what arrives before a ping is reported blurs what came after it
+BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth one
+WORTH_BYTES = 10_000  # received since the last report are worth one; more where reports shall be rare
+QUIET_S = 0.25  # between reports while no probe arrives: silence for longer means an outage (`arpd.estimate.estimator`)
+LONGEST_QUIET_S = 2.0  # whatever a ping asks for
+
+_MOST_KEPT = 32  # delays and trains until the next report, which holds no more
+_MOST_LOST = 0.1  # of a train's packets
+_LEAST_EDGE = 4  # packets, or half of a short train; a shorter edge is jitter
+_SENT_AS_SLOWLY = 0.7  # of the time it took to arrive
+_RELEASED = 2.0  # times the time it took to arrive: no link and no sender is that uneven
+_LEAST_DISPERSION_S = 0.5e-3  # less is the jitter of time stamps
+
+
+@dataclass(slots=True)
+class ReportSchedule:
+    """When the next report is due.
+
+    Reports cost as much as pings, on the way back. So pings set their pace, and whoever pings less hears less.
+
+    Parameters
+    ----------
+    sent_at_s : when the last report left, or the schedule began (s)
+    """
+
+    sent_at_s: float
+    _quiet_s: float = QUIET_S
+    _wait_s: float = QUIET_S
+
+    @property
+    def due_s(self) -> float:
+        """When to report next, as far as is known now (s)."""
+        return self.sent_at_s + self._wait_s
+
+    def note_probe(self, *, packets: int, quiet_s: float) -> None:
+        """Take in that a packet of a probe arrived.
+
+        Parameters
+        ----------
+        packets : of its train; 1 is a ping
+        quiet_s : how long the daemon lets reports be apart: on a slow link, that they cost it little (s)
+        """
+        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
+        # A ping's delay is the first sign of a queue: it must not wait for company.
+        self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
+
+    @property
+    def look_s(self) -> float:
+        """When to look at the interface, to call `note_traffic` (s)."""
+        return self.sent_at_s + BUSY_S
+
+    def note_traffic(self, size_bytes: float) -> None:
+        """Take in what the interface received since the last report: while a queue stands no ping comes through."""
+        if size_bytes >= WORTH_BYTES * (self._quiet_s / QUIET_S) ** 2:
+            self._wait_s = min(self._wait_s, BUSY_S)
+
+    def note_sent(self, now_s: float) -> None:
+        """Take in that a report leaves now."""
+        self.sent_at_s, self._wait_s = now_s, self._quiet_s
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Arrival:
+    """One packet of a train.
+
+    Parameters
+    ----------
+    wire_bytes : its size on the link (bytes)
+    sent_ns, received_ns : time stamps of its MessageInfo, from two different clocks (ns)
+    """
+
+    wire_bytes: int
+    sent_ns: int
+    received_ns: int
+
+
+def measure_train(arrivals: list[Arrival], *, packets: int) -> Train | None:
+    """Dispersion of a train along the lower envelope of its arrivals; None when it tells nothing.
+
+    Behind a link that is never idle, what was sent before packet i, b_i bytes, arrives by a + b_i/C. Whatever else
+    happens to its time stamp makes it later, never earlier: the receiving thread wakes up late, a radio hands over an
+    aggregate at once, the message of somebody else comes in between. So the true line touches the points (b_i, t_i)
+    from below, and their lower convex hull contains a stretch of it: the edge that spans most bytes. A late first
+    stamp, or a bucket of saved-up tokens, bends the hull at its beginning, and not there; of aggregates it takes the
+    last packets. Measured over a token bucket: from first to last arrival trains read up to 38 % too high at 20 Mbit/s,
+    and their longest edge up to 1 %.
+
+    Where no edge spans enough packets (the train is short, and jitter bends it) the whole train is one: from the first
+    point of the hull to its last. An edge that arrived as slowly as it left shows the sender and is no edge; a train
+    that has no other is taken whole, and ``sent_s`` tells that it was its sender's rate.
+
+    Dispersion of trains: Dovrolis, Ramanathan and Moore, "Packet-Dispersion Techniques and a Capacity-Estimation
+    Methodology", IEEE/ACM Trans. Networking 12(6), 2004. Aggregates at the receiver: Prasad, Jain and Dovrolis,
+    "Effects of Interrupt Coalescence on Network Measurements", PAM 2004. Convex hulls of delays: Moon, Skelly and
+    Towsley, "Estimation and Removal of Clock Skew from Network Delay Measurements", INFOCOM 1999.
+
+    Parameters
+    ----------
+    arrivals : what arrived of the train, in that order
+    packets : how many packets were sent
+
+    Returns
+    -------
+    The train: bytes, packets and both spans of what came after the first point of the edge. None when more than a
+    tenth was lost, when a clock stepped back meanwhile, or when all arrived at once, so that nothing was dispersed.
+    """
+    if len(arrivals) < max(2.0, (1.0 - _MOST_LOST) * packets):
+        return None
+    if min(late.received_ns - early.received_ns for early, late in pairwise(arrivals)) < 0:
+        return None
+    carried = list(accumulate(arrival.wire_bytes for arrival in arrivals))
+    hull: list[int] = []
+    for index in range(len(arrivals)):
+        while len(hull) > 1 and _is_above(arrivals, carried, hull[-2], hull[-1], index):
+            hull.pop()
+        hull.append(index)
+    # The level part of the hull is one group, which arrived together: it ends where time begins to pass.
+    start = max(index for index in hull if arrivals[index].received_ns == arrivals[0].received_ns)
+    hull = [index for index in hull if index >= start]
+    edges = [_train_between(arrivals, carried, early, late) for early, late in pairwise(hull)]
+    least = max(2, min(_LEAST_EDGE, (len(arrivals) - 1) // 2))
+    most = max(
+        (edge for edge in edges if edge.packets >= least and edge.sent_s < _SENT_AS_SLOWLY * edge.duration_s),
+        key=lambda edge: edge.payload_bytes,
+        default=None,
+    )
+    if most is None:
+        # An edge that arrived much faster than it left is a group, too, stamped at the receiver's own pace.
+        spread = [early for early, edge in zip(hull, edges, strict=False) if edge.sent_s < _RELEASED * edge.duration_s]
+        most = _train_between(arrivals, carried, spread[0], hull[-1]) if spread else None
+    return most if most is not None and most.duration_s > _LEAST_DISPERSION_S else None
+
+
+def _train_between(arrivals: list[Arrival], carried: list[int], early: int, late: int) -> Train:
+    return Train(
+        payload_bytes=carried[late] - carried[early],
+        duration_s=(arrivals[late].received_ns - arrivals[early].received_ns) / 1e9,
+        packets=late - early,
+        sent_s=max(0.0, (arrivals[late].sent_ns - arrivals[early].sent_ns) / 1e9),
+    )
+
+
+def _is_above(arrivals: list[Arrival], carried: list[int], early: int, middle: int, late: int) -> bool:
+    """Whether the middle one of three points is on or above the line between the others."""
+    rise = arrivals[middle].received_ns - arrivals[early].received_ns
+    whole_rise = arrivals[late].received_ns - arrivals[early].received_ns
+    return rise * (carried[late] - carried[early]) >= whole_rise * (carried[middle] - carried[early])
+
+
+@dataclass(slots=True)
+class Receiver:
+    """Collects probe arrivals between two reports.
+
+    Probes overtake nobody on the link: a train is complete when its last packet arrives, and when a later probe says
+    that the last packet is lost.
+    """
+
+    delays_s: list[float] = field(default_factory=list)
+    trains: list[Train] = field(default_factory=list)
+    last_probe: int = 0
+    packets_before: int = 0  # that arrived of the probes before the last one
+    _received: int = 0  # packets of all probes
+    _number: int = -1  # of the train whose packets arrive now
+    _packets: int = 0
+    _arrivals: list[Arrival] = field(default_factory=list)
+
+    def on_probe(
+        self, *, train: int, index: int, packets: int, payload_bytes: int, sent_ns: int, received_ns: int
+    ) -> None:
+        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
+        if index == 0:
+            del self.delays_s[:-_MOST_KEPT]
+            self.delays_s.append((received_ns - sent_ns) / 1e9)
+            self.last_probe, self.packets_before = train, self._received
+        self._received += 1
+        if packets == 1:
+            if len(self._arrivals) >= (1.0 - _MOST_LOST) * self._packets:
+                self._close()
+            return
+        if train != self._number:
+            self._close()
+            self._number, self._packets = train, packets
+        if len(self._arrivals) >= self._packets:
+            return  # it is closed, or somebody repeats himself
+        self._arrivals.append(
+            Arrival(wire_bytes=probe_wire_bytes(payload_bytes), sent_ns=sent_ns, received_ns=received_ns)
+        )
+        if index == packets - 1:
+            self._close()
+
+    def take(self) -> tuple[tuple[float, ...], tuple[Train, ...]]:
+        """Return what came since the last call."""
+        delays, trains = tuple(self.delays_s), tuple(self.trains)
+        self.delays_s, self.trains = [], []
+        return delays, trains
+
+    def _close(self) -> None:
+        if self._arrivals and (measured := measure_train(self._arrivals, packets=self._packets)) is not None:
+            del self.trains[:-_MOST_KEPT]
+            self.trains.append(measured)
+        self._arrivals, self._packets = [], 0

@@ -1,0 +1,1 @@
+"""One judgement and one wording for the log, the status, the page and /diagnostics."""

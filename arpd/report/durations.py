@@ -1,0 +1,96 @@
+"""What the daemon times: its ticks, how late they begin, its solves, and the phases of its publishers' swaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from arpd.apply.endpoint.writer_swap import SwapPhase
+from arpd.report.distribution import Distribution
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from arpd.model.publishers import PublisherState
+
+# A tick has 0.1 s, and one that begins half of that late is counted as late: both are bounds.
+_TICK = Distribution.over(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+# A dozen topics take half a millisecond, a thousand some tens (scripts/bench/solve.py).
+_SOLVE = Distribution.over(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
+# The timeouts of `arpd.apply.endpoint.writer_swap.SwapTiming` lie between bounds, never on one: 0.3, 3, 4 and 10 s.
+_SWAP_PHASE = Distribution.over(0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 2.9, 3.5, 4.5, 7.5, 9.5, 15.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Durations:
+    """What took how long since the daemon started.
+
+    Parameters
+    ----------
+    ticks : ticks that finished
+    lateness : how much later than planned ticks began; 0 for one that a report called early
+    solves : solves of the program; a tick that brings nothing new solves nothing
+    swap_phases : phases of QoS swaps that finished, by `arpd.apply.endpoint.writer_swap.SwapPhase`
+    """
+
+    ticks: Distribution = _TICK
+    lateness: Distribution = _TICK
+    solves: Distribution = _SOLVE
+    swap_phases: Mapping[str, Distribution] = field(
+        default_factory=lambda: MappingProxyType(dict.fromkeys(SwapPhase, _SWAP_PHASE))
+    )
+
+    def with_tick(self, tick_s: float, *, solve_s: float | None, phases: Mapping[str, list[float]]) -> Durations:
+        """Return these and those of one more tick.
+
+        Parameters
+        ----------
+        tick_s : how long it took (s)
+        solve_s : how long its solve took (s); None = it needed none
+        phases : what swaps that finished since the last tick spent in each phase (s)
+        """
+        swap_phases = self.swap_phases
+        if phases:
+            more = {phase: swap_phases.get(phase, _SWAP_PHASE).including(each) for phase, each in phases.items()}
+            swap_phases = MappingProxyType({**swap_phases, **more})
+        return replace(
+            self,
+            ticks=self.ticks.including((tick_s,)),
+            solves=self.solves if solve_s is None else self.solves.including((solve_s,)),
+            swap_phases=swap_phases,
+        )
+
+    def with_lateness(self, late_s: float) -> Durations:
+        """Return these and one more beginning of a tick (s)."""
+        return replace(self, lateness=self.lateness.including((late_s,)))
+
+
+class SwapWatch:
+    """Finds the swaps that finished since the last look, each of them once.
+
+    What a publisher announces when it is first seen, or seen again, finished at a time nobody knows: maybe before this
+    daemon started, so it is not counted. A number, or a time, that is lower than before is of a publisher that started
+    anew. A swap's record is made before its old writer has drained, so draining is what the time of all swaps grew by.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[tuple[str, str], tuple[int, float]] = {}  # by topic and node: swap's number, time draining (s)
+
+    def look(self, publishers: Iterable[PublisherState]) -> dict[str, list[float]]:
+        """Return what the swaps that finished spent in each phase they entered (s)."""
+        before, self._last = self._last, {}
+        found: dict[str, list[float]] = {}
+        for publisher in publishers:
+            identity, swap = (publisher.topic, publisher.node), publisher.last_swap
+            number = 0 if swap is None else swap.number
+            drained_s = publisher.swap_seconds_by_phase.get(SwapPhase.DRAINING, 0.0)
+            self._last[identity] = number, drained_s
+            number_before, drained_before_s = before.get(identity, (number, drained_s))
+            times = {} if swap is None or number == number_before else dict(swap.seconds_by_phase)
+            grown_s = drained_s - drained_before_s
+            times[SwapPhase.DRAINING] = drained_s if grown_s < 0 else grown_s
+            for phase, duration_s in times.items():
+                if duration_s > 0:
+                    found.setdefault(phase, []).append(duration_s)
+        return found

@@ -1,0 +1,174 @@
+"""The last ten minutes, one sample a second, for charts: bounded however many topics there are."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections import deque
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Container, Mapping
+
+    from arpd.model.publishers import PublisherState
+    from arpd.model.values import LinkEstimate, TopicPlan
+    from arpd.report.snapshot import Snapshot
+
+SPAN_S = 600.0
+PERIOD_S = 1.0
+MOST_TOPICS = 200
+_DIGITS = 5  # more than any chart shows; what is written of the whole is shorter for it
+_EARLY_S = 0.05  # half a tick: the tick nearest to the full period takes the sample
+
+
+class TopicId(NamedTuple):
+    """Identity of one publisher."""
+
+    topic: str
+    node: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkSample:
+    """What was believed of the link at one moment, all of it to five digits; NaN where it was not known.
+
+    Parameters
+    ----------
+    capacity_bytes_per_second, available_bytes_per_second : estimate, and what it leaves for arpd's topics (bytes/s)
+    level_bytes_per_second : what the plan in force was made for (bytes/s)
+    delivery_rate_bytes_per_second, foreign_bytes_per_second : received by the peer, and not arpd's (bytes/s)
+    queue_delay_seconds : one-way delay above its minimum (s)
+    loss_ratio : share of probe packets lost
+    gate : factor on every paced rate
+    state : `arpd.model.values.LinkState`
+    """
+
+    capacity_bytes_per_second: float
+    available_bytes_per_second: float
+    level_bytes_per_second: float
+    delivery_rate_bytes_per_second: float
+    foreign_bytes_per_second: float
+    queue_delay_seconds: float
+    loss_ratio: float
+    gate: float
+    state: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sample:
+    """One moment; never changed once it stands in the history.
+
+    Parameters
+    ----------
+    at_s : monotonic clock (s)
+    unix_time_s : wall clock at the same moment (s)
+    link : the link
+    slots : which publisher has which slot of the rates
+    rates_hz : planned, published and source rate of slot after slot, NaN where there was none, ``inf`` = unpaced (Hz)
+    omitted : live publishers without a slot
+    """
+
+    at_s: float
+    unix_time_s: float
+    link: LinkSample
+    slots: Mapping[TopicId, int]
+    rates_hz: array[float]
+    omitted: int
+
+
+LINK_SERIES = tuple(field.name for field in fields(LinkSample))
+RATE_SERIES = ("planned_rate_hz", "published_rate_hz", "source_rate_hz")
+_NO_RATES = (math.nan,) * len(RATE_SERIES)
+
+
+class History:
+    """Samples snapshots; written by the tick, read by the HTTP server's threads.
+
+    A sample is immutable and is appended in one step, so that readers need no lock and can hold up no tick. With all
+    slots taken the whole span is 3.5 MB, however many topics there are.
+    """
+
+    def __init__(self) -> None:
+        self._samples: deque[Sample] = deque(maxlen=round(SPAN_S / PERIOD_S))
+        self._slots: Mapping[TopicId, int] = MappingProxyType({})
+        self._seen_at_s: dict[TopicId, float] = {}
+        self._due_s = -math.inf
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """The samples so far, oldest first."""
+        return tuple(self._samples)
+
+    def note(self, snapshot: Snapshot) -> None:
+        """Take a sample of the snapshot if one is due."""
+        now_s = snapshot.finished_at_s
+        if now_s < self._due_s - _EARLY_S:
+            return
+        is_late = now_s - self._due_s >= PERIOD_S
+        self._due_s = (now_s if is_late else self._due_s) + PERIOD_S
+        publishers = {TopicId(p.topic, p.node): p for p in snapshot.observation.publishers}
+        plan = snapshot.decision.plan.topics
+        self._give_slots(now_s, publishers, plan)
+        width = len(_NO_RATES)
+        values = array("d", _NO_RATES * (max(self._slots.values(), default=-1) + 1))
+        for identity, slot in self._slots.items():
+            if (publisher := publishers.get(identity)) is not None:
+                values[slot * width : (slot + 1) * width] = _rates(publisher, plan.get(identity.topic))
+        self._samples.append(
+            Sample(
+                at_s=now_s,
+                unix_time_s=snapshot.unix_time_s,
+                link=_link(snapshot.link, snapshot),
+                slots=self._slots,
+                rates_hz=values,
+                omitted=sum(identity not in self._slots for identity in publishers),
+            )
+        )
+
+    def _give_slots(self, now_s: float, live: Collection[TopicId], planned: Container[str]) -> None:
+        """Give newcomers slots, planned ones first; only a publisher that has left the whole span loses its own."""
+        self._seen_at_s.update((identity, now_s) for identity in live if identity in self._slots)
+        gone = {identity for identity, seen_s in self._seen_at_s.items() if now_s - seen_s > SPAN_S}
+        room = MOST_TOPICS - len(self._slots) + len(gone)
+        wanted = [identity for identity in live if identity not in self._slots] if room else []
+        if not gone and not wanted:
+            return
+        kept = {identity: slot for identity, slot in self._slots.items() if identity not in gone}
+        free = iter(sorted(set(range(MOST_TOPICS)) - set(kept.values())))
+        for identity in sorted(wanted, key=lambda identity: (identity.topic not in planned, identity))[:room]:
+            kept[identity] = next(free)
+            self._seen_at_s[identity] = now_s
+        for identity in gone:
+            del self._seen_at_s[identity]
+        self._slots = MappingProxyType(kept)
+
+
+def _rates(publisher: PublisherState, planned: TopicPlan | None) -> array[float]:
+    return array(
+        "d",
+        (
+            math.nan if planned is None else _short(planned.rate_hz),
+            _short(publisher.published_rate_hz),
+            _short(publisher.source_rate_hz),
+        ),
+    )
+
+
+def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
+    return LinkSample(
+        capacity_bytes_per_second=_short(link.capacity_bytes_per_second),
+        available_bytes_per_second=_short(link.available_bytes_per_second),
+        level_bytes_per_second=_short(snapshot.decision.plan.level_bytes_per_second),
+        delivery_rate_bytes_per_second=_short(link.delivery_rate_bytes_per_second),
+        foreign_bytes_per_second=_short(link.foreign_bytes_per_second),
+        queue_delay_seconds=_short(link.queue_delay_s),
+        loss_ratio=math.nan if link.loss_ratio is None else _short(link.loss_ratio),
+        gate=_short(snapshot.decision.gate),
+        state=str(link.state),
+    )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")

@@ -1,0 +1,256 @@
+"""What the decision log says of publishers and readers: who is there, whose writer was replaced, who refuses what."""
+
+from __future__ import annotations
+
+import math
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
+
+from arpd.apply.endpoint.writer_swap import SwapPhase
+from arpd.model.refusal import RefusalReason
+from arpd.model.values import LinkState
+from arpd.report.events import EventKind, Severity
+from arpd.report.wording import Said, count, deadline, digits, duration, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from arpd.model.publishers import PublisherState, SwapRecord
+    from arpd.model.readers import ReaderState
+    from arpd.report.snapshot import Snapshot
+
+_QUIET_S = 2.0  # a node brings its topics one after the other
+_LONGEST_S = 10.0  # however many follow each other
+_TOGETHER_S = 1.5  # publishers announce once a second, each at its own time
+_LOST_S = 2.0
+_AFTER_OUTAGE_S = 10.0  # those across the link are heard again by then
+_MOST_ALONE = 3  # of a batch that are told one by one
+
+_Identity = tuple[str, str]  # node and topic
+_WRITER_FACTS = attrgetter("node", "topic", "refusal_reason", "last_swap")
+_READER_FACTS = attrgetter("node", "topic", "refusal_reason")
+
+# How a swap that kept the old writer ended; where the publisher says more, in its refusal, that is told.
+_KEPT = {
+    "unmatched": "its readers did not take the new writer in time",
+    "incompatible": "a reader would have been lost to the new QoS",
+    "failed": "the middleware refused the new writer",
+}
+_OF_SWAPS = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, RefusalReason.FAILED})
+
+
+class EndpointStory:
+    """Follows publishers and readers; costs little while none of them has anything new to tell."""
+
+    def __init__(self) -> None:
+        self._facts: list[tuple[object, ...]] = []
+        self._topics = _Presence()
+        self._swaps = _Swaps()
+        self._refusals = _Refusals()
+
+    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
+        """Return what happened since the snapshot before."""
+        publishers, readers = snapshot.observation.publishers, snapshot.observation.readers
+        facts = [*map(_WRITER_FACTS, publishers), *map(_READER_FACTS, readers)]
+        is_new, self._facts = facts != self._facts, facts
+        if is_new:
+            self._swaps.see(snapshot.finished_at_s, publishers)
+            self._refusals.see(snapshot.finished_at_s, publishers, readers)
+        yield from self._topics.follow(snapshot, is_new=is_new)
+        yield from self._refusals.due(snapshot.finished_at_s)
+        yield from self._swaps.due(snapshot.finished_at_s)
+
+
+class _Presence:
+    """Topics of publishers that come and go; what returns while a loss is doubted was never gone."""
+
+    def __init__(self) -> None:
+        self._node_of: dict[str, str] = {}  # topic → a node that publishes it
+        self._known: set[str] = set()
+        self._found: dict[str, float] = {}  # since when (s)
+        self._missed: dict[str, float] = {}
+        self._out_at_s = -math.inf
+
+    def follow(self, snapshot: Snapshot, *, is_new: bool) -> Iterator[Said]:
+        now_s = snapshot.finished_at_s
+        if snapshot.link.state is LinkState.OUTAGE:
+            self._out_at_s = now_s
+        if is_new:
+            here = {publisher.topic: publisher.node for publisher in snapshot.observation.publishers}
+            self._node_of.update(here)
+            self._found = {topic: self._found.get(topic, now_s) for topic in here if topic not in self._known}
+            self._missed = {topic: self._missed.get(topic, now_s) for topic in self._known if topic not in here}
+        if self._found and _is_due(now_s, self._found.values()):
+            found, self._found = sorted(self._found), {}
+            self._known.update(found)
+            yield self._tell(EventKind.TOPIC_FOUND, found, "found", "publishes it")
+        is_heard = now_s - self._out_at_s >= _AFTER_OUTAGE_S
+        if self._missed and is_heard and now_s - max(self._missed.values()) >= _LOST_S:
+            lost, self._missed = sorted(self._missed), {}
+            self._known.difference_update(lost)
+            yield self._tell(EventKind.TOPIC_LOST, lost, "lost", "does not announce it any more")
+            self._node_of = {topic: node for topic, node in self._node_of.items() if topic in self._known}
+
+    def _tell(self, kind: EventKind, topics: list[str], word: str, alone: str) -> Said:
+        if len(topics) > 1:
+            text = f"{count(len(topics), 'topic')} {word}: {listed(topics)}"
+            return Said(kind, Severity.INFO, text, details={"topics": str(len(topics))})
+        node = self._node_of[topics[0]]
+        text = f"{topics[0]} {word}: {node} {alone}"
+        return Said(kind, Severity.INFO, text, topic=topics[0], node=node, details={"topics": "1"})
+
+
+class _Swap(NamedTuple):
+    node: str
+    topic: str
+    record: SwapRecord
+    why: str
+
+
+class _Swaps:
+    """Swaps that ended, known by their numbers; those of one plan come within a second or two of each other."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[_Identity, int] = {}
+        self._done: list[_Swap] = []
+        self._kept: list[_Swap] = []
+        self._since_s = math.inf
+
+    def see(self, now_s: float, publishers: Iterable[PublisherState]) -> None:
+        numbers: dict[_Identity, int] = {}
+        for publisher in publishers:
+            record, identity = publisher.last_swap, (publisher.node, publisher.topic)
+            numbers[identity] = record.number if record is not None else 0
+            # What a publisher had behind it when it was first heard of happened before our time.
+            if record is None or record.number == self._numbers.get(identity, record.number):
+                continue
+            swap = _Swap(publisher.node, publisher.topic, record, publisher.refusal)
+            if record.result in {"ok", "reorder_possible"}:
+                self._done.append(swap)
+            elif record.result in _KEPT:
+                self._kept.append(swap)
+            self._since_s = min(self._since_s, now_s)
+        self._numbers = numbers
+
+    def due(self, now_s: float) -> Iterator[Said]:
+        if now_s - self._since_s < _TOGETHER_S:
+            return
+        self._since_s = math.inf
+        done, self._done, kept, self._kept = self._done, [], self._kept, []
+        yield from self._tell(done, EventKind.SWAP, Severity.INFO, _swapped, "swapped")
+        yield from self._tell(kept, EventKind.SWAP_FAILED, Severity.WARNING, _not_swapped, "not swapped")
+
+    @staticmethod
+    def _tell(
+        swaps: list[_Swap], kind: EventKind, severity: Severity, alone: Callable[[_Swap], str], together: str
+    ) -> Iterator[Said]:
+        swaps.sort(key=lambda swap: (swap.topic, swap.node))
+        if len(swaps) <= _MOST_ALONE:
+            for swap in swaps:
+                yield Said(kind, severity, alone(swap), swap.topic, swap.node, _swap_details(swap.record))
+            return
+        took_s = [_total_s(swap.record) for swap in swaps]
+        least, most = digits(min(took_s)), digits(max(took_s))
+        took = f"{most} s" if least == most else f"{least} to {most} s"
+        yield Said(
+            kind,
+            severity,
+            f"{count(len(swaps), 'publisher')} {together} in {took}: {listed([swap.topic for swap in swaps])}",
+            details={"publishers": str(len(swaps)), "seconds": f"{max(took_s):.3f}"},
+        )
+
+
+def _swapped(swap: _Swap) -> str:
+    record = swap.record
+    phases = ", ".join(
+        f"{phase} {seconds:.1f}"
+        for phase, seconds in record.seconds_by_phase.items()
+        if seconds >= 0.05 and phase != SwapPhase.DRAINING
+    )
+    order = "; samples may have changed places" if record.result == "reorder_possible" else ""
+    took = f" in {duration(_total_s(record))}" if record.seconds_by_phase else ""
+    return (
+        f"{swap.topic} swapped to depth {record.depth}, {deadline(record.deadline_ns)}{took}"
+        + (f" ({phases})" if phases else "")
+        + order
+    )
+
+
+def _not_swapped(swap: _Swap) -> str:
+    record = swap.record
+    why = swap.why or _KEPT[record.result]
+    return f"{swap.topic} kept its writer, not swapped to depth {record.depth}, {deadline(record.deadline_ns)}: {why}"
+
+
+def _swap_details(record: SwapRecord) -> dict[str, str]:
+    return {
+        "result": record.result,
+        "depth": str(record.depth),
+        "deadline_ns": str(record.deadline_ns),
+        "seconds": f"{_total_s(record):.3f}",
+        **{f"{phase}_seconds": f"{seconds:.3f}" for phase, seconds in record.seconds_by_phase.items()},
+    }
+
+
+def _total_s(record: SwapRecord) -> float:
+    """Time from its begin to its result; draining the old writer goes on beside the new one (s)."""
+    return sum(seconds for phase, seconds in record.seconds_by_phase.items() if phase != SwapPhase.DRAINING)
+
+
+class _Refused(NamedTuple):
+    node: str
+    topic: str
+    reason: RefusalReason
+    words: str
+
+
+class _Refusals:
+    """Refusals, each reason once for an endpoint while that is there; those of swaps are told as such."""
+
+    def __init__(self) -> None:
+        self._told: dict[tuple[str, str, str], frozenset[RefusalReason]] = {}
+        self._new: list[_Refused] = []
+        self._since_s = math.inf
+
+    def see(self, now_s: float, publishers: Iterable[PublisherState], readers: Iterable[ReaderState]) -> None:
+        told: dict[tuple[str, str, str], frozenset[RefusalReason]] = {}
+        for side, endpoints in (("writer", publishers), ("reader", readers)):
+            for endpoint in endpoints:
+                identity = side, endpoint.node, endpoint.topic
+                reasons = self._told.get(identity, frozenset())
+                reason = endpoint.refusal_reason
+                if reason is not RefusalReason.NONE and reason not in reasons and not _is_of_a_swap(endpoint):
+                    reasons |= {reason}
+                    self._new.append(_Refused(endpoint.node, endpoint.topic, reason, endpoint.refusal))
+                    self._since_s = min(self._since_s, now_s)
+                if reasons:
+                    told[identity] = reasons
+        self._told = told
+
+    def due(self, now_s: float) -> Iterator[Said]:
+        if now_s - self._since_s < _TOGETHER_S:
+            return
+        self._since_s = math.inf
+        by_reason: dict[RefusalReason, list[_Refused]] = {}
+        for refused in self._new:
+            by_reason.setdefault(refused.reason, []).append(refused)
+        self._new = []
+        for reason, all_of_them in by_reason.items():
+            if len(all_of_them) <= _MOST_ALONE:
+                for one in all_of_them:
+                    text = f"{one.topic} refuses: {one.words}"
+                    yield Said(EventKind.REFUSED, Severity.WARNING, text, one.topic, one.node, {"reason": str(reason)})
+                continue
+            topics = sorted({one.topic for one in all_of_them})
+            text = f"{listed(topics)} {'refuse' if len(topics) > 1 else 'refuses'}: {all_of_them[0].words}"
+            details = {"reason": str(reason), "endpoints": str(len(all_of_them))}
+            yield Said(EventKind.REFUSED, Severity.WARNING, text, details=details)
+
+
+def _is_of_a_swap(endpoint: PublisherState | ReaderState) -> bool:
+    return endpoint.refusal_reason in _OF_SWAPS and getattr(endpoint, "last_swap", None) is not None
+
+
+def _is_due(now_s: float, since_s: Iterable[float]) -> bool:
+    times = list(since_s)
+    return now_s - max(times) >= _QUIET_S or now_s - min(times) >= _LONGEST_S

@@ -1,0 +1,240 @@
+"""What the decision log says of plans: why a new one was made, what it changes, and whether it is in force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from arpd.model.values import AllocationStatus, LinkState
+from arpd.report.event_limits import Episode
+from arpd.report.events import EventKind, Severity
+from arpd.report.wording import Change, Said, changes, count, digits, duration, rate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from arpd.model.values import LinkEstimate, QosPlan, TopicPlan
+    from arpd.report.snapshot import Snapshot
+
+_REFUSED_S = 2.0  # a plan that is due may wait so long without a word
+_GONE = 0.02  # of the capacity: traffic that is not worth naming
+_FITS_S = 2.0  # what is solved ten times a second swings with the estimate
+_WAITS_FOR = {
+    "dwell": "the last one was made {age} ago, and may be right again soon (dwell)",
+    "budget": "the swaps allowed in a minute are spent (budget)",
+}
+
+
+class PlanStory:
+    """New plans, and when every publisher and reader runs them; one that is overtaken before is not told of."""
+
+    def __init__(self) -> None:
+        self._plan: QosPlan | None = None
+        self._link: LinkEstimate | None = None  # when the plan was made
+        self._made_s = 0.0
+        self._is_awaited = False
+
+    @property
+    def made_s(self) -> float:
+        """When the plan in force was made (s)."""
+        return self._made_s
+
+    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
+        """Return what happened since the snapshot before."""
+        plan, before = snapshot.decision.plan, self._plan
+        if plan is not before:
+            self._plan = plan
+            if plan.generation > 0 and plan != before:
+                yield _new_plan(snapshot, before, self._link)
+                self._made_s, self._link, self._is_awaited = snapshot.finished_at_s, snapshot.link, True
+            elif plan.generation == 0:
+                self._link, self._is_awaited = None, False
+        if self._is_awaited and _is_in_force(snapshot):
+            self._is_awaited = False
+            took_s = snapshot.finished_at_s - self._made_s
+            yield Said(
+                EventKind.CONFIRMED,
+                Severity.INFO,
+                f"every publisher runs plan {plan.generation}"
+                + (f", {duration(took_s)} after it was made" if took_s > 0 else " already"),
+                details={"generation": str(plan.generation), "seconds": f"{took_s:.3f}"},
+            )
+
+
+def _is_in_force(snapshot: Snapshot) -> bool:
+    return 0 < snapshot.managed <= snapshot.confirmed and snapshot.readers_confirmed >= len(snapshot.reader_plans)
+
+
+def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Said:
+    plan, cause = snapshot.decision.plan, snapshot.decision.reason
+    rows = before.topics if before is not None else {}
+    rates, depths = _rate_changes(snapshot, rows), _depth_changes(snapshot, rows)
+    rate_words, depth_words = changes(rates, digits, " Hz"), changes(depths, digits, " samples")
+    lowered = sum(change.after < change.before for change in rates)
+    details = {
+        "cause": cause,
+        "generation": str(plan.generation),
+        "capacity_bytes_per_second": f"{snapshot.link.capacity_bytes_per_second:.6g}",
+        "level_bytes_per_second": f"{plan.level_bytes_per_second:.6g}",
+        "topics": str(len(plan.topics)),
+        "topics_slower": str(lowered),
+        "topics_faster": str(sum(change.after > change.before for change in rates)),
+    }
+    if cause == "memory":
+        less = sum(change.after - change.before for change in depths) < 0
+        return Said(
+            EventKind.MEMORY,
+            Severity.WARNING if less else Severity.INFO,
+            f"memory allows {'less' if less else 'more'}: {depth_words or 'no depth changes'}",
+            details=details,
+        )
+    unchanged = len(plan.topics) - len({change.name for change in rates})
+    if rate_words:
+        what = f"{rate_words}, {count(unchanged, 'topic')} unchanged" if unchanged else rate_words
+    else:
+        what = f"no rate changes; {depth_words}" if depth_words else "no rate changes"
+    return Said(
+        EventKind.PLAN,
+        Severity.WARNING if cause == "down" and lowered else Severity.INFO,
+        f"{_why(snapshot, before, link_then)}: {what}",
+        details=details,
+    )
+
+
+_OTHER_CAUSES = {
+    "demand": "what the sources publish has changed",
+    "reload": "new configuration",
+    "readers": "a reader asks for a shorter deadline",
+    "takeover": "another daemon's plan was found, this one replaces it",
+}
+
+
+def _why(snapshot: Snapshot, before: QosPlan | None, then: LinkEstimate | None) -> str:
+    plan, cause = snapshot.decision.plan, snapshot.decision.reason
+    if cause == "start":
+        carries = rate(snapshot.link.capacity_bytes_per_second)
+        return f"first plan for {count(len(plan.topics), 'topic')} on a link of {carries}"
+    if cause == "topics":
+        return _who_came(plan, before)
+    if cause in {"down", "up"}:
+        return _what_the_link_did(snapshot.link, then, fell=cause == "down")
+    return _OTHER_CAUSES.get(cause, f"plan {plan.generation}")
+
+
+def _who_came(plan: QosPlan, before: QosPlan | None) -> str:
+    old = before.topics.keys() if before is not None else set()
+    came, left = len(plan.topics.keys() - old), len(old - plan.topics.keys())
+    moved = [f"{count(came, 'topic')} joined"] if came else []
+    moved += [f"{count(left, 'topic')} left"] if left else []
+    return f"{' and '.join(moved) or 'topics came and went'}, {len(plan.topics)} planned"
+
+
+def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, *, fell: bool) -> str:
+    carries = rate(link.capacity_bytes_per_second)
+    if _is_others_doing(link, then):
+        foreign = link.foreign_bytes_per_second
+        if foreign < _GONE * link.capacity_bytes_per_second:
+            return f"other traffic is gone, the link's {carries} are free"
+        takes = f"{'takes' if fell else 'takes only'} {rate(foreign)}"
+        return f"other traffic {takes}, leaving {rate(link.available_bytes_per_second)} of {carries}"
+    return f"link {'fell' if fell else 'rose'} to {carries}"
+
+
+def _is_others_doing(link: LinkEstimate, then: LinkEstimate | None) -> bool:
+    """Whether foreign traffic moved what is left for arpd by more than the link itself did."""
+    if then is None:
+        return False
+    capacity = link.capacity_bytes_per_second - then.capacity_bytes_per_second
+    left = link.available_bytes_per_second - then.available_bytes_per_second
+    return left * (left - 2 * capacity) > 0
+
+
+def _rate_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
+    """Return how the rates change that the sources will notice: never from or to more than a source gives."""
+    planned = snapshot.decision.plan.topics
+    fastest: dict[str, Change] = {}
+    for publisher in snapshot.observation.publishers:
+        row = planned.get(publisher.topic)
+        if row is None or publisher.source_rate_hz <= 0:
+            continue
+        old = before.get(publisher.topic)
+        was_hz = min(old.rate_hz if old is not None else publisher.rate_hz, publisher.source_rate_hz)
+        is_hz = min(row.rate_hz, publisher.source_rate_hz)
+        if digits(was_hz) == digits(is_hz):
+            continue
+        weight = abs(is_hz - was_hz) * publisher.payload_bytes * publisher.copies
+        if (known := fastest.get(publisher.topic)) is None or known.weight < weight:
+            fastest[publisher.topic] = Change(publisher.topic, was_hz, is_hz, weight)
+    return list(fastest.values())
+
+
+def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
+    planned = snapshot.decision.plan.topics
+    found: dict[str, Change] = {}
+    for publisher in snapshot.observation.publishers:
+        if (row := planned.get(publisher.topic)) is None or publisher.keeps_all:
+            continue
+        old = before.get(publisher.topic)
+        was = old.depth if old is not None else publisher.depth
+        if was != row.depth:
+            weight = abs(row.depth - was) * publisher.payload_bytes
+            found[publisher.topic] = Change(publisher.topic, was, row.depth, weight)
+    return list(found.values())
+
+
+class WaitingStory:
+    """Plans that are wanted and have to wait: told once for each plan that stays in force."""
+
+    def __init__(self) -> None:
+        self._since_s: dict[str, float] = {}
+        self._told: set[tuple[int, str]] = set()
+
+    def follow(self, snapshot: Snapshot, *, made_s: float) -> Iterator[Said]:
+        """Return what happened since the snapshot before.
+
+        Parameters
+        ----------
+        made_s : when the plan in force was made (s)
+        """
+        now_s, decision = snapshot.finished_at_s, snapshot.decision
+        if not (decision.refusals or self._since_s):
+            return
+        generation = decision.plan.generation
+        self._told = {told for told in self._told if told[0] == generation}
+        self._since_s = {reason: self._since_s.get(reason, now_s) for reason in decision.refusals}
+        for reason, since_s in self._since_s.items():
+            if now_s - since_s < _REFUSED_S or (generation, reason) in self._told:
+                continue
+            self._told.add((generation, reason))
+            words = _WAITS_FOR.get(reason, f"({reason})").format(age=duration(now_s - made_s))
+            yield Said(
+                EventKind.PLAN_REFUSED,
+                Severity.INFO,
+                f"a new plan has to wait: {words}",
+                details={"reason": reason, "generation": str(generation)},
+            )
+
+
+class FittingStory:
+    """Whether all that is asked for fits the link; nothing is said of it during an outage."""
+
+    def __init__(self) -> None:
+        self._lacking = Episode(hold_s=_FITS_S, most=3)
+
+    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
+        """Return what happened since the snapshot before."""
+        allocation = snapshot.allocation
+        is_lacking = allocation.status is AllocationStatus.DEGRADED
+        if snapshot.link.state is LinkState.OUTAGE or allocation.status is AllocationStatus.EMPTY:
+            is_lacking = self._lacking.holds
+        if (turn := self._lacking.look(snapshot.finished_at_s, holds=is_lacking)) is None:
+            return
+        details = {"binding": str(allocation.binding)}
+        again = f"{count(turn.untold, 'more change')} in the last minute; " if turn.untold else ""
+        if turn.holds:
+            why = f": {allocation.degradation}" if allocation.degradation else ""
+            text = f"{again}not everything that was asked for fits{why}"
+            yield Said(EventKind.INFEASIBLE, Severity.WARNING, text, details=details)
+        else:
+            after = f" after {duration(turn.lasted_s)}" if turn.lasted_s else ""
+            text = f"{again}everything that was asked for fits again{after}"
+            yield Said(EventKind.FEASIBLE, Severity.INFO, text, details=details)

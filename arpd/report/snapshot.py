@@ -1,0 +1,104 @@
+"""One immutable picture of the daemon after a tick; metrics, health and status are made from nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from arpd.report.durations import Durations
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.model.readers import ReaderPlan
+    from arpd.model.values import Allocation, Decision, LinkEstimate, Observation
+    from arpd.report.events import Event
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Totals:
+    """What the daemon counted since it started; every attempt and every failure has its own count.
+
+    Parameters
+    ----------
+    ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
+    solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
+    cross_check_disagreements : answers of the back end that ``exact`` contradicted
+    levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
+    refusals_by_reason : plan changes wanted but refused (``dwell``, ``hold``, ``deadband``, ``budget`` …)
+    applies_by_result : parameter calls by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
+    probes, probe_bytes : trains and pings put on the link, and their wire bytes
+    reports : peer reports received
+    reloads_by_result : configuration reloads (``ok``, ``failed``)
+    changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
+    events_by_kind : lines of the decision log, by `arpd.report.events.EventKind`
+    durations : what took how long
+    """
+
+    ticks: int = 0
+    ticks_failed: int = 0
+    ticks_late: int = 0
+    solves_by_outcome: Mapping[tuple[str, str], int] = field(default_factory=lambda: MappingProxyType({}))
+    cross_check_disagreements: int = 0
+    levels_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    refusals_by_reason: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    applies_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    probes: int = 0
+    probe_bytes: int = 0
+    reports: int = 0
+    reloads_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    changed_keys_by_effect: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    durations: Durations = field(default_factory=Durations)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Snapshot:
+    """The daemon after one finished tick.
+
+    Parameters
+    ----------
+    version : arpd's version
+    interface : link interface in use
+    finished_at_s : monotonic clock when the tick finished (s)
+    unix_time_s : wall clock at the same moment (s)
+    tick_s : how long the tick took (s)
+    observation, link, allocation, decision : what the stages of the tick returned
+    totals : counts since start
+    config_path : file in force
+    config_error : first line of why the last reload was refused, empty when it was not
+    config_loaded_at_s : wall clock when the configuration in force was read (s)
+    keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
+    confirmed : number of managed publishers whose announcement matches the plan
+    reader_plans : what the plan wants of the readers of its topics, by node and topic
+    readers_confirmed : number of those whose announcement matches it
+    lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
+    events : the last of the decision log, oldest first
+    """
+
+    version: str
+    interface: str
+    finished_at_s: float
+    unix_time_s: float
+    tick_s: float
+    observation: Observation
+    link: LinkEstimate
+    allocation: Allocation
+    decision: Decision
+    totals: Totals
+    config_path: str = ""
+    config_error: str = ""
+    config_loaded_at_s: float = 0.0
+    keys_awaiting_restart: tuple[str, ...] = ()
+    confirmed: int = 0
+    reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
+    readers_confirmed: int = 0
+    lease_s: float = 0.0
+    events: tuple[Event, ...] = ()
+
+    @property
+    def managed(self) -> int:
+        """Number of live publishers that the plan in force covers."""
+        planned = self.decision.plan.topics
+        return sum(publisher.topic in planned for publisher in self.observation.publishers)

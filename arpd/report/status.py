@@ -1,0 +1,332 @@
+"""The status document of ``/api/v1/status``: the last snapshot as JSON.
+
+Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite), in
+``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan covers,
+in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue, in
+``radio_bytes_per_second`` an interface without a radio or a radio that does not tell, in ``rmw`` a world without ROS,
+in ``after_seconds`` of ``lease`` a plan that outlives its daemon, in ``loss_ratio`` and ``return_delay_seconds`` what
+nobody measures. Keys are only ever added within ``v1``; ``arpd/adapters/http/schema/status-v1.json`` describes each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from arpd.model.interface import InterfaceState, state_of
+from arpd.model.settings import OnLost
+from arpd.report.situation import verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from arpd.model.interface import LinkCounters
+    from arpd.model.publishers import PublisherState, SwapRecord
+    from arpd.model.readers import ReaderPlan, ReaderState
+    from arpd.model.values import Observation, TopicAllocation, TopicPlan
+    from arpd.report.events import Event
+    from arpd.report.snapshot import Snapshot, Totals
+
+_T = TypeVar("_T")
+API_VERSION = "v1"
+_MOST_EVENTS = 50
+LASTING = "rate and gate only: "  # before the words of a refusal that lasts
+
+
+def confirmed(plan: dict[str, Any]) -> str:
+    """Say of a status document's plan who announces it, and how many of those refuse new QoS for good."""
+    publishers = f"{plan['confirmed']} of {plan['publishers']} publishers"
+    paced_only = f" ({plan['paced_only']} by rate and gate only)" if plan.get("paced_only") else ""
+    readers = f", {plan['readers_confirmed']} of {plan['readers']} readers" if plan.get("readers") else ""
+    return f"{publishers}{paced_only}{readers}"
+
+
+def interface_fault(document: dict[str, Any]) -> str:
+    """Say of a status document why its interface carries nothing, empty when it does."""
+    state = str(document.get("interface_state", InterfaceState.UP))
+    return {str(known): known.fault for known in InterfaceState}.get(state, f"is {state}")
+
+
+def lease(document: dict[str, Any]) -> str:
+    """Say what becomes of a status document's plan when nothing is heard of the daemon."""
+    after_s = document["lease"]["after_seconds"]
+    if after_s is None:
+        return "the plan stays when this daemon falls silent"
+    return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicRow:
+    """One live publisher, with its row of the plan and of the program where it has one.
+
+    Parameters
+    ----------
+    publisher : what it announced last
+    planned : what the plan in force wants of it
+    allocation : what the program answered in this tick
+    """
+
+    publisher: PublisherState
+    planned: TopicPlan | None
+    allocation: TopicAllocation | None
+
+
+def topic_rows(snapshot: Snapshot) -> tuple[TopicRow, ...]:
+    """Return a row per live publisher, sorted by topic and node; a pair announced twice counts once."""
+    by_identity = {(p.topic, p.node): p for p in snapshot.observation.publishers}
+    by_topic = {row.name: row for row in snapshot.allocation.topics}
+    plan = snapshot.decision.plan.topics
+    return tuple(
+        TopicRow(publisher=publisher, planned=plan.get(topic), allocation=by_topic.get(topic))
+        for (topic, _node), publisher in sorted(by_identity.items())
+    )
+
+
+def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
+    """Return the whole snapshot as a JSON-safe document.
+
+    Parameters
+    ----------
+    is_ready : whether the daemon governs
+    now_s : monotonic clock (s), to say how old the snapshot is; None leaves the age out as null
+    """
+    decision, allocation, rows = snapshot.decision, snapshot.allocation, topic_rows(snapshot)
+    return {
+        "api_version": API_VERSION,
+        "version": snapshot.version,
+        "ready": is_ready,
+        "unix_time_seconds": _finite(snapshot.unix_time_s),
+        "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
+        "tick_seconds": _finite(snapshot.tick_s),
+        "verdict": verdict(snapshot, rows)._asdict(),
+        "interface": snapshot.interface,
+        "interface_state": str(state_of(snapshot.observation.counters)),
+        "interface_counters": _counters(snapshot.observation.counters),
+        "link": _link(snapshot),
+        "peers": [
+            {"peer": peer, "report_age_seconds": _finite(age_s)}
+            for peer, age_s in sorted(snapshot.observation.peer_ages_s.items())
+        ],
+        "memory": {
+            "total_bytes": snapshot.observation.memory.total_bytes,
+            "available_bytes": snapshot.observation.memory.available_bytes,
+        },
+        "graph": {
+            "sensing_topics": snapshot.observation.sensing_topics,
+            "actuation_topics": snapshot.observation.actuation_topics,
+        },
+        "rmw": _rmw(snapshot.observation),
+        "daemons": {
+            "others": list(snapshot.observation.other_daemons),
+            "standing_by_for": snapshot.observation.superior,
+        },
+        "gate": _finite(decision.gate),
+        "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
+        "plan": {
+            "generation": decision.plan.generation,
+            "reason": decision.reason,
+            "refusals": list(decision.refusals),
+            "topics": len(decision.plan.topics),
+            "publishers": sum(row.planned is not None for row in rows),
+            "confirmed": snapshot.confirmed,
+            "readers": len(snapshot.reader_plans),
+            "readers_confirmed": snapshot.readers_confirmed,
+            "paced_only": sum(row.planned is not None and row.publisher.refusal_reason.is_lasting for row in rows),
+        },
+        "allocation": {
+            "status": str(allocation.status),
+            "binding": str(allocation.binding),
+            "capacity_bytes_per_second": _finite(allocation.capacity_bytes_per_second),
+            "degradation": allocation.degradation,
+            "backend": allocation.backend,
+            "solve_seconds": _finite(allocation.solve_s),
+        },
+        "lease": _lease(snapshot),
+        "topics": [_topic(row) for row in rows],
+        "readers": [
+            _reader(reader, snapshot.reader_plans.get((reader.node, reader.topic)))
+            for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
+        ],
+        "totals": _totals(snapshot.totals),
+        "events": event_documents(snapshot.events[-_MOST_EVENTS:]),
+        "config": {"path": snapshot.config_path, "error": snapshot.config_error},
+    }
+
+
+def event_documents(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """Return lines of the decision log as JSON-safe documents, in the same order."""
+    return [
+        {
+            "number": event.number,
+            "unix_time_seconds": _finite(event.unix_time_s),
+            "event": str(event.kind),
+            "severity": str(event.severity),
+            "text": event.text,
+            "topic": event.topic,
+            "node": event.node,
+            "details": _sorted(event.details),
+        }
+        for event in events
+    ]
+
+
+def _link(snapshot: Snapshot) -> dict[str, Any]:
+    link, radio = snapshot.link, snapshot.observation.radio_bytes_per_second
+    return {
+        "capacity_bytes_per_second": _finite(link.capacity_bytes_per_second),
+        "foreign_bytes_per_second": _finite(link.foreign_bytes_per_second),
+        "available_bytes_per_second": _finite(link.available_bytes_per_second),
+        "kind": str(link.kind),
+        "state": str(link.state),
+        "app_limited": link.is_app_limited,
+        "queue_delay_seconds": _finite(link.queue_delay_s),
+        "delivery_rate_bytes_per_second": _finite(link.delivery_rate_bytes_per_second),
+        "packet_overhead_seconds": _finite(link.packet_overhead_s),
+        "loss_ratio": _known(link.loss_ratio),
+        "return_delay_seconds": _known(link.return_delay_s),
+        "radio_bytes_per_second": _known(radio),
+        "age_seconds": _finite(link.age_s),
+        "evidence": link.evidence,
+        "events": _sorted(link.events_by_kind),
+    }
+
+
+def _counters(counters: LinkCounters | None) -> dict[str, Any] | None:
+    if counters is None:
+        return None
+    return {
+        "interface": counters.interface,
+        "up": counters.is_up,
+        "receive_bytes": counters.rx_bytes,
+        "transmit_bytes": counters.tx_bytes,
+        "receive_packets": counters.rx_packets,
+        "transmit_packets": counters.tx_packets,
+        "transmit_dropped_packets": counters.tx_dropped,
+        "backlog_bytes": counters.backlog_bytes,
+    }
+
+
+def _rmw(observation: Observation) -> dict[str, Any] | None:
+    if not observation.rmw:
+        return None
+    return {"name": observation.rmw, "swaps": not observation.rmw_refusal, "refusal": observation.rmw_refusal}
+
+
+def _lease(snapshot: Snapshot) -> dict[str, Any]:
+    on_lost = OnLost.BASELINE if snapshot.lease_s else OnLost.KEEP
+    return {"on_lost": str(on_lost), "after_seconds": snapshot.lease_s or None}
+
+
+def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
+    return {
+        "topic": reader.topic,
+        "node": reader.node,
+        "planned": planned and {"depth": planned.depth, "deadline_ns": planned.deadline_ns or None},
+        "confirmed": {
+            "depth": reader.depth,
+            "deadline_ns": reader.deadline_ns or None,
+            "generation": reader.generation,
+        },
+        "baseline": {"depth": reader.baseline_depth, "deadline_ns": reader.baseline_deadline_ns or None},
+        "handovers": _sorted(reader.handovers_by_result),
+        "deadlines_missed": reader.deadlines_missed,
+        "refusal": reader.refusal,
+        "refusal_reason": str(reader.refusal_reason),
+        "refusal_lasts": reader.refusal_reason.is_lasting,
+        "age_seconds": _finite(reader.age_s),
+    }
+
+
+def _topic(row: TopicRow) -> dict[str, Any]:
+    publisher, planned, allocation = row.publisher, row.planned, row.allocation
+    return {
+        "topic": publisher.topic,
+        "node": publisher.node,
+        "type": publisher.type_name,
+        "direction": str(publisher.direction),
+        "planned": planned
+        and {
+            "rate_hz": _finite(planned.rate_hz),
+            "min_rate_hz": _finite(planned.min_rate_hz),
+            "depth": planned.depth,
+            "deadline_ns": planned.deadline_ns or None,
+        },
+        "confirmed": {
+            "rate_hz": _finite(publisher.rate_hz),
+            "depth": publisher.depth,
+            "deadline_ns": publisher.deadline_ns or None,
+            "generation": publisher.generation,
+        },
+        "baseline": {"depth": publisher.baseline_depth, "deadline_ns": publisher.baseline_deadline_ns or None},
+        "max_rate_hz": allocation and _finite(allocation.max_rate_hz),
+        "optimal_rate_hz": allocation and _finite(allocation.rate_hz),
+        "optimal_depth": allocation and _finite(allocation.depth),
+        "share": allocation and _finite(allocation.share),
+        "binding": allocation and str(allocation.binding),
+        "depth_binding": allocation and str(allocation.depth_binding),
+        "source_rate_hz": _finite(publisher.source_rate_hz),
+        "published_rate_hz": _finite(publisher.published_rate_hz),
+        "payload_bytes": _finite(publisher.payload_bytes),
+        "offered": publisher.offered,
+        "published": publisher.published,
+        "withheld": publisher.withheld,
+        "withheld_by_cause": _sorted(publisher.withheld_by_cause),
+        "queued": publisher.queued,
+        "blocked_seconds": _finite(publisher.blocked_s),
+        "remote_readers": publisher.remote_readers,
+        "requested_deadline_ns": publisher.requested_deadline_ns or None,
+        "deadlines_missed": publisher.deadlines_missed,
+        "swaps": _sorted(publisher.swaps_by_result),
+        "swaps_begun": publisher.swaps_begun,
+        "swap_seconds_by_phase": _sorted(publisher.swap_seconds_by_phase),
+        "last_swap": publisher.last_swap and _swap(publisher.last_swap),
+        "refusal": publisher.refusal,
+        "refusal_reason": str(publisher.refusal_reason),
+        "refusal_lasts": publisher.refusal_reason.is_lasting,
+        "age_seconds": _finite(publisher.age_s),
+    }
+
+
+def _swap(swap: SwapRecord) -> dict[str, Any]:
+    return {
+        "number": swap.number,
+        "result": swap.result,
+        "depth": swap.depth,
+        "deadline_ns": swap.deadline_ns or None,
+        "seconds_by_phase": _sorted(swap.seconds_by_phase),
+    }
+
+
+def _totals(totals: Totals) -> dict[str, Any]:
+    solves: dict[str, dict[str, int]] = {}
+    for (backend, outcome), count in sorted(totals.solves_by_outcome.items()):
+        solves.setdefault(backend, {})[outcome] = count
+    return {
+        "ticks": totals.ticks,
+        "ticks_failed": totals.ticks_failed,
+        "ticks_late": totals.ticks_late,
+        "solves": solves,
+        "cross_check_disagreements": totals.cross_check_disagreements,
+        "levels": _sorted(totals.levels_by_cause),
+        "refusals": _sorted(totals.refusals_by_reason),
+        "applies": _sorted(totals.applies_by_result),
+        "probes": totals.probes,
+        "probe_bytes": totals.probe_bytes,
+        "reports": totals.reports,
+        "reloads": _sorted(totals.reloads_by_result),
+        "events": _sorted(totals.events_by_kind),
+    }
+
+
+def _sorted(values: Mapping[str, _T]) -> dict[str, _T]:
+    return dict(sorted(values.items()))
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None else _finite(value)
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity; what an infinite value means is in the module's docstring."""
+    return value if math.isfinite(value) else None

@@ -1,1 +1,0 @@
-"""A simulated link: network namespaces for real processes, virtual time for fast scenarios."""

@@ -1,0 +1,1 @@
+"""The DEPTH/DEADLINE program and its back ends."""

@@ -1,0 +1,350 @@
+"""The DEPTH/DEADLINE program, topic by topic: (G1) divides the link, (G2) divides the memory (DESIGN §4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from arpd.model.settings import Backend
+from arpd.model.values import Allocation, AllocationStatus, Binding, TopicAllocation
+from arpd.solve.checked import CheckedSolver, ShareProblem, Stand, load
+from arpd.solve.rounding import Ratio, decimal, period_ns, rate_of, whole
+from arpd.solve.rows import SAMPLE, Row, give_up, refuse_nonsense, rows_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from arpd.model.settings import ProgramSettings, Settings
+    from arpd.model.values import Topic
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Division:
+    """How one budget was divided.
+
+    Parameters
+    ----------
+    values : share of the link (1/units.share) or depth (samples) per row
+    bindings : what stopped each value
+    backend : back end that answered
+    given_up : what was given up, in words
+    """
+
+    values: list[Ratio]
+    bindings: list[Binding]
+    backend: Backend
+    given_up: tuple[str, ...] = ()
+
+
+class Program:
+    """Solves (G1), then (G2) on its result, and rounds to what publishers can run.
+
+    (G1) divides link time: e_i = a_i·R_i = clip(ν·w_i, a_i·ℓ_i, a_i·u_i) with Σ e_i ≤ B = η − Σ a_i·ρ_i.
+    (G2) divides memory: g_i = m_i·D_i/M, Σ g_i ≤ 1, Dmin_i ≤ D_i ≤ min(Dmax_i, τ_i·R_i − δ_i).
+
+    With identical topics, η = 1, ρ = Rmin, no latency budget and ample memory this is Eq. (4) of the paper.
+
+    Everything is counted in whole numbers (``demand.Units``), so nothing is lost to binary noise before the last step,
+    and that one is safe: ⌈1e9/R⌉ can only lower a rate, ⌊D⌋ can only lower a depth, and both budgets are sums.
+
+    Infeasibility is decided before any solver runs, and the answer gives way in this order, by no more than it must,
+    so that no rate rises while the capacity falls:
+
+    1. δ: where τ_i·R_i − δ_i would be below Dmin_i, the depth is Dmin_i. Every slow topic on a fast link meets
+       this, and nobody loses anything by it: it shows as ``depth_binding`` FLOOR and is not called degraded.
+    2. ρ, the rate reserve.
+    3. the floors ℓ_i, class by class in ascending weight, down to 0 (paused); for memory, Dmin_i down to 1.
+
+    Σ e_i never exceeds η.
+
+    Parameters
+    ----------
+    settings : the operator's choice of back end
+    headroom : η, the share of the capacity that may be planned, 0..1
+    packet_overhead_s : t_ovh, link time per packet beyond its bytes (s)
+    backend : back end for this program alone; None = the one in ``settings``
+    rate_reserve : ρ_i as a multiple of ℓ_i; the paper's is 1, the daemon's 0 because η reserves already
+    depth_reserve : δ_i as a multiple of Dmin_i; the paper's is 1
+    clock : monotonic clock that times a solve (s); without one ``Allocation.solve_s`` stays 0
+    """
+
+    def __init__(
+        self,
+        *,
+        settings: ProgramSettings,
+        headroom: float,
+        packet_overhead_s: float = 0.0,
+        backend: Backend | None = None,
+        rate_reserve: int = 0,
+        depth_reserve: int = 1,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        if not 0.0 < headroom <= 1.0:
+            raise ValueError(f"headroom {headroom!r} must be above 0 and at most 1")
+        for name, value in (
+            ("packet_overhead_s", packet_overhead_s),
+            ("rate_reserve", rate_reserve),
+            ("depth_reserve", depth_reserve),
+        ):
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} {value!r} must be a number of at least 0")
+        self._headroom = decimal(headroom)
+        self._packet_overhead_s = packet_overhead_s
+        self._rate_reserve = rate_reserve
+        self._depth_reserve = depth_reserve
+        self._solver = CheckedSolver(load(backend or settings.backend))
+        self._clock = clock
+        self._last: tuple[tuple[float, tuple[Topic, ...], float, float], Allocation] | None = None
+
+    @classmethod
+    def of(
+        cls, settings: Settings, *, backend: Backend | None = None, clock: Callable[[], float] = lambda: 0.0
+    ) -> Program:
+        """Return the program that a configuration asks for, live or offline."""
+        return cls(
+            settings=settings.program,
+            headroom=settings.link.headroom,
+            packet_overhead_s=settings.link.packet_overhead_s or 0.0,
+            backend=backend,
+            clock=clock,
+        )
+
+    @property
+    def outcomes(self) -> Mapping[tuple[str, str], int]:
+        """Copy of the counts (back end, ``solved`` | ``infeasible`` | ``failed``) since this program was made."""
+        return self._solver.outcomes
+
+    @property
+    def disagreements(self) -> int:
+        """Answers that ``exact`` contradicted since this program was made."""
+        return self._solver.disagreements
+
+    def solve(
+        self,
+        capacity_bytes_per_second: float,
+        topics: Sequence[Topic],
+        memory_budget_bytes: float,
+        *,
+        packet_overhead_s: float | None = None,
+    ) -> Allocation:
+        """Divide the link and the memory among ``topics``.
+
+        ``deadline_ns`` of the answer is the bare period ⌈1e9/R⌉, 0 for a paused topic; the planner multiplies the
+        slack in. A topic that cannot be given any rate is paused: rate 0, ``deadline_ns`` 0, depth at its floor.
+
+        Parameters
+        ----------
+        capacity_bytes_per_second : C, after foreign traffic and before headroom, ≥ 0 (bytes/s)
+        topics : the demand, one row each
+        memory_budget_bytes : M, what all histories together may take, ≥ 0 (bytes)
+        packet_overhead_s : t_ovh as measured, ≥ 0; None = the one this program was made with (s)
+        """
+        overhead_s = self._packet_overhead_s if packet_overhead_s is None else packet_overhead_s
+        question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes, overhead_s)
+        if self._last is not None and self._last[0] == question:
+            return self._last[1]  # most ticks bring nothing new, and exact arithmetic is most of a tick's cost
+        started = self._clock()
+        for name, value in (
+            ("capacity", capacity_bytes_per_second),
+            ("memory budget", memory_budget_bytes),
+            ("packet overhead", overhead_s),
+        ):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} {value!r} must be a number of at least 0")
+        allocation = self._allocate(
+            capacity_bytes_per_second, topics, decimal(memory_budget_bytes), decimal(overhead_s)
+        )
+        allocation = replace(allocation, solve_s=self._clock() - started)
+        self._last = (question, allocation)
+        return allocation
+
+    def _allocate(
+        self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio, packet_overhead: Ratio
+    ) -> Allocation:
+        level = capacity * self._headroom[0] / self._headroom[1]
+        if not topics:
+            return _empty(level)
+        if not capacity:
+            self._solver.note_infeasible()
+            return _paused(topics)
+        rows = rows_of(topics, capacity=decimal(capacity), packet_overhead=packet_overhead, parts=self._headroom[1])
+        link = self._divide_link(rows)
+        memory = self._divide_memory(rows, link, memory_budget)
+        return self._published(rows, link, memory, level)
+
+    def _divide_link(self, rows: list[Row]) -> _Division:
+        """(G1): a share of the link per row."""
+        whole_link = rows[0].units.share
+        usable = whole_link * self._headroom[0] // self._headroom[1]  # exact: the units were chosen for it
+        needed = sum(r.lo for r in rows)
+        reserve = self._rate_reserve * needed
+        if needed + reserve > usable:
+            self._solver.note_infeasible()
+            return _cut_rates(rows, needed=needed, reserve=reserve, usable=usable)
+        problem = ShareProblem(
+            weights=tuple(r.weight for r in rows),
+            lo=tuple(r.lo for r in rows),
+            hi=tuple(r.hi for r in rows),
+            budget=usable - reserve,
+            whole=whole_link,
+        )
+        filling, backend = self._solver.solve(problem)
+        bindings = [
+            r.ceiling
+            if stand is Stand.HIGH or r.lo == r.hi
+            else (Binding.FLOOR if stand is Stand.LOW and r.lo else Binding.LINK)
+            for r, stand in zip(rows, filling.stands, strict=True)
+        ]
+        return _Division(values=filling.ratios(), bindings=bindings, backend=backend)
+
+    def _divide_memory(self, rows: list[Row], link: _Division, memory_budget: Ratio) -> _Division:
+        """(G2): a depth per row, given the rates."""
+        (*slots, budget), _ = whole([*(decimal(r.topic.slot_bytes) for r in rows), memory_budget])
+        needed = sum(slot * r.topic.min_depth for slot, r in zip(slots, rows, strict=True))
+        if needed > budget:
+            self._solver.note_infeasible()
+            return _cut_depths(rows, slots, needed=needed, budget=budget)
+        justified = [
+            r.justified(r.rate_hz(share), reserve=self._depth_reserve)
+            for r, share in zip(rows, link.values, strict=True)
+        ]
+        caps = [r.depth_cap(history) for r, history in zip(rows, justified, strict=True)]
+        problem = ShareProblem(
+            weights=tuple(r.weight for r in rows),
+            lo=tuple(slot * r.topic.min_depth * SAMPLE for slot, r in zip(slots, rows, strict=True)),
+            hi=tuple(slot * cap for slot, cap in zip(slots, caps, strict=True)),
+            budget=budget * SAMPLE,
+            whole=max(1, budget * SAMPLE),
+        )
+        filling, backend = self._solver.solve(problem)
+        values: list[Ratio] = []
+        bindings: list[Binding] = []
+        for i, (r, (taken, parts), stand) in enumerate(zip(rows, filling.ratios(), filling.stands, strict=True)):
+            if stand is Stand.HIGH or problem.lo[i] == problem.hi[i]:
+                values.append((caps[i], SAMPLE))
+                bindings.append(r.depth_binding(justified[i]))
+            else:
+                values.append((taken, parts * slots[i] * SAMPLE))
+                bindings.append(Binding.FLOOR if stand is Stand.LOW else Binding.MEMORY)
+        return _Division(values=values, bindings=bindings, backend=backend)
+
+    def _published(self, rows: list[Row], link: _Division, memory: _Division, level: float) -> Allocation:
+        """Round both divisions to whole nanoseconds and samples, and put them into one answer.
+
+        The depth is floored last, from the rate of the whole period, so (3) holds by construction.
+        """
+        topics = []
+        for i, r in enumerate(rows):
+            share, (depth, depth_parts) = link.values[i], memory.values[i]
+            rate_hz = r.rate_hz(share)
+            period = period_ns(rate_hz)
+            cap = r.depth_cap(r.justified(rate_of(period), reserve=self._depth_reserve))
+            topics.append(
+                TopicAllocation(
+                    name=r.topic.name,
+                    share=share[0] / (share[1] * r.units.share),
+                    max_rate_hz=r.max_rate_hz,
+                    rate_hz=rate_hz[0] / rate_hz[1],
+                    depth=depth / depth_parts,
+                    deadline_ns=period,
+                    depth_applied=min(depth // depth_parts, cap // SAMPLE),
+                    binding=link.bindings[i],
+                    depth_binding=memory.bindings[i],
+                )
+            )
+        given_up = "; ".join(link.given_up + memory.given_up)
+        return Allocation(
+            topics=tuple(topics),
+            status=AllocationStatus.DEGRADED if given_up else AllocationStatus.OPTIMAL,
+            binding=_overall(link, memory),
+            capacity_bytes_per_second=level,
+            degradation=given_up,
+            backend=link.backend if memory.backend is link.backend else Backend.EXACT,
+        )
+
+
+def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _Division:
+    """Give up the rate reserve, then floors; what is left of the floors is all the link carries."""
+    left = give_up([r.lo for r in rows], [r.weight for r in rows], needed - usable)
+    notes = [f"rate reserve {_left((max(0, usable - needed), reserve))}"] if reserve else []
+    notes += [f"rate floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
+    values: list[Ratio] = []
+    bindings: list[Binding] = []
+    for r in rows:
+        kept, parts = left.get(r.weight, (1, 1))
+        values.append((r.lo * kept, parts))
+        if kept < parts or not r.lo:
+            bindings.append(Binding.LINK)
+        else:
+            bindings.append(r.ceiling if r.lo == r.hi else Binding.FLOOR)
+    return _Division(values=values, bindings=bindings, backend=Backend.EXACT, given_up=tuple(notes))
+
+
+def _cut_depths(rows: list[Row], slots: list[int], *, needed: int, budget: int) -> _Division:
+    """Give up depth floors down to one sample, which is the least a history can hold."""
+    spare = [slot * (r.topic.min_depth - 1) for slot, r in zip(slots, rows, strict=True)]
+    left = give_up(spare, [r.weight for r in rows], needed - budget)
+    notes = [f"depth floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
+    if sum(slots) > budget:
+        notes.append("memory budget below one sample per topic")
+    values: list[Ratio] = []
+    for r in rows:
+        kept, parts = left.get(r.weight, (1, 1))
+        values.append((parts + (r.topic.min_depth - 1) * kept, parts))
+    return _Division(
+        values=values,
+        bindings=[Binding.MEMORY if r.weight in left else Binding.FLOOR for r in rows],
+        backend=Backend.EXACT,
+        given_up=tuple(notes),
+    )
+
+
+def _paused(topics: Sequence[Topic]) -> Allocation:
+    """Answer for a link that carries nothing: every topic waits, none loses its depth floor."""
+    for topic in topics:
+        refuse_nonsense(topic)
+    return Allocation(
+        topics=tuple(
+            TopicAllocation(
+                name=topic.name,
+                share=0.0,
+                max_rate_hz=0.0,
+                rate_hz=0.0,
+                depth=float(topic.min_depth),
+                deadline_ns=0,
+                depth_applied=topic.min_depth,
+                binding=Binding.LINK,
+                depth_binding=Binding.FLOOR,
+            )
+            for topic in topics
+        ),
+        status=AllocationStatus.DEGRADED,
+        binding=Binding.LINK,
+        capacity_bytes_per_second=0.0,
+        degradation="the link has no capacity: every topic is paused",
+        backend=Backend.EXACT,
+    )
+
+
+def _empty(level: float) -> Allocation:
+    return Allocation(
+        topics=(),
+        status=AllocationStatus.EMPTY,
+        binding=Binding.NOTHING,
+        capacity_bytes_per_second=level,
+        backend=Backend.EXACT,
+    )
+
+
+def _overall(link: _Division, memory: _Division) -> Binding:
+    """Return the constraint to relax first: the link if any topic lacks rate, then memory, then the wishes."""
+    if {Binding.LINK, Binding.FLOOR} & set(link.bindings):
+        return Binding.LINK
+    if Binding.MEMORY in memory.bindings or memory.given_up:
+        return Binding.MEMORY
+    return Binding.DESIRED_RATE
+
+
+def _left(part: Ratio) -> str:
+    return f"cut to {part[0] / part[1]:.0%}" if part[0] else "given up"

@@ -1,0 +1,183 @@
+"""The network namespaces of simulated links: who owns them, how to work inside them, how they go away."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import shutil
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+from pyroute2 import netns
+
+from arpd.model.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+T = TypeVar("T")
+HostName = Literal["robot", "ceddp"]
+HOST_NAMES: tuple[HostName, HostName] = ("robot", "ceddp")
+
+RUN_DIR = Path("/run/arpd-simlink")
+NETNS_DIR = Path("/run/netns")
+
+_RUN_ID = re.compile(r"[A-Za-z0-9_.-]{1,40}")
+_NAMESPACE = re.compile(r"arpd-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|ceddp)")
+_GRACE_S = 2.0
+_POLL_S = 0.02
+
+
+def namespace_of(run_id: str, host: HostName) -> str:
+    """Name of a host's network namespace."""
+    return f"arpd-{run_id}-{host}"
+
+
+def executable(name: str) -> str:
+    """Path of a system tool, looked for in the sbin directories too, which a plain user's PATH leaves out."""
+    path = shutil.which(name, path=os.pathsep.join((os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin")))
+    if path is None:
+        raise LinkError(f"{name}: command not found; on Debian and Ubuntu: apt install iproute2 nftables util-linux")
+    return path
+
+
+def inside(namespace: str, work: Callable[[], T]) -> T:
+    """Return ``work()``, done inside a network namespace.
+
+    A namespace belongs to a thread, so a thread that lives for this one call enters it; the caller's own threads,
+    and everything they start later, stay where they are.
+    """
+
+    def enter_then_work() -> T:
+        netns.setns(namespace, flags=0)
+        return work()
+
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        return pool.submit(enter_then_work).result()
+
+
+def claim(run_id: str) -> None:
+    """Record this process as the owner of a run and create its two namespaces.
+
+    Raises
+    ------
+    LinkError : the run id is malformed, or a living process owns it
+    """
+    if not _RUN_ID.fullmatch(run_id):
+        raise LinkError(f"run id {run_id!r}: use 1 to 40 letters, digits, '_', '.' or '-'")
+    try:
+        with _registry_locked():
+            _demolish_stale()
+            if (owner := _owner(run_id)) is not None:
+                raise LinkError(
+                    f"run id {run_id!r} is in use by process {owner}; choose another one or end that process"
+                )
+            # Written before the first namespace exists: a crash from here on leaves a trace that names its owner.
+            record = {"pid": os.getpid(), "start_ticks": _start_ticks(os.getpid())}
+            _record_path(run_id).write_text(json.dumps(record), encoding="utf-8")
+        try:
+            for host in HOST_NAMES:
+                netns.create(namespace_of(run_id, host))
+        except BaseException:
+            release(run_id)
+            raise
+    except OSError as error:
+        raise LinkError(
+            f"cannot make network namespaces: {error}; this needs root (see `scripts/simlink --help`)"
+        ) from error
+
+
+def release(run_id: str) -> None:
+    """End what still runs in a run's namespaces, then remove them and the record of their owner."""
+    with _registry_locked():
+        _demolish(run_id)
+
+
+def cleanup_stale() -> list[str]:
+    """Remove the namespaces of runs whose owner is dead, and end the processes left inside.
+
+    Returns
+    -------
+    The run ids that were removed.
+    """
+    with _registry_locked():
+        return _demolish_stale()
+
+
+@contextmanager
+def _registry_locked() -> Iterator[None]:
+    # Two runs that start at once both sweep first: without the lock, one could sweep away what the other just made.
+    RUN_DIR.mkdir(parents=True, exist_ok=True)
+    with (RUN_DIR / "lock").open("w", encoding="utf-8") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _demolish_stale() -> list[str]:
+    named = {match["run_id"] for name in netns.listnetns() if (match := _NAMESPACE.fullmatch(name))}
+    recorded = {path.stem for path in RUN_DIR.glob("*.json")}
+    stale = sorted(run_id for run_id in named | recorded if _owner(run_id) is None)
+    for run_id in stale:
+        _demolish(run_id)
+    return stale
+
+
+def _demolish(run_id: str) -> None:
+    namespaces = [namespace_of(run_id, host) for host in HOST_NAMES]
+    _end_processes(namespaces)
+    for namespace in set(namespaces) & set(netns.listnetns()):
+        netns.remove(namespace)
+    _record_path(run_id).unlink(missing_ok=True)
+
+
+def _end_processes(namespaces: list[str]) -> None:
+    """SIGTERM, then SIGKILL after a grace period, to all that live in the namespaces."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        for pid in _pids_inside(namespaces):
+            try:
+                os.kill(pid, number)
+            except ProcessLookupError:
+                continue
+        deadline_s = time.monotonic() + _GRACE_S
+        while _pids_inside(namespaces):
+            if time.monotonic() > deadline_s:
+                break
+            time.sleep(_POLL_S)
+        else:
+            return
+
+
+def _pids_inside(namespaces: list[str]) -> list[int]:
+    inhabitants = netns.ns_pids()
+    return [pid for namespace in namespaces for pid in inhabitants.get(namespace, []) if pid != os.getpid()]
+
+
+def _record_path(run_id: str) -> Path:
+    return RUN_DIR / f"{run_id}.json"
+
+
+def _owner(run_id: str) -> int | None:
+    """Process that owns a run, None when it is gone (its start time tells it from a later process of the same id)."""
+    try:
+        record = json.loads(_record_path(run_id).read_text(encoding="utf-8"))
+        pid, start_ticks = int(record["pid"]), int(record["start_ticks"])
+    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        return None
+    return pid if _start_ticks(pid) == start_ticks else None
+
+
+def _start_ticks(pid: int) -> int | None:
+    """When a process started, in clock ticks since boot; None when it does not exist or is a zombie."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    # The second field is the command in parentheses and may hold anything, spaces and parentheses included.
+    fields = stat.rpartition(")")[2].split()
+    return None if fields[0] in "ZX" else int(fields[19])
