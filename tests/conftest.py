@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from golden.sample import make_snapshot
+
+from tests.golden.sample import make_snapshot
 
 
 @pytest.fixture

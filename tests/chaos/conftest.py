@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from chaos.world import World, this_host_only
+from tests.chaos.world import World, this_host_only
 
 
 @pytest.fixture(scope="module")

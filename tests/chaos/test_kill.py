@@ -3,8 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
-from chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
-from chaos.world import Log, Source, ended, insist, is_gapless, settle, wait
+
+from tests.chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
+from tests.chaos.world import Log, Source, ended, insist, is_gapless, settle, wait
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 

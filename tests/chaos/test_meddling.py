@@ -5,8 +5,9 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
-from chaos.world import Log, ended, insist, is_gapless, settle, status, wait
+
+from tests.chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
+from tests.chaos.world import Log, ended, insist, is_gapless, settle, status, wait
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 

@@ -20,7 +20,6 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -33,6 +32,7 @@ from arpd.adapters.ros.graph import deadline_ns_of
 from arpd.adapters.ros.names import PUBLISHERS_TOPIC, parameter_name
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from scripts.bench.child import number_of, sample_of
+from tests.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 
 REPO = Path(__file__).resolve().parents[2]
 START_S = 40.0  # generous: the machine is shared and noisy

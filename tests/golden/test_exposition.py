@@ -8,11 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from golden.sample import FINISHED_AT_S
 from prometheus_client import CollectorRegistry, generate_latest
 
 from arpd.adapters.http.http_metrics import HttpCounts
 from arpd.adapters.http.metrics import SnapshotCollector
+from tests.golden.sample import FINISHED_AT_S
 
 GOLDEN = Path(__file__).with_name("exposition.txt")
 GET_PROMETHEUS = Path(__file__).parents[2] / "scripts" / "get-prometheus"

@@ -5,7 +5,8 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from domain import DOMAIN
+
+from tests.ros.domain import DOMAIN
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 

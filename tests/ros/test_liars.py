@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from chaos.world import Log, World, insist, status, this_host_only
+from tests.chaos.world import Log, World, insist, status, this_host_only
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 HERE = Path(__file__).parent

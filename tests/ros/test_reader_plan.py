@@ -15,7 +15,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
-from domain import DOMAIN
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -33,6 +32,7 @@ from arpd.model.readers import plan_readers, restore_readers
 from arpd.model.refusal import RefusalReason
 from arpd.model.settings import GraphSettings
 from arpd.model.values import QosPlan, TopicPlan
+from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
 TOPIC = "/driven"

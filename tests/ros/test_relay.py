@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
-from domain import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -17,6 +16,7 @@ from std_msgs.msg import Float64, String
 from arpd.adapters.ros import relay as relay_module
 from arpd.adapters.ros.relay import Relay, UnknownTypeError, best_executor, message_class
 from arpd.model.settings import Overflow, RelaySettings
+from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
 

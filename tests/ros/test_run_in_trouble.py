@@ -16,8 +16,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from chaos.nodes import BASELINE_DEPTH
-from chaos.world import World, free_port, insist, this_host_only
+from tests.chaos.nodes import BASELINE_DEPTH
+from tests.chaos.world import World, free_port, insist, this_host_only
 
 pytestmark = pytest.mark.ros
 REPO = Path(__file__).parents[2]

@@ -18,7 +18,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
-from chaos.world import free_domain, free_port
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -26,6 +25,7 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.ros.relay import best_executor
 from arpd.adapters.ros.runtime import prepare_environment, spinning
+from tests.chaos.world import free_domain, free_port
 
 pytestmark = pytest.mark.ros
 REPO = Path(__file__).resolve().parents[2]

@@ -20,15 +20,13 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
-import machine
-import numbered
-
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE
 from arpd.adapters.systemd.journal import MESSAGE_IDS
 from arpd.report.events import EventKind
 from scripts.netns import simlink
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.robot.proxy import window
+from tests.system import machine, numbered
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 

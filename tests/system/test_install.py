@@ -15,11 +15,10 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
-import machine
-from fake_pi import BREAK, CONFIG, PYTHON, REPO, UNITS, FakePi, installed_by_apt, unpack_source
-
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.netns.simlink import SimLink, available
+from tests.system import machine
+from tests.system.fake_pi import BREAK, CONFIG, PYTHON, REPO, UNITS, FakePi, installed_by_apt, unpack_source
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 

@@ -16,7 +16,7 @@ from arpd.adapters.systemd.journal import MESSAGE_IDS, JournalHandler
 from arpd.adapters.systemd.logs import log_event
 from arpd.report.events import Event, EventKind, Severity
 
-CATALOG = Path(__file__).parents[2] / "systemd/arpd.catalog"
+CATALOG = Path(__file__).parents[4] / "systemd/arpd.catalog"
 
 
 def fields(data):

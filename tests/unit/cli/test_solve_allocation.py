@@ -17,7 +17,7 @@ from arpd.cli import main as cli
 from arpd.govern.what_if import spread
 from arpd.report.status import status_document
 
-REPO = Path(__file__).parents[2]
+REPO = Path(__file__).parents[3]
 ROBOT = REPO / "scripts" / "robot" / "arpd.yaml"
 MBIT = 125_000.0  # bytes
 SMALL = """\

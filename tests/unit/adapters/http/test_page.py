@@ -26,7 +26,7 @@ from arpd.report.history import History
 from arpd.report.status import status_document
 from tests.visible import fields, visible
 
-WEB = Path(__file__).parents[2] / "arpd" / "adapters" / "http"
+WEB = Path(__file__).parents[4] / "arpd" / "adapters" / "http"
 VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
 
 

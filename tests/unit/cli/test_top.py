@@ -26,8 +26,8 @@ from rich.console import Console
 from arpd.cli import main as cli
 from arpd.cli.frame import View, frame
 from arpd.cli.sparkline import BLOCKS, sparkline
+from tests.unit.cli.test_status import HOSTILE, broken_documents
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
-from tests.unit.test_cli_status import HOSTILE, broken_documents
 
 ENTER, LEAVE = "\x1b[?1049h", "\x1b[?1049l"
 HISTORY = {

@@ -20,7 +20,7 @@ from scripts.dashboards.states import STATE_SETS
 from tests.seeing.dashboards import GRAFANA, NAMES, fill_in, load, marks, panels, queries
 from tests.unit.dashboard_rules import LINT, SENTINELS, nodes, parsed
 
-REPO = Path(__file__).parents[2]
+REPO = Path(__file__).parents[3]
 RULES_FOLDER = REPO / "etc" / "prometheus" / "rules"
 # Not arpd's: Prometheus itself and prometheus_client make these.
 FOREIGN_METRICS = re.compile(r"up|ALERTS|scrape_\w+|process_\w+")

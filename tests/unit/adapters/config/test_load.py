@@ -29,7 +29,7 @@ from arpd.model.settings import (
     TopicSettings,
 )
 
-SHIPPED = Path(__file__).parents[2] / "etc" / "arpd" / "arpd.yaml"
+SHIPPED = Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml"
 FAULT = re.compile(
     r"(?P<file>.+?):(?P<line>[1-9]\d*):(?P<column>[1-9]\d*): (?P<key>[^ ].*?): (?P<wrong>.+); (?P<right>.+)"
 )

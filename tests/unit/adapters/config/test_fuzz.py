@@ -14,7 +14,7 @@ from arpd.model.errors import ConfigError
 from scripts.bench.fuzz_target import FAULT
 from scripts.bench.fuzz_targets import TARGETS
 
-SHIPPED = (Path(__file__).parents[2] / "etc" / "arpd" / "arpd.yaml").read_text(encoding="utf-8")
+SHIPPED = (Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml").read_text(encoding="utf-8")
 # Without its comments, which cost time and change nothing.
 LINES = [line for line in SHIPPED.splitlines() if line.strip() and not line.lstrip().startswith("#")]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -21,7 +21,7 @@ from arpd.report.history import History
 from arpd.report.history_document import history_json
 from arpd.report.status import status_document
 
-KEYS = Path(__file__).parents[1] / "golden" / "api-v1-keys.txt"
+KEYS = Path(__file__).parents[4] / "golden" / "api-v1-keys.txt"
 SCHEMAS = {name: json.loads(SCHEMAS_BY_PATH[f"/api/v1/schema/{name}-v1.json"]) for name in ("status", "history")}
 EVENT = Event(
     number=7,

@@ -196,7 +196,7 @@ def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked(load, certificat
 
 def test_the_shipped_example_is_only_comments_and_right(certificates):
     """Uncommented, the example needs nothing but files and a hash."""
-    text = (Path(__file__).parents[2] / "etc" / "arpd" / "web-config.yaml").read_text()
+    text = (Path(__file__).parents[4] / "etc" / "arpd" / "web-config.yaml").read_text()
     assert all(line.startswith("#") or not line for line in text.splitlines())
     live = re.sub(r"^#(?=[a-z]|  )", "", text, flags=re.MULTILINE)
     for name, here in (("robot", "server"), ("clients.crt", "other.crt"), ("$2y$10$...", HASH)):

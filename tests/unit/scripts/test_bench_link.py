@@ -15,7 +15,7 @@ from scripts.bench.link_figures import FIGURES, figures, gather
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import BucketReading, believed, make_course
 
-CONFIG = Path(__file__).resolve().parents[2] / "scripts" / "robot" / "arpd.yaml"
+CONFIG = Path(__file__).resolve().parents[3] / "scripts" / "robot" / "arpd.yaml"
 DROP = Scenario(name="drop", schedule="0:20mbit,12:5mbit", duration_s=35.0)
 RISE = Scenario(name="rise", schedule="0:5mbit,12:20mbit", duration_s=35.0)
 STEADY = Scenario(name="steady", schedule="0:20mbit", duration_s=35.0)
