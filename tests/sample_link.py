@@ -1,6 +1,6 @@
 """A steady link, as its estimate."""
 
-from arpd.model.values import CapacityKind, LinkEstimate, LinkState
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 
 LINK = LinkEstimate(
     capacity_bytes_per_second=1e6,

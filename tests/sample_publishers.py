@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from arpd.apply.ordering import Ordering
-from arpd.model.publishers import PublisherState
-from arpd.model.readers import ReaderState
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction, PublisherState, ReaderState
 
 
 def publisher(node: str, topic: str, **fields) -> PublisherState:

@@ -6,16 +6,15 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from arpd.govern.plan import has_lease, is_confirmed, publisher_transitions
-from arpd.model.readers import ReaderPlan, is_reader_confirmed
-from arpd.model.values import Transition
+from arpd.apply.readers import is_reader_confirmed
+from arpd.apply.transitions import has_lease, is_confirmed, publisher_transitions
+from arpd.model.plan import ReaderPlan, Transition
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from arpd.model.publishers import PublisherState
-    from arpd.model.readers import ReaderPlans, ReaderState
-    from arpd.model.values import QosPlan, TopicPlan
+    from arpd.model.endpoints import PublisherState, ReaderState
+    from arpd.model.plan import QosPlan, ReaderPlans, TopicPlan
 
 PATIENCE_S = 10.0  # a handover that ends in nothing takes 7 s, and its answer another
 

@@ -3,27 +3,51 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.yaml_source import printable
 from arpd.cli.columns import aligned, figures, short_name
 from arpd.daemon.compare import WARM_UP_S, events, summarize
 from arpd.daemon.scenario import Moment
-from arpd.model.quantities import format_duration, format_rate, format_size
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction
+from arpd.model.quantities import format_duration, format_rate, format_size, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
+    from arpd.adapters.sim.link import LinkModel
     from arpd.adapters.sim.result import TopicResult
-    from arpd.cli.simulate import Asked
+    from arpd.adapters.sim.robot import SimTopic
+    from arpd.adapters.sim.trace import LinkTrace
     from arpd.daemon.compare import Comparison, Event, Summary
     from arpd.daemon.scenario import ScenarioResult
+    from arpd.model.settings import Settings
 
 _MBIT = 1e6 / 8  # bytes
 _WAYS = ("arpd", "without", "oracle")
 _MOST_EVENTS = 25
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """What was asked for, understood.
+
+    Parameters
+    ----------
+    trace : the link, as long as the run
+    duration_s : length of the run (s)
+    is_demo : whether the robot is the demo's, for lack of topics in the configuration
+    """
+
+    config: Path
+    settings: Settings
+    trace: LinkTrace
+    duration_s: float
+    seed: int
+    model: LinkModel
+    robot: tuple[SimTopic, ...]
+    is_demo: bool
 
 
 def comparison_tables(asked: Asked, comparison: Comparison) -> str:

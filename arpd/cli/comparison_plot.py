@@ -10,9 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from arpd.adapters.config.yaml_source import printable
 from arpd.adapters.sim.result import percentile
 from arpd.daemon.compare import events
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

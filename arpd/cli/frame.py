@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Group
 from rich.text import Text
 
-from arpd.adapters.config.yaml_source import printable
-from arpd.cli.columns import cut, duration, rate, wrapped
-from arpd.cli.document import count, number, rows, series, text, texts
-from arpd.cli.events import clock, wall_clock
-from arpd.cli.sparkline import ASCII, BLOCKS, sparkline
+from arpd.cli.client import count, number, rows, series, text, texts
+from arpd.cli.columns import clock, cut, duration, rate, wall_clock, wrapped
 from arpd.cli.topics import topic_table
 from arpd.cli.verdict import faults, is_held_back, kept_ratio, verdict, who_confirmed
-from arpd.model.quantities import format_duration, format_rate
+from arpd.model.quantities import format_duration, format_rate, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -214,3 +211,40 @@ def _log(status: dict[str, Any], width: int, room: int) -> list[Text]:
 def _mean(values: Iterable[float]) -> float:
     there: Sequence[float] = list(values)
     return sum(there) / len(there)
+
+
+BLOCKS = "▁▂▃▄▅▆▇█"
+ASCII = "_.-:=+*#"
+
+
+def sparkline(
+    samples: Sequence[float | None],
+    columns: int,
+    *,
+    pick: Callable[[Iterable[float]], float],
+    highest: float | None = None,
+    levels: str = BLOCKS,
+) -> str:
+    """Draw samples in so many columns, from 0 to the highest; a blank where there was nothing.
+
+    Parameters
+    ----------
+    pick : which of the samples that share a column stands for them: the worst of them, such as ``max`` for a delay
+    highest : what reaches the top, None = the highest sample
+    levels : characters from the lowest to the highest
+    """
+    known = [sample for sample in samples if sample is not None]
+    top = highest if highest is not None else max(known, default=0.0)
+    columns = min(columns, len(samples))
+    drawn = []
+    for column in range(columns):
+        share = samples[column * len(samples) // columns : (column + 1) * len(samples) // columns]
+        there = [sample for sample in share if sample is not None]
+        drawn.append(_level(pick(there), top, levels) if there else " ")
+    return "".join(drawn)
+
+
+def _level(value: float, top: float, levels: str) -> str:
+    if top <= 0:
+        return levels[0]
+    return levels[max(0, min(len(levels) - 1, int(value / top * len(levels))))]

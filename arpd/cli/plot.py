@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from arpd.adapters.config.yaml_source import printable
 from arpd.model.errors import ArpdError, UsageError
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

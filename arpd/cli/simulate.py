@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,36 +11,14 @@ from arpd.model.errors import UsageError
 
 if TYPE_CHECKING:
     from arpd.adapters.sim.link import LinkModel
-    from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.trace import LinkTrace
-    from arpd.model.settings import Settings
+    from arpd.cli.comparison import Asked
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0
 _DEFAULT_S = 60.0  # when the trace is shorter
 _DRAIN_S = 10.0  # a run goes on for a while after its end
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
 _MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Asked:
-    """What was asked for, understood.
-
-    Parameters
-    ----------
-    trace : the link, as long as the run
-    duration_s : length of the run (s)
-    is_demo : whether the robot is the demo's, for lack of topics in the configuration
-    """
-
-    config: Path
-    settings: Settings
-    trace: LinkTrace
-    duration_s: float
-    seed: int
-    model: LinkModel
-    robot: tuple[SimTopic, ...]
-    is_demo: bool
 
 
 def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
@@ -134,6 +111,7 @@ def _simulate(options: argparse.Namespace) -> int:
 def _understand(options: argparse.Namespace) -> Asked:
     from arpd.adapters.config.load import load_settings
     from arpd.adapters.sim.robot import DEMO_TOPICS, configured_topics
+    from arpd.cli.comparison import Asked
 
     model = _model(options)
     trace, duration_s = _trace(options)
@@ -162,9 +140,9 @@ def _understand(options: argparse.Namespace) -> Asked:
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
     """Return the trace, as long as it takes, and the length of the run (s)."""
-    from arpd.adapters.config.yaml_source import printable
     from arpd.adapters.sim.schedule import RateSchedule
     from arpd.adapters.sim.trace import LinkTrace, read_trace
+    from arpd.model.quantities import printable
 
     asked_s = None if options.duration is None else _quantity("duration", options.duration, "duration", _MOST_S)
     if asked_s is not None and asked_s < _LEAST_S:
@@ -212,7 +190,7 @@ def _quantity(option: str, text: str, kind: str, most: float) -> float:
 
 
 def _number(option: str, text: str, kind: type[float], bounds: tuple[float, float]) -> float:
-    from arpd.adapters.config.yaml_source import printable
+    from arpd.model.quantities import printable
 
     low, high = bounds
     try:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.load import load_settings
-from arpd.adapters.config.yaml_source import Fault, Place, config_error, printable
+from arpd.adapters.config.yaml_source import Fault, Place, config_error
 from arpd.cli.plot import drawing, refuse_all_but_png, writing
 from arpd.cli.status_file import read_status
 from arpd.govern.what_if import OfflinePlanner, spread
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.quantities import parse_rate
+from arpd.model.quantities import parse_rate, printable
 from arpd.model.settings import Backend
 from arpd.solve.topics import assumed_traffic, measured_traffic
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.govern.what_if import OfflinePlan, PlannedTopic
-    from arpd.model.publishers import PublisherState
+    from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
     from arpd.solve.topics import Traffic
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.cli.columns import aligned, figures, short_name
+from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.quantities import format_rate, format_size
-from arpd.model.values import AllocationStatus, Binding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

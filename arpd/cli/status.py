@@ -7,10 +7,8 @@ import json
 import sys
 from typing import Any
 
-from arpd.cli.client import add_address, address
-from arpd.cli.columns import cut, duration, rate, wrapped
-from arpd.cli.document import count, counts, number, rows, text, texts
-from arpd.cli.events import last_events
+from arpd.cli.client import add_address, address, count, counts, number, rows, text, texts
+from arpd.cli.columns import cut, duration, last_events, rate, wrapped
 from arpd.cli.topics import reader_table, topic_table
 from arpd.cli.verdict import faults, verdict, who_confirmed
 from arpd.model.errors import ArpdError, DaemonUnreachableError

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.yaml_source import printable
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.publishers import PublisherState
-from arpd.model.values import Direction
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,15 +11,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
-from arpd.adapters.config.yaml_source import printable
-from arpd.model.values import AllocationStatus
+from arpd.model.allocation import AllocationStatus
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from arpd.govern.what_if import OfflinePlan, PlannedTopic
-    from arpd.model.values import Topic
+    from arpd.model.allocation import Topic
 
 _MBIT = 1e6 / 8  # bytes
 # Twelve colours that can be read as text on white, neighbours far apart.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from arpd.cli.client import count, counts, find, number, rows, text
 from arpd.cli.columns import cut, fitted
-from arpd.cli.document import count, counts, find, number, rows, text
 from arpd.model.quantities import format_duration
 from arpd.report.status import LASTING
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from arpd.cli.document import count, number, rows, text
+from arpd.cli.client import count, number, rows, text
 from arpd.model.quantities import format_duration
 from arpd.report.status import confirmed, interface_fault
 

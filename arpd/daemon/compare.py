@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from arpd.adapters.sim.baselines import Oracle
 from arpd.adapters.sim.result import percentile
 from arpd.daemon.scenario import run
-from arpd.model.values import LinkState
+from arpd.model.link import LinkState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -15,8 +15,8 @@ from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.adapters.sim.writer import Route
 from arpd.daemon.tick import TICK_S, Daemon
+from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings, TopicSettings
-from arpd.model.values import Direction
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.schedule import RateSchedule
     from arpd.daemon.world import CapacityEstimator
-    from arpd.model.values import LinkState
+    from arpd.model.link import LinkState
 
     EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
 

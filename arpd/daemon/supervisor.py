@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Locators
-from arpd.adapters.systemd.logs import configure_logging, log_event
+from arpd.adapters.systemd.journal import configure_logging, log_event
 from arpd.adapters.systemd.notify import Heartbeat, Notifier
 from arpd.daemon.gc import Garbage
 from arpd.daemon.tick import TICK_S, Daemon

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.config.load import describe_change, in_force, restart_only_changes
 from arpd.apply.ordering import Ordering
+from arpd.apply.readers import plan_readers, restore_readers
+from arpd.apply.transitions import paced_restore_plan, restore_plan
 from arpd.estimate.estimator import Estimator
 from arpd.govern.governor import Governor
-from arpd.govern.plan import paced_restore_plan, restore_plan
 from arpd.model.errors import ConfigError
 from arpd.model.interface import state_of
-from arpd.model.readers import plan_readers, restore_readers
 from arpd.model.settings import AUTO, Backend
 from arpd.model.version import VERSION
 from arpd.report.decision_log import Chronicle
@@ -30,8 +30,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.daemon.world import CapacityEstimator, World
+    from arpd.model.allocation import Allocation
+    from arpd.model.observation import Observation
+    from arpd.model.plan import Decision
     from arpd.model.settings import Settings
-    from arpd.model.values import Allocation, Decision, Observation
     from arpd.report.events import Event
 
 log = logging.getLogger(__name__)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from arpd.model.link import LinkEstimate
+    from arpd.model.observation import Observation
+    from arpd.model.plan import Transition
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings, LinkSettings
-    from arpd.model.values import LinkEstimate, Observation, Transition
 
 
 class World(Protocol):

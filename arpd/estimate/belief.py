@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.model.values import CapacityKind
+from arpd.model.link import CapacityKind, EstimatorEvent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-
-class EstimatorEvent(StrEnum):
-    """Which rule changed the estimate (DESIGN §5), or that the link fell silent."""
-
-    FIRST = "first"  # the first trains replace what was configured
-    DOWN = "down"  # a queue stands: what is delivered is the capacity
-    UNDO = "undo"  # trains contradict the last fall
-    AGREE = "agree"  # two trains see clearly more
-    CARRIED = "carried"  # clearly more than was believed arrived
-    FOLLOW = "follow"  # a step towards what trains see, either way
-    RESUME = "resume"  # reports came back after an outage
-    OUTAGE = "outage"  # reports ceased
-    LOCAL = "local"  # no peer: the queue of this host's interface said it
 
 
 class Belief:

@@ -9,16 +9,16 @@ from itertools import pairwise
 from operator import add
 from typing import TYPE_CHECKING
 
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from arpd.model.endpoints import PublisherState
     from arpd.model.interface import LinkCounters
+    from arpd.model.observation import Observation
     from arpd.model.probing import ProbeRequest
-    from arpd.model.publishers import PublisherState
-    from arpd.model.values import Observation
 
 _WINDOW_S = 3.0  # announcements come once a second: three of them, so that one that is lost does not matter
 _STEP_S = 0.5

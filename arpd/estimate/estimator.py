@@ -1,4 +1,4 @@
-"""Rmax's other half: the capacity of the link, from receiver reports, probe trains and one-way delay (DESIGN §5)."""
+"""Rmax: the capacity of the link, from receiver reports, probe trains and delay (docs/design.md, The estimator)."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ import math
 from statistics import median
 from typing import TYPE_CHECKING
 
-from arpd.estimate.belief import Belief, EstimatorEvent
+from arpd.estimate.belief import Belief
 from arpd.estimate.cross_traffic import ForeignTraffic
 from arpd.estimate.local_queue import LocalQueue
 from arpd.estimate.parameters import EstimatorTuning
-from arpd.estimate.peer_gauges import PeerGauges
-from arpd.estimate.peer_queue import SentProbe
-from arpd.estimate.probe_loss import ProbeLoss
-from arpd.estimate.probes import ProbeSchedule
+from arpd.estimate.peer_queue import PeerGauges, SentProbe
+from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Hearing
 from arpd.estimate.trains import TrainLog
-from arpd.model.values import CapacityKind, LinkEstimate, LinkState
+from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
     from arpd.estimate.probes import ProbeTuning
+    from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
-    from arpd.model.values import Observation
 
 _ENOUGH_TRAINS = 3
 

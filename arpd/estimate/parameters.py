@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EstimatorTuning:
-    """Where they came from: a simulation study (DESIGN §5), then scripts/bench/estimate.py and the real link.
+    """Where they came from: a simulation study, then scripts/bench/estimate.py and the real link.
 
     Parameters
     ----------

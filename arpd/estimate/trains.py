@@ -32,10 +32,11 @@ class _Reading:
 class TrainLog:
     """Readings of trains, newest last.
 
-    A packet of s bytes takes T(s) = t_ovh + s/C of the link's time (DESIGN §4). Large packets alone cannot tell the two
-    apart; a train of small ones right after one of large ones can: t_ovh = (T_small·s_large − T_large·s_small) /
-    (s_large − s_small). What others send in between only makes a train longer: so the least T_large of late is taken,
-    and of what the pairs then say the second least, for one that saw the link change between its halves may say less.
+    A packet of s bytes takes T(s) = t_ovh + s/C of the link's time (docs/design.md, The program). Large packets alone
+    cannot tell the two apart; a train of small ones right after one of large ones can: t_ovh = (T_small·s_large −
+    T_large·s_small) / (s_large − s_small). What others send in between only makes a train longer: so the least T_large
+    of late is taken, and of what the pairs then say the second least, for one that saw the link change between its
+    halves may say less.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""When what was measured becomes action: the gate at every tick, the level (a QoS swap) rarely (DESIGN §6)."""
+"""When what was measured becomes action: the gate at every tick, the level (a QoS swap) rarely.
+
+Design: docs/design.md, The governor.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.govern.memory import MemoryWatch
-from arpd.govern.plan import keeps_its_readers, make_plan, tightest_requests
-from arpd.model.values import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
+from arpd.govern.plan import make_plan, tightest_requests
+from arpd.model.allocation import Allocation, AllocationStatus, Topic
+from arpd.model.link import LinkEstimate, LinkState
+from arpd.model.plan import MOST_GENERATION, Decision, QosPlan, TopicPlan, keeps_its_readers
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from arpd.model.publishers import PublisherState
+    from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
-    from arpd.model.values import Allocation, LinkEstimate, Topic
 
 _GATE_CLOSED = 0.01  # floors are all that flows
 _DRAIN_S = 0.08  # a queue this far above the allowance closes the gate
@@ -27,9 +31,6 @@ _LEAST_HOLD = 0.25  # times the hold, however urgent
 _LEAK = 0.25  # of the time below, off the time above
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25
-# Whatever number an endpoint claims to have, no plan gets a greater one than this, which every parameter, announcement
-# and metric can hold; there they no longer tell plans apart, and all else goes on.
-MOST_GENERATION = 2**53
 _NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
 
 

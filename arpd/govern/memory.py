@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from arpd.model.values import Binding
+from arpd.model.allocation import Binding
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from arpd.model.values import Allocation, Topic, TopicPlan
+    from arpd.model.allocation import Allocation, Topic
+    from arpd.model.plan import TopicPlan
 
 _EXCESS = 0.1  # of what the plan's histories may take: less is not worth swaps
 _SPACING_S = 1.0  # between two falls: memory that runs out is not followed sample by sample

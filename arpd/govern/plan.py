@@ -6,15 +6,14 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model.values import Binding, QosPlan, TopicPlan, Transition
+from arpd.model.allocation import Allocation, Binding, Topic, TopicAllocation
+from arpd.model.plan import QosPlan, TopicPlan, keeps_its_readers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from arpd.model.publishers import PublisherState
-    from arpd.model.readers import ReaderState
+    from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
-    from arpd.model.values import Allocation, Topic, TopicAllocation
 
 # A topic that gets all it wants is paced above its source, so that jitter and a little growth are not throttled;
 # more growth than that is a change of demand, and a matter for the next plan.
@@ -73,7 +72,7 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
     """QoS of one topic under an allocation.
 
     The offered period is slack / R, so that jitter is not a missed deadline, and never longer than what a reader
-    requests: such a reader would silently disconnect (DESIGN §2).
+    requests: such a reader would silently disconnect (docs/design.md, DDS facts).
     """
     rate_hz = row.rate_hz
     if row.binding is Binding.DESIRED_RATE:
@@ -89,16 +88,6 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
     return plan if keeps_its_readers(plan, requested_deadline_ns) else replace(plan, deadline_ns=requested_deadline_ns)
 
 
-def keeps_its_readers(plan: TopicPlan, requested_deadline_ns: int) -> bool:
-    """Whether the offered deadline is no longer than what the most demanding reader requests (0 = none does)."""
-    return is_kept(plan.deadline_ns, requested_deadline_ns)
-
-
-def is_kept(offered_ns: int, requested_ns: int) -> bool:
-    """Whether a reader that requests a deadline hears a writer that offers one (ns, 0 = infinite)."""
-    return requested_ns == 0 or 0 < offered_ns <= requested_ns
-
-
 def _spared(allocation: Allocation) -> frozenset[str]:
     """Return the smallest topics, together a few per cent of the link: gating them would free nothing."""
     spared: list[str] = []
@@ -109,66 +98,6 @@ def _spared(allocation: Allocation) -> frozenset[str]:
             break
         spared.append(row.name)
     return frozenset(spared)
-
-
-def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
-    """Whether an announcement shows the row in force, as far as it ever will; announced rates carry six digits.
-
-    A publisher that refuses new QoS for good is paced and gated, and with the rate it has all of the row it can have.
-    """
-    if not (publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)):
-        return False
-    if publisher.refusal_reason.is_lasting:
-        return True
-    same_depth = publisher.keeps_all or publisher.depth == row.depth
-    return same_depth and publisher.deadline_ns == row.deadline_ns
-
-
-def publisher_transitions(
-    due: Iterable[tuple[PublisherState, TopicPlan]], *, generation: int, reason: str, lease_s: float
-) -> tuple[Transition, ...]:
-    """Return one step per node that brings these publishers to these rows, slowing nodes first.
-
-    Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and puts no
-    more on the link than the larger of the two.
-    """
-    wanted: dict[str, dict[str, TopicPlan]] = {}
-    change_hz: dict[str, float] = {}
-    for publisher, row in due:
-        wanted.setdefault(publisher.node, {})[publisher.topic] = row
-        now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
-        cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
-        change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
-    return tuple(
-        Transition(node=node, generation=generation, topics=wanted[node], reason=reason, lease_s=lease_s)
-        for node in sorted(wanted, key=lambda name: (change_hz[name], name))
-    )
-
-
-def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
-    """Whether an endpoint announces the lease; announced times carry six digits."""
-    return math.isclose(endpoint.lease_s, lease_s, rel_tol=1e-4)
-
-
-def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return every publisher to the QoS its application asked for, unpaced."""
-    rows = {publisher.topic: _own_qos(publisher, rate_hz=math.inf) for publisher in publishers}
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
-
-
-def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return every publisher to the QoS its application asked for, at the rate it has."""
-    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.rate_hz) for publisher in publishers}
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
-
-
-def _own_qos(publisher: PublisherState, *, rate_hz: float) -> TopicPlan:
-    return TopicPlan(
-        rate_hz=rate_hz,
-        min_rate_hz=0.0,
-        deadline_ns=publisher.baseline_deadline_ns,
-        depth=publisher.baseline_depth,
-    )
 
 
 def tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:

@@ -8,16 +8,18 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.govern.plan import make_plan
-from arpd.model.values import NANOSECONDS_PER_SECOND, Binding, QosPlan
+from arpd.model.allocation import Binding
+from arpd.model.plan import NANOSECONDS_PER_SECOND, QosPlan
 from arpd.solve.program import Program
 from arpd.solve.topics import rows_of_traffic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.publishers import PublisherState
+    from arpd.model.allocation import Allocation, Topic, TopicAllocation
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import TopicPlan
     from arpd.model.settings import Backend, Settings
-    from arpd.model.values import Allocation, Topic, TopicAllocation, TopicPlan
     from arpd.solve.topics import Traffic
 
 _NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)

@@ -25,7 +25,7 @@ class Train:
 
     @property
     def rate_bytes_per_second(self) -> float:
-        """Capacity this train saw: bytes after the first / (t_last - t_first), DESIGN §5."""
+        """Capacity this train saw: bytes after the first / (t_last - t_first), docs/design.md, The estimator."""
         return self.payload_bytes / self.duration_s if self.duration_s > 0 else math.inf
 
 

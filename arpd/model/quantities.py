@@ -35,7 +35,6 @@ _DURATIONS = {
     "min": Fraction(60),
     "h": Fraction(3600),
 }
-
 # Exponents of three digits and 40 characters in all: a quantity never costs more memory than its text.
 _QUANTITY = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]{1,3})?|\.[0-9]+)\s*([A-Za-zµμ/]*)\s*", re.ASCII)
 _LONGEST = 40
@@ -185,3 +184,9 @@ def _format(value: float, units: Mapping[str, float]) -> str:
     if number == 0:
         return f"0 {unit}"
     return f"{number:.{max(0, 2 - max(0, math.floor(math.log10(abs(number) * 1.000001))))}f} {unit}"
+
+
+def printable(text: str, *, longest: int = _LONGEST) -> str:
+    """Show text from the file on one line of a terminal, cut short when long."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1])
+    return shown if len(shown) <= longest else f"{shown[: longest - 1]}…"

@@ -103,7 +103,7 @@ class ProgramSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GovernorSettings:
-    """When a measured change becomes a QoS swap (DESIGN §6).
+    """When a measured change becomes a QoS swap (docs/design.md, The governor).
 
     Parameters
     ----------

@@ -6,7 +6,8 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.observe.rate_limits import Reason, Turnstile
+from arpd.model.observation import Reason
+from arpd.observe.rate_limits import Turnstile
 
 if TYPE_CHECKING:
     from arpd.model.probing import PeerReport

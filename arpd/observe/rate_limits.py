@@ -4,50 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
-from enum import StrEnum
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
+
+    from arpd.model.observation import Kind, Reason
 
 _SAY_AGAIN_S = 60.0
 _MOST_SAID = 32  # sources in that time: a source of invented names must not fill the log either
-
-
-class Kind(StrEnum):
-    """What a message that arrives is about."""
-
-    PUBLISHERS = "publishers"
-    READERS = "readers"
-    REPORTS = "reports"
-    CLAIMS = "claims"
-
-
-class Reason(StrEnum):
-    """Why a message, or a part of one, is not believed."""
-
-    SIZE = "size"  # longer than any honest one
-    MALFORMED = "malformed"  # not to be decoded, or with values that cannot be
-    SOURCE = "source"  # the graph shows nobody who could have said it
-    RATE = "rate"  # more often than anything honest would say it
-    QUOTA = "quota"  # one source wants more places than it may have, or all are taken
-    UNANSWERED = "unanswered"  # a report that answers no probe of this daemon
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Taken:
-    """What became of what arrived.
-
-    Parameters
-    ----------
-    refused : messages, or parts of them, that were not believed since start, by kind and reason
-    pending : publishers and readers that announce themselves, but that the graph does not show (yet)
-    """
-
-    refused: Mapping[tuple[Kind, Reason], int] = field(default_factory=lambda: MappingProxyType({}))
-    pending: int = 0
 
 
 @dataclass(slots=True)

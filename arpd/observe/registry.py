@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from arpd.model.publishers import PublisherState
-from arpd.model.readers import ReaderState
+from arpd.model.endpoints import PublisherState, ReaderState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

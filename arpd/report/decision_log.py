@@ -6,13 +6,12 @@ from collections import deque
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.report.event_limits import Quota
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.log_endpoints import EndpointStory
 from arpd.report.log_link import ChargeStory, InterfaceStory, LinkStory, PeerStory
 from arpd.report.log_plan import FittingStory, PlanStory, WaitingStory
 from arpd.report.snapshot import Totals
-from arpd.report.wording import Said, count, one_line
+from arpd.report.wording import Quota, Said, count, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from arpd.model.allocation import AllocationStatus
 from arpd.model.interface import state_of
-from arpd.model.values import AllocationStatus, LinkState
+from arpd.model.link import LinkState
 from arpd.report.events import Severity
 from arpd.report.wording import digits, duration, listed, rate
 

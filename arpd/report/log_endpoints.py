@@ -6,17 +6,15 @@ import math
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.apply.endpoint.writer_swap import SwapPhase
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import LinkState
+from arpd.model.endpoints import RefusalReason, SwapPhase
+from arpd.model.link import LinkState
 from arpd.report.events import EventKind, Severity
 from arpd.report.wording import Said, count, deadline, digits, duration, listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from arpd.model.publishers import PublisherState, SwapRecord
-    from arpd.model.readers import ReaderState
+    from arpd.model.endpoints import PublisherState, ReaderState, SwapRecord
     from arpd.report.snapshot import Snapshot
 
 _QUIET_S = 2.0  # a node brings its topics one after the other

@@ -6,17 +6,16 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.model.interface import InterfaceState, state_of
+from arpd.model.link import LinkState
 from arpd.model.settings import AUTO
-from arpd.model.values import LinkState
-from arpd.report.event_limits import Episode
 from arpd.report.events import EventKind, Severity
-from arpd.report.wording import Said, count, duration, listed, rate
+from arpd.report.wording import Episode, Said, count, duration, listed, rate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from arpd.report.event_limits import Turn
     from arpd.report.snapshot import Snapshot
+    from arpd.report.wording import Turn
 
 _PEER_LOST_S = 10.0  # a peer with nothing to do reports every second or two
 _REPORTED_S = 3.0  # an outage of its own ends with a report

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.model.values import AllocationStatus, LinkState
-from arpd.report.event_limits import Episode
+from arpd.model.allocation import AllocationStatus
+from arpd.model.link import LinkState
 from arpd.report.events import EventKind, Severity
-from arpd.report.wording import Change, Said, changes, count, digits, duration, rate
+from arpd.report.wording import Change, Episode, Said, changes, count, digits, duration, rate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from arpd.model.values import LinkEstimate, QosPlan, TopicPlan
+    from arpd.model.link import LinkEstimate
+    from arpd.model.plan import QosPlan, TopicPlan
     from arpd.report.snapshot import Snapshot
 
 _REFUSED_S = 2.0  # a plan that is due may wait so long without a word

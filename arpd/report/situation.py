@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.interface import state_of
+from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_rate
-from arpd.model.values import AllocationStatus, Binding, LinkState
 from arpd.report.events import Severity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from arpd.report.snapshot import Snapshot
-    from arpd.report.status import TopicRow
+    from arpd.report.topic_rows import TopicRow
 
 _SLOWED = 0.95  # a plan within a twentieth of what the application publishes slows nobody
 _OPEN = 0.8  # a gate above this trims, and does not drain

@@ -11,8 +11,10 @@ from arpd.report.durations import Durations
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.readers import ReaderPlan
-    from arpd.model.values import Allocation, Decision, LinkEstimate, Observation
+    from arpd.model.allocation import Allocation
+    from arpd.model.link import LinkEstimate
+    from arpd.model.observation import Observation
+    from arpd.model.plan import Decision, ReaderPlan
     from arpd.report.events import Event
 
 

@@ -11,20 +11,19 @@ nobody measures. Keys are only ever added within ``v1``; ``arpd/adapters/http/sc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from arpd.model.interface import InterfaceState, state_of
+from arpd.model.interface import InterfaceState, LinkCounters, state_of
 from arpd.model.settings import OnLost
 from arpd.report.situation import verdict
+from arpd.report.topic_rows import TopicRow, topic_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.model.interface import LinkCounters
-    from arpd.model.publishers import PublisherState, SwapRecord
-    from arpd.model.readers import ReaderPlan, ReaderState
-    from arpd.model.values import Observation, TopicAllocation, TopicPlan
+    from arpd.model.endpoints import ReaderState, SwapRecord
+    from arpd.model.observation import Observation
+    from arpd.model.plan import ReaderPlan
     from arpd.report.events import Event
     from arpd.report.snapshot import Snapshot, Totals
 
@@ -54,33 +53,6 @@ def lease(document: dict[str, Any]) -> str:
     if after_s is None:
         return "the plan stays when this daemon falls silent"
     return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TopicRow:
-    """One live publisher, with its row of the plan and of the program where it has one.
-
-    Parameters
-    ----------
-    publisher : what it announced last
-    planned : what the plan in force wants of it
-    allocation : what the program answered in this tick
-    """
-
-    publisher: PublisherState
-    planned: TopicPlan | None
-    allocation: TopicAllocation | None
-
-
-def topic_rows(snapshot: Snapshot) -> tuple[TopicRow, ...]:
-    """Return a row per live publisher, sorted by topic and node; a pair announced twice counts once."""
-    by_identity = {(p.topic, p.node): p for p in snapshot.observation.publishers}
-    by_topic = {row.name: row for row in snapshot.allocation.topics}
-    plan = snapshot.decision.plan.topics
-    return tuple(
-        TopicRow(publisher=publisher, planned=plan.get(topic), allocation=by_topic.get(topic))
-        for (topic, _node), publisher in sorted(by_identity.items())
-    )
 
 
 def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:

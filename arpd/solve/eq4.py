@@ -1,4 +1,7 @@
-"""Eq. (4) as Jalil & Kobayashi publish it: one DEADLINE rate and one DEPTH for all topics (DESIGN §1)."""
+"""Eq. (4) as Jalil & Kobayashi publish it: one DEADLINE rate and one DEPTH for all topics.
+
+Design: docs/design.md, The program.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.settings import Backend
 from arpd.solve.problem import TOLERANCE, Outcome, Solved, SolverFailed
-from arpd.solve.rounding import period_ns, rate_of, rational
+from arpd.solve.rows import period_ns, rate_of, rational
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from arpd.model.settings import Backend
 
-#: Shares are fractions of the whole link, so one absolute tolerance fits every topic (DESIGN §4).
+#: Shares are fractions of the whole link, so one absolute tolerance fits every topic (docs/design.md, The program).
 TOLERANCE = 1e-6
 #: A topic that needs 1e-5 of the link would hide a 10 % error below ``TOLERANCE``; this one it cannot hide.
 RELATIVE_TOLERANCE = 1e-3
@@ -21,7 +21,7 @@ _NOISE = 1e-12
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShareProblem:
-    """Divide one budget over weighted, bounded shares: (G1) of the link, (G2) of memory (DESIGN §4).
+    """Divide one budget over weighted, bounded shares: (G1) of the link, (G2) of memory (docs/design.md, The program).
 
     ``min Σ e_i²/(2 w_i) − κ Σ e_i  s.t.  Σ e_i ≤ B, lo_i ≤ e_i ≤ hi_i`` with κ ≥ max hi_i / w_i, so that no share
     stops growing for any reason but a constraint. Its solution is e_i = clip(ν·w_i, lo_i, hi_i): weighted

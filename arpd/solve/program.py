@@ -1,4 +1,7 @@
-"""The DEPTH/DEADLINE program, topic by topic: (G1) divides the link, (G2) divides the memory (DESIGN §4)."""
+"""The DEPTH/DEADLINE program, topic by topic: (G1) divides the link, (G2) divides the memory.
+
+Design: docs/design.md, The program.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,18 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
 from arpd.model.settings import Backend
-from arpd.model.values import Allocation, AllocationStatus, Binding, TopicAllocation
-from arpd.solve.checked import CheckedSolver, ShareProblem, Stand, load
-from arpd.solve.rounding import Ratio, decimal, period_ns, rate_of, whole
-from arpd.solve.rows import SAMPLE, Row, give_up, refuse_nonsense, rows_of
+from arpd.solve.checked import CheckedSolver, load
+from arpd.solve.exact import Stand
+from arpd.solve.problem import ShareProblem
+from arpd.solve.rows import SAMPLE, Ratio, Row, decimal, give_up, period_ns, rate_of, refuse_nonsense, rows_of, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from arpd.model.allocation import Topic
     from arpd.model.settings import ProgramSettings, Settings
-    from arpd.model.values import Topic
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.model.values import Direction, Topic
+from arpd.model.allocation import Topic
+from arpd.model.endpoints import Direction
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.publishers import PublisherState
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.observation import MemoryState
     from arpd.model.settings import ProgramSettings, Settings
-    from arpd.model.values import MemoryState
 
 _LEAST_BUDGET_BYTES = 2.0**20
 
@@ -99,6 +100,6 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
         min_depth=wishes.min_depth,
         max_depth=wishes.max_depth,
         latency_budget_s=wishes.latency_budget_s,
-        # Measured on Fast DDS 2.14 (shared/SWAP.md): 0.7 kB a slot and about 1.3 times the payload.
+        # Measured on Fast DDS 2.14 (docs/design.md, DDS facts): 0.7 kB a slot and about 1.3 times the payload.
         slot_bytes=700.0 + 1.3 * traffic.payload_bytes,
     )

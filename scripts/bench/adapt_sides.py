@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.config.load import load_settings
 from arpd.govern.what_if import OfflinePlanner
-from arpd.model.values import NANOSECONDS_PER_SECOND
+from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.model.wire import DATA_BYTES, ETHERNET_BYTES, IPV4_BYTES, MTU_BYTES, UDP_BYTES
 from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
 from arpd.solve.topics import assumed_traffic

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.result import percentile
 from arpd.daemon.compare import WARM_UP_S, between, summarize
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:

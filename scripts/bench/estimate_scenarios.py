@@ -13,8 +13,8 @@ from arpd.adapters.sim.loss import GilbertElliott
 from arpd.adapters.sim.robot import DEMO_TOPICS, PREFIX, SimTopic
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.daemon.scenario import demo_settings
+from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
-from arpd.model.values import Direction
 
 if TYPE_CHECKING:
     from collections.abc import Callable

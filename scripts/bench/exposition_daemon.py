@@ -24,17 +24,17 @@ from arpd.adapters.systemd.notify import Notifier
 from arpd.daemon.gc import Garbage
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import Daemon
+from arpd.model.endpoints import Direction, PublisherState, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.publishers import PublisherState, SwapRecord
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.settings import HttpSettings, LinkSettings, Settings
-from arpd.model.values import Direction, MemoryState, Observation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from arpd.model.plan import Transition
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
-    from arpd.model.values import Transition
     from arpd.report.snapshot import Snapshot
 
 _TOPICS_PER_NODE = 10

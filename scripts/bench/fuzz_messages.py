@@ -81,7 +81,7 @@ def publisher() -> Fuzzable:
 def reader() -> Fuzzable:
     """Feed a reader's announcement: it is refused, or becomes a state that can be announced again."""
     from arpd.adapters.ros.announcement import reader_from_status, reader_to_status
-    from arpd.model.readers import ReaderState
+    from arpd.model.endpoints import ReaderState
 
     def feed(data: bytes) -> None:
         try:
@@ -158,7 +158,7 @@ def parameters() -> Fuzzable:
 
     from arpd.adapters.ros.bounds import checked_lease_s
     from arpd.adapters.ros.node_publishers import _checked
-    from arpd.model.values import TopicPlan
+    from arpd.model.plan import TopicPlan
 
     fields = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "lease_s")
     plan = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
@@ -206,8 +206,7 @@ def _lines(status: Any) -> bytes:
 
 
 def _publisher() -> Any:
-    from arpd.model.publishers import PublisherState
-    from arpd.model.values import Direction
+    from arpd.model.endpoints import Direction, PublisherState
 
     return PublisherState(
         node="/lidar",

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
+from arpd.model.allocation import Topic
 from arpd.model.settings import Backend, ProgramSettings
-from arpd.model.values import Topic
-from arpd.solve.checked import ShareProblem, Solved, load, water_fill
-from arpd.solve.problem import disagreement
+from arpd.solve.checked import load
+from arpd.solve.exact import water_fill
+from arpd.solve.problem import ShareProblem, Solved, disagreement
 from arpd.solve.program import Program
 from scripts.bench.record import conditions, keep, target
 from scripts.bench.solve_report import PAPER
@@ -43,7 +44,7 @@ HEADROOM = 0.85
 FOOTPRINT = """
 import sys, time
 started = time.perf_counter()
-from arpd.model.values import Topic
+from arpd.model.allocation import Topic
 from arpd.solve.program import Program
 from arpd.model.settings import Backend, ProgramSettings
 program = Program(settings=ProgramSettings(backend=Backend(sys.argv[1])), headroom=0.85)

@@ -15,7 +15,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from arpd.adapters.host.backlog import read_backlog
+from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.sim.baselines import Oracle, Truth
 from arpd.daemon.supervisor import run_daemon
 from scripts.netns.simlink import INTERFACE

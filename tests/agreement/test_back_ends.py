@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.model.settings import Backend
-from arpd.solve.checked import ShareProblem, Solved, SolverFailed, load, water_fill
+from arpd.solve.checked import load
+from arpd.solve.exact import water_fill
+from arpd.solve.problem import ShareProblem, Solved, SolverFailed
 
 WHOLE = 10**15
 #: The same at every run and on every machine, which hypothesis does not promise. What a back end cannot solve, one in

@@ -5,27 +5,13 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
+from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
+from arpd.model.endpoints import Direction, RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.model.observation import Kind, MemoryState, Observation, Reason, Taken
+from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
 from arpd.model.probing import PeerReport
-from arpd.model.publishers import SwapRecord
-from arpd.model.readers import ReaderPlan
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import (
-    Allocation,
-    AllocationStatus,
-    Binding,
-    CapacityKind,
-    Decision,
-    Direction,
-    LinkEstimate,
-    LinkState,
-    MemoryState,
-    Observation,
-    QosPlan,
-    TopicAllocation,
-    TopicPlan,
-)
-from arpd.observe.rate_limits import Kind, Reason, Taken
 from arpd.report.durations import Durations
 from arpd.report.snapshot import Snapshot, Totals
 from tests.sample_publishers import publisher, reader

@@ -10,11 +10,7 @@ from diagnostic_msgs.msg import KeyValue
 from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.announcement import from_status, reader_from_status, reader_to_status, to_status
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult
-from arpd.model.publishers import SwapRecord
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction, DropCause, RefusalReason, SwapPhase, SwapRecord, SwapResult
 from tests.sample_publishers import publisher, reader
 
 pytestmark = pytest.mark.ros

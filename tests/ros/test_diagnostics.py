@@ -16,7 +16,7 @@ from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
 from arpd.adapters.ros.graph import read_crossings
 from arpd.adapters.ros.names import GATE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw
-from arpd.model.values import LinkState
+from arpd.model.link import LinkState
 from arpd.report.decision_log import Chronicle
 from tests.golden.sample import make_snapshot
 

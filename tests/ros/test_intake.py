@@ -18,10 +18,9 @@ from arpd.adapters.ros.announcement import from_status, to_status
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
 from arpd.adapters.ros.graph import Crossing, Graph, read_crossings
 from arpd.adapters.ros.listeners import Announcements
-from arpd.adapters.ros.raw_subscription import Intake, Pause, octets, peek
-from arpd.adapters.ros.refused import Refused
+from arpd.adapters.ros.raw_subscription import Intake, Pause, Refused, octets, peek
 from arpd.adapters.ros.rmw import rmw_of
-from arpd.observe.rate_limits import Kind, Reason
+from arpd.model.observation import Kind, Reason
 from arpd.observe.registry import MOST_OF_NODE
 from tests.sample_publishers import publisher
 

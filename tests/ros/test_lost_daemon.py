@@ -16,7 +16,7 @@ from std_msgs.msg import Float64, String
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.adapters.ros.parameters import ParameterApplier
-from arpd.model.values import TopicPlan, Transition
+from arpd.model.plan import TopicPlan, Transition
 
 pytestmark = pytest.mark.ros
 TOPIC = "/leased"

@@ -26,9 +26,7 @@ from arpd.adapters.ros.bounds import (
 )
 from arpd.adapters.ros.grant import Grant
 from arpd.adapters.ros.parameters import ParameterApplier
-from arpd.govern.governor import MOST_GENERATION
-from arpd.model.readers import ReaderPlan
-from arpd.model.values import TopicPlan, Transition
+from arpd.model.plan import MOST_GENERATION, ReaderPlan, TopicPlan, Transition
 
 pytestmark = pytest.mark.ros
 ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20)

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.peer import Peer, default_name
 from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
-from arpd.estimate.probe_loss import ProbeLoss
+from arpd.estimate.probes import ProbeLoss
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes

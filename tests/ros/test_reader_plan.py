@@ -27,11 +27,11 @@ from arpd.adapters.ros.announcement import reader_from_status
 from arpd.adapters.ros.node_subscriptions import NodeListening
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.ordering import Ordering
-from arpd.govern.plan import restore_plan
-from arpd.model.readers import plan_readers, restore_readers
-from arpd.model.refusal import RefusalReason
+from arpd.apply.readers import plan_readers, restore_readers
+from arpd.apply.transitions import restore_plan
+from arpd.model.endpoints import RefusalReason
+from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
-from arpd.model.values import QosPlan, TopicPlan
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros

@@ -9,9 +9,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.govern.plan import is_confirmed
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import TopicPlan
+from arpd.apply.transitions import is_confirmed
+from arpd.model.endpoints import RefusalReason
+from arpd.model.plan import TopicPlan
 
 pytestmark = pytest.mark.ros
 ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=500_000_000, depth=40)

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.periodic import InvalidHandle, Rounds
+from arpd.adapters.ros.world import InvalidHandle, Rounds
 
 pytestmark = pytest.mark.ros
 

@@ -12,8 +12,9 @@ from arpd.adapters.sim.robot import SimTopic, configured_topics
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.daemon.compare import Event, between, compare, estimate_error, events, summarize
 from arpd.daemon.scenario import Moment, ScenarioResult, run
+from arpd.model.endpoints import Direction
+from arpd.model.link import LinkState
 from arpd.model.settings import RelaySettings, Settings, TopicSettings
-from arpd.model.values import Direction, LinkState
 
 MBIT = 125_000.0
 FALL = "0:8mbit,15:2mbit"

@@ -12,8 +12,9 @@ from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon import scenario
 from arpd.daemon.tick import Daemon
+from arpd.model.endpoints import Direction
+from arpd.model.link import LinkState
 from arpd.model.settings import ProgramSettings, Settings, TopicSettings
-from arpd.model.values import Direction, LinkState
 
 LASTS_S = 25.0
 STARTS_S = 1000.0  # of the sensors, on the clock of the daemon

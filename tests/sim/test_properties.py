@@ -19,8 +19,9 @@ from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.daemon.scenario import run
 from arpd.daemon.tick import Daemon
 from arpd.govern.plan import _SOURCE_MARGIN
+from arpd.model.endpoints import Direction
+from arpd.model.link import LinkState
 from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
-from arpd.model.values import Direction, LinkState
 from arpd.solve.topics import topics_to_plan
 
 if TYPE_CHECKING:

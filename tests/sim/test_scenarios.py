@@ -14,8 +14,8 @@ from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import DEMO_TOPICS
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon.scenario import demo_settings, run
+from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
-from arpd.model.values import LinkState
 
 MBIT = 125_000.0
 ROBOT = Path(__file__).parents[2] / "scripts" / "robot" / "arpd.yaml"

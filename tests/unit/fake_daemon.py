@@ -8,22 +8,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 
 from arpd.adapters.sim.robot import DEMO_TOPICS
+from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
+from arpd.model.endpoints import RefusalReason
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import (
-    Allocation,
-    AllocationStatus,
-    Binding,
-    CapacityKind,
-    Decision,
-    LinkEstimate,
-    LinkState,
-    MemoryState,
-    Observation,
-    QosPlan,
-    TopicAllocation,
-    TopicPlan,
-)
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.model.observation import MemoryState, Observation
+from arpd.model.plan import Decision, QosPlan, TopicPlan
 from arpd.report.snapshot import Snapshot, Totals
 from arpd.report.status import status_document
 from tests.sample_publishers import publisher

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic_core import core_schema
 
-from arpd.adapters.config.yaml_source import printable
 from arpd.model.quantities import (
     parse_duration,
     parse_rate,
     parse_size,
+    printable,
     spell_duration,
     spell_rate,
     spell_size,

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from arpd.adapters.config.kinds import shown
 from arpd.adapters.config.rules import broken_rules
 from arpd.adapters.config.schema import SECTIONS, Document, Section, flatten
-from arpd.adapters.config.yaml_source import Fault, config_error, dotted, printable, read_source
+from arpd.adapters.config.yaml_source import Fault, config_error, dotted, read_source
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

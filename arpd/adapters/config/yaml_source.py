@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import yaml
 
 from arpd.model.errors import ConfigError
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 Location: TypeAlias = tuple[str | int, ...]  # ("topics", 2, "min_rate_hz")
-
 MAX_BYTES = 2**20
 MAX_DEPTH = 20
 MAX_NODES = 20_000  # keys and values; a thousand topics with every key have 18,000
@@ -100,12 +100,6 @@ def config_error(path: Path, faults: list[Fault]) -> ConfigError:
         )
         faults = [*faults[:MAX_FAULTS], more]
     return ConfigError([f"{file}:{f.place.line}:{f.place.column}: {f.key}: {f.text}" for f in faults])
-
-
-def printable(text: str, *, longest: int = _LONGEST) -> str:
-    """Show text from the file on one line of a terminal, cut short when long."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1])
-    return shown if len(shown) <= longest else f"{shown[: longest - 1]}…"
 
 
 def dotted(location: Location) -> str:

@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from arpd.adapters.host.backlog import read_backlog
-from arpd.adapters.host.net_device import read_device
+from arpd.adapters.host.netlink import read_backlog, read_device
 from arpd.model.interface import InterfaceState, LinkCounters, continue_counters, state_of
+from arpd.model.observation import MemoryState
 from arpd.model.settings import AUTO
-from arpd.model.values import MemoryState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 log = logging.getLogger(__name__)
-
 _SYS_NET = Path("/sys/class/net")
 _PROC_ROUTE = Path("/proc/net/route")
 
@@ -243,3 +241,17 @@ def _default_route(route: Path) -> str:
 def list_interfaces() -> list[str]:
     """Return the names of this host's network interfaces."""
     return sorted(psutil.net_if_stats())
+
+
+def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:
+    """Return the nominal rate of an interface, None where there is none or it means nothing (bytes/s).
+
+    Only hardware knows its own: a tunnel reports 10 Mbit/s whatever it runs over, a radio nothing.
+    """
+    if not (sys_net / name / "device").exists():
+        return None
+    try:
+        stats = psutil.net_if_stats().get(name)
+    except OSError:  # it vanished between two of psutil's questions
+        return None
+    return stats.speed * 1e6 / 8 if stats is not None and stats.speed > 0 else None

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http import HTTPStatus
+from importlib.resources import files
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.http.bundle import ASSETS_PATH, Bundle
 from arpd.adapters.http.page import render_page
-from arpd.adapters.http.schemas import SCHEMAS_BY_PATH
-from arpd.report.history import History
-from arpd.report.history_document import history_json
+from arpd.report.history import History, history_json
 from arpd.report.status import API_VERSION, status_document
 
 if TYPE_CHECKING:
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from arpd.adapters.http.exposition import Exposition
     from arpd.report.snapshot import Snapshot
 
+_NAMES = ("status-v1.json", "history-v1.json")
+SCHEMAS_BY_PATH = {
+    f"/api/v1/schema/{name}": files("arpd.adapters.http").joinpath("schema", name).read_bytes() for name in _NAMES
+}
 HEALTHY_S = 10.0
 PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status", "/api/v1/history", *SCHEMAS_BY_PATH})
 _KEPT_FOR_EVER = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
@@ -155,3 +159,15 @@ def _ok(content_type: str, text: str) -> Answer:
 
 def _unavailable(text: str) -> Answer:
     return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_TEXT, body=text.encode())
+
+
+_LEAST_BYTES = 1024  # a packet holds less than this anyway
+_LEVEL = 1  # a tenth of the size already; more costs the robot more time than the link
+
+
+def compressed(answer: Answer) -> Answer:
+    """Return the answer in gzip, or as it is where that would not pay."""
+    if len(answer.body) < _LEAST_BYTES:
+        return answer
+    body = gzip.compress(answer.body, compresslevel=_LEVEL, mtime=0)
+    return replace(answer, body=body, headers={**answer.headers, "Content-Encoding": "gzip"})

@@ -11,8 +11,7 @@ from email.utils import formatdate
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
-from arpd.adapters.http.answers import bare, label
-from arpd.adapters.http.compression import compressed
+from arpd.adapters.http.answers import bare, compressed, label
 from arpd.adapters.http.http_metrics import Refusal
 from arpd.adapters.http.passwords import Verdict
 from arpd.adapters.http.request import RequestRefusedError, read_request

@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.report.distribution import Distribution
+    from arpd.report.durations import Distribution
 
 # Samples are made here, and not by `add_metric`, where there may be thousands: those of one row share their labels.
 Labels = dict[str, str]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from arpd.adapters.http.families import counter_by, gauge
-from arpd.estimate.belief import EstimatorEvent
 from arpd.model.interface import InterfaceState, state_of
+from arpd.model.link import EstimatorEvent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
     from arpd.model.interface import LinkCounters
-    from arpd.model.values import LinkEstimate
+    from arpd.model.link import LinkEstimate
     from arpd.report.snapshot import Snapshot
 
 _INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (

@@ -6,23 +6,25 @@ import math
 import platform
 import time
 from collections import Counter
+from itertools import product
 from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
-from prometheus_client.core import GaugeMetricFamily, InfoMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.registry import Collector
 
 from arpd.adapters.http.families import gauge, gauge_by
-from arpd.adapters.http.intake_metrics import intake_metrics
 from arpd.adapters.http.link_metrics import link_metrics
 from arpd.adapters.http.reader_metrics import reader_metrics
 from arpd.adapters.http.topic_metrics import topic_metrics
 from arpd.adapters.http.total_metrics import total_metrics
-from arpd.model.refusal import RefusalReason
+from arpd.model.allocation import AllocationStatus, Binding
+from arpd.model.endpoints import RefusalReason
+from arpd.model.link import CapacityKind, LinkState
+from arpd.model.observation import Kind, Reason
 from arpd.model.settings import Backend
-from arpd.model.values import AllocationStatus, Binding, CapacityKind, LinkState
 from arpd.model.version import VERSION
-from arpd.report.status import topic_rows
+from arpd.report.topic_rows import topic_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -124,7 +126,6 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         lambda s: len(s.keys_awaiting_restart),
     ),
 )
-
 _STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
     ("arpd_link_capacity_kind", "How the capacity was estimated.", "kind", CapacityKind, lambda s: s.link.kind),
     ("arpd_link_state", "What the link is doing.", "state", LinkState, lambda s: s.link.state),
@@ -214,3 +215,21 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
         swaps = "no" if observation.rmw_refusal else "yes"
         labels = {"rmw": observation.rmw, "swaps": swaps}
         yield InfoMetricFamily("arpd_rmw", "Middleware of ROS; without swaps, topics are paced and gated only.", labels)
+
+
+def intake_metrics(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield the families in a fixed order; every label has few values, whoever speaks."""
+    taken = snapshot.observation.taken
+    refused = CounterMetricFamily(
+        "arpd_messages_refused",
+        "Messages from the network, or parts of them, that were not believed.",
+        labels=("kind", "reason"),
+    )
+    for kind, reason in product(Kind, Reason):
+        refused.add_metric((kind, reason), taken.refused.get((kind, reason), 0))
+    yield refused
+    yield GaugeMetricFamily(
+        "arpd_endpoints_pending",
+        "Publishers and readers that announce themselves, but that the ROS graph does not show.",
+        value=float(taken.pending),
+    )

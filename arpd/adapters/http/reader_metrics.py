@@ -6,15 +6,15 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_of
-from arpd.apply.endpoint.reader_swap import HandoverResult
-from arpd.model.values import NANOSECONDS_PER_SECOND
+from arpd.model.endpoints import HandoverResult
+from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from prometheus_client.metrics_core import Metric
 
-    from arpd.model.readers import ReaderState
+    from arpd.model.endpoints import ReaderState
     from arpd.report.snapshot import Snapshot
 
 _GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (

@@ -7,8 +7,8 @@ import re
 import ssl
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.yaml_source import printable
 from arpd.adapters.http.web_config_schema import ClientAuth, TlsVersion
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.adapters.http.families import counter_by, counter_of, gauge_by, gauge_of
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult
-from arpd.model.values import NANOSECONDS_PER_SECOND, Binding
+from arpd.model.allocation import Binding
+from arpd.model.endpoints import DropCause, SwapPhase, SwapResult
+from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
     from arpd.adapters.http.families import Labels
-    from arpd.model.publishers import PublisherState
-    from arpd.model.values import TopicAllocation, TopicPlan
-    from arpd.report.status import TopicRow
+    from arpd.model.allocation import TopicAllocation
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import TopicPlan
+    from arpd.report.topic_rows import TopicRow
 
 _FAILURES = tuple(sorted(set(SwapResult) - {SwapResult.OK}))
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from prometheus_client.metrics_core import Metric
 
-    from arpd.report.distribution import Distribution
+    from arpd.report.durations import Distribution
     from arpd.report.snapshot import Totals
 
 _OK = "ok"

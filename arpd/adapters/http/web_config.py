@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from arpd.adapters.config.kinds import shown
-from arpd.adapters.config.yaml_source import Fault, config_error, dotted, printable, read_source
+from arpd.adapters.config.yaml_source import Fault, config_error, dotted, read_source
 from arpd.adapters.http.tls import TlsFileError, make_context
 from arpd.adapters.http.web_config_schema import (
     UNSUPPORTED,
@@ -20,6 +20,7 @@ from arpd.adapters.http.web_config_schema import (
     TlsVersion,
     WebDocument,
 )
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     import ssl

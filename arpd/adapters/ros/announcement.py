@@ -13,13 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
 from arpd.adapters.ros.names import is_full_name
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.writer_swap import SwapPhase
-from arpd.govern.governor import MOST_GENERATION
-from arpd.model.publishers import PublisherState, SwapRecord
-from arpd.model.readers import ReaderState
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction, DropCause, PublisherState, ReaderState, RefusalReason, SwapPhase, SwapRecord
+from arpd.model.plan import MOST_GENERATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -18,10 +18,10 @@ from rclpy.serialization import deserialize_message
 
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
-from arpd.adapters.ros.raw_subscription import Intake, peek
-from arpd.adapters.ros.refused import Refused
+from arpd.adapters.ros.raw_subscription import Intake, Refused, peek
+from arpd.model.observation import Kind, Reason
 from arpd.observe.leader import LEAST_STARTED_NS, Claim, Incumbency
-from arpd.observe.rate_limits import Kind, Reason, TokenBucket
+from arpd.observe.rate_limits import TokenBucket
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 
 from arpd.adapters.ros.bounds import checked_lease_s
 from arpd.apply.endpoint.lease import Lease
-from arpd.govern.governor import MOST_GENERATION
+from arpd.model.plan import MOST_GENERATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

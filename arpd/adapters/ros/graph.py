@@ -19,15 +19,17 @@ from arpd.adapters.ros.names import (
     is_full_name,
     is_internal,
 )
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction
+from arpd.model.plan import is_kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+
+    from rclpy.node import Node
 
     from arpd.adapters.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
-
 # What rmw_dds_common says of an endpoint whose participant has not told its nodes, yet or ever.
 _UNNAMED = frozenset({"_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"})
 _MOST_TOPICS = 3000  # looked at each second; who fills the graph with topics must not keep us busy with them
@@ -155,7 +157,7 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
 def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mapping[str, Crossing]:
     """Return how every topic of the graph crosses the link; what belongs to ROS or to arpd itself is left out.
 
-    Fast DDS GUIDs carry the host in bytes 2-3 (DESIGN §2); the robot's own host is that of this node's writer.
+    Fast DDS GUIDs carry the host in bytes 2-3 ; the robot's own host is that of this node's writer.
 
     Parameters
     ----------
@@ -234,3 +236,37 @@ def _offers_ns(writers: Iterable[Endpoint]) -> tuple[int, ...]:
 
 def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:
     return frozenset(endpoint.node for endpoint in endpoints)
+
+
+class Requests:
+    """The deadlines that readers of a topic request.
+
+    Parameters
+    ----------
+    node : any node; it sees the whole graph
+    topic : fully qualified topic name
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node = node
+        self._topic = topic
+
+    def tightest_ns(self) -> int:
+        """Return the shortest, 0 = none is requested (ns)."""
+        return min((request for _, request in self._all() if request), default=0)
+
+    def names(self) -> list[str]:
+        """Name the nodes that read the topic."""
+        return sorted(name for name, _ in self._all())
+
+    def lost(self, *, offered_ns: int, offer_ns: int) -> list[str]:
+        """Name the readers that hear a writer with the one deadline and would not hear one with the other (ns)."""
+        return sorted(
+            f"{name} requests {request} ns"
+            for name, request in self._all()
+            if is_kept(offered_ns, request) and not is_kept(offer_ns, request)
+        )
+
+    def _all(self) -> Iterator[tuple[str, int]]:
+        for reader in self._node.get_subscriptions_info_by_topic(self._topic):
+            yield node_name_of(reader), deadline_ns_of(reader.qos_profile)

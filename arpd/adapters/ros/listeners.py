@@ -11,16 +11,16 @@ from rclpy.serialization import deserialize_message
 
 from arpd.adapters.ros.names import is_full_name
 from arpd.adapters.ros.raw_subscription import Intake, Pause, peek
-from arpd.model.publishers import PublisherState
-from arpd.model.readers import ReaderState
-from arpd.observe.rate_limits import Reason, Turnstile
+from arpd.model.endpoints import PublisherState, ReaderState
+from arpd.model.observation import Reason
+from arpd.observe.rate_limits import Turnstile
 from arpd.observe.registry import MOST_OF_NODE, Endpoints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from arpd.adapters.ros.refused import Refused
-    from arpd.observe.rate_limits import Kind
+    from arpd.adapters.ros.raw_subscription import Refused
+    from arpd.model.observation import Kind
 
 _DEPTH = 1000  # messages that may wait while the executor is elsewhere
 _MOST_BYTES = 512 * 1024  # of a message: twice what MOST_OF_NODE publishers take

@@ -1,4 +1,4 @@
-"""Names of arpd's topics and parameters: the protocol of DESIGN §7 in one place."""
+"""Names of arpd's topics and parameters: the protocol (docs/design.md, Protocols) in one place."""
 
 from __future__ import annotations
 

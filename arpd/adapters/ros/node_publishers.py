@@ -6,7 +6,8 @@ import math
 import threading
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -33,18 +34,16 @@ from arpd.adapters.ros.names import (
     RATE,
     parameter_name,
 )
-from arpd.adapters.ros.wakeups import Visits
-from arpd.model.values import TopicPlan
+from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rclpy.node import Node
 
-    from arpd.adapters.ros.publisher import AdaptivePublisher
+    from arpd.model.endpoints import PublisherState, WriterQos
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
-
 _ATTRIBUTE = "_arpd_tuning"
 _ANNOUNCE_S = 1.0
 _GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
@@ -53,13 +52,40 @@ QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 t
 _BLOCKED_S = 0.05  # longer than a scheduler takes; two such waits are more than a reader at 200 Hz bridges
 _SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
 _COMPLAIN_S = 5.0
-
 _SETTINGS = {
     DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
     DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
     RATE: ("rate_hz", "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
     MIN_RATE: ("min_rate_hz", "floor in Hz below which the gate does not push the rate"),
 }
+
+
+class Paced(Protocol):
+    """A publisher as its node's shared half sees it: an AdaptivePublisher."""
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings asked for last."""
+
+    @property
+    def baseline(self) -> WriterQos:
+        """QoS the application asked for."""
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take new settings."""
+
+    def service(self, now_s: float) -> float:
+        """Write what is due; return when to come again (s)."""
+
+    def set_gate(self, gate: float | None) -> None:
+        """Scale the paced rate; None = nobody tells a gate."""
+
+    def state(self, *, generation: int, lease_s: float) -> PublisherState:
+        """Return what to announce."""
 
 
 class NodeTuning:
@@ -73,9 +99,9 @@ class NodeTuning:
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
-        self._publishers: dict[str, AdaptivePublisher] = {}
+        self._publishers: dict[str, Paced] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
-        self._visits: Visits[AdaptivePublisher] = Visits()
+        self._visits: Visits[Paced] = Visits()
         self._suspect_until_s = -math.inf
         self.finished_s = clock()  # when the pacing thread last finished a round
         self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
@@ -109,7 +135,7 @@ class NodeTuning:
             setattr(node, _ATTRIBUTE, tuning)
         return tuning
 
-    def adopt(self, publisher: AdaptivePublisher) -> None:
+    def adopt(self, publisher: Paced) -> None:
         """Declare the publisher's parameters and start to pace it."""
         topic = publisher.topic_name
         if topic in self._publishers:
@@ -129,7 +155,7 @@ class NodeTuning:
             publisher.retune(plan)
         self.wake(publisher)
 
-    def release(self, publisher: AdaptivePublisher) -> None:
+    def release(self, publisher: Paced) -> None:
         """Forget a publisher and its parameters."""
         topic = publisher.topic_name
         self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
@@ -138,7 +164,7 @@ class NodeTuning:
             if self._parameters.pop(name, None) and self._node.context.ok():
                 self._node.undeclare_parameter(name)
 
-    def wake(self, publisher: AdaptivePublisher) -> None:
+    def wake(self, publisher: Paced) -> None:
         """Let the pacing thread visit a publisher at once."""
         self._visits.wake(publisher)
 
@@ -270,3 +296,53 @@ def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: in
     if field == "deadline_ns":
         return checked_deadline_ns(parameter, own_ns=own_deadline_ns)
     return checked_rate_hz(parameter) if field == "rate_hz" else checked_floor_hz(parameter)
+
+
+T = TypeVar("T")
+
+
+class Visits(Generic[T]):
+    """Due times of those who gave one, and a queue of those who want to be visited at once.
+
+    Only `wake` and `end` may be called from other threads. Whoever is woken is due at once, and stays so until it is
+    visited: a wake during the visit itself means another one.
+    """
+
+    def __init__(self) -> None:
+        self._due_s: dict[T, float] = {}
+        self._woken: SimpleQueue[T | None] = SimpleQueue()
+
+    def wake(self, one: T) -> None:
+        """Ask for a visit at once."""
+        self._woken.put(one)
+
+    def end(self) -> None:
+        """Let `wait` return, for nobody's sake."""
+        self._woken.put(None)
+
+    def wait(self, for_s: float) -> None:
+        """Wait until somebody is woken, or the time is over."""
+        try:
+            woken = self._woken.get(timeout=max(0.0, for_s))
+            while True:
+                if woken is not None:
+                    self._due_s[woken] = -math.inf
+                woken = self._woken.get_nowait()
+        except Empty:
+            return
+
+    def take_due(self, now_s: float) -> list[T]:
+        """Return who is due; each is forgotten until it is woken, or given a time again."""
+        due = [one for one, due_s in self._due_s.items() if due_s <= now_s]
+        for one in due:
+            del self._due_s[one]
+        return due
+
+    def set(self, one: T, due_s: float) -> None:
+        """Set when to visit one who was just taken, ``inf`` = not before it is woken (s)."""
+        if due_s < math.inf:
+            self._due_s[one] = due_s
+
+    def next_s(self) -> float:
+        """When the next one is due, ``inf`` = nobody (s)."""
+        return min(self._due_s.values(), default=math.inf)

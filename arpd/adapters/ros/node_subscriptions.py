@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.adapters.ros.subscription import AdaptiveSubscription
+    from arpd.model.endpoints import ReaderState
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
 
@@ -34,6 +34,20 @@ _ATTRIBUTE = "_arpd_listening"
 _ANNOUNCE_S = 1.0
 _CALM = 3  # announcements without a change after which one of so many is enough: most readers live across the link
 _COMPLAIN_S = 5.0
+
+
+class Announced(Protocol):
+    """A subscription as its node's shared half sees it: an AdaptiveSubscription."""
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+
+    def announced(self, *, generation: int, lease_s: float) -> ReaderState:
+        """Return what to announce."""
+
+    def return_to_baseline(self) -> str | None:
+        """Go back to the application's QoS; return why that is refused, None if it is not."""
 
 
 class NodeListening:
@@ -45,7 +59,7 @@ class NodeListening:
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
-        self._subscriptions: dict[str, AdaptiveSubscription] = {}
+        self._subscriptions: dict[str, Announced] = {}
         self._gate: Any = None
         self._unchanged = 0  # looks since something was new
         self._grant = Grant(
@@ -74,12 +88,12 @@ class NodeListening:
             setattr(node, _ATTRIBUTE, listening)
         return listening
 
-    def adopt(self, subscription: AdaptiveSubscription) -> None:
+    def adopt(self, subscription: Announced) -> None:
         """Announce a subscription from now on."""
         self._subscriptions = {**self._subscriptions, subscription.topic_name: subscription}
         self.note_news()
 
-    def release(self, subscription: AdaptiveSubscription) -> None:
+    def release(self, subscription: Announced) -> None:
         """Forget a subscription."""
         self._subscriptions = {
             topic: kept for topic, kept in self._subscriptions.items() if topic != subscription.topic_name

@@ -26,8 +26,7 @@ from arpd.adapters.ros.names import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.model.readers import ReaderPlan
-    from arpd.model.values import TopicPlan, Transition
+    from arpd.model.plan import ReaderPlan, TopicPlan, Transition
 
 log = logging.getLogger(__name__)
 

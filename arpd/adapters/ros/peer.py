@@ -13,7 +13,7 @@ from arpd.adapters.host.addresses import Locators
 from arpd.adapters.host.interface import InterfaceReader, hardware_address
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.runtime import control_node, serve_until, stop_on_signals
-from arpd.adapters.systemd.logs import configure_logging
+from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Heartbeat, Notifier
 from arpd.model.probing import PeerReport
 from arpd.observe.receiver import BUSY_S, Receiver, ReportSchedule

@@ -14,19 +14,23 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
-from arpd.adapters.ros.graph import deadline_ns_of, type_name_of
+from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.adapters.ros.node_publishers import QUICK_S, NodeTuning
-from arpd.adapters.ros.requests import Requests
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.adapters.ros.writer import RosWriter, without_ours
 from arpd.apply.endpoint.flow import Flow
-from arpd.apply.endpoint.writer_swap import SwapResult
-from arpd.govern.plan import keeps_its_readers
-from arpd.model.publishers import FlowState, PublisherState
-from arpd.model.refusal import NO_REFUSAL, Refusal, RefusalReason
+from arpd.model.endpoints import (
+    NO_REFUSAL,
+    Direction,
+    FlowState,
+    PublisherState,
+    Refusal,
+    RefusalReason,
+    SwapResult,
+    WriterQos,
+)
+from arpd.model.plan import keeps_its_readers
 from arpd.model.settings import Overflow
-from arpd.model.values import Direction
-from arpd.model.writer import WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,8 +40,9 @@ if TYPE_CHECKING:
     from rclpy.qos_overriding_options import QoSOverridingOptions
 
     from arpd.apply.endpoint.writer_swap import SwapTiming
-    from arpd.model.values import TopicPlan
+    from arpd.model.plan import TopicPlan
 
+_LATCHED = "is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; swap_transient_local=True lets it"
 _FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
 
 
@@ -230,23 +235,19 @@ class AdaptivePublisher:
         Parameters
         ----------
         plan : settings to run with; an offered deadline longer than a reader requests is clamped to that request,
-            because the reader would silently disconnect (DESIGN §2)
+            because the reader would silently disconnect (docs/design.md, DDS facts)
         """
         requested_ns = self._requests.tightest_ns()
         is_clamped = not keeps_its_readers(plan, requested_ns)
         clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to the {requested_ns} ns a reader requests")
         depth = self._baseline.depth if self._keeps_all else plan.depth  # another would be a new writer for nothing
         qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
-        latched = (
-            f"{self._resolved} is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; "
-            "swap_transient_local=True lets it"
-        )
         with self._lock:
             self._clamp = clamp if is_clamped else NO_REFUSAL
             is_fixed = self._is_latched and not self._swap_transient_local
             if qos == self._flow.qos:
                 self._refusal = NO_REFUSAL  # nothing is refused any more
-            elif refusal := lasting_refusal(self._rmw, latched=latched if is_fixed else ""):
+            elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
                 self._refusal, qos = refusal, self._flow.qos
             self._flow.retune(plan, qos=qos)
         self._tuning.wake(self)

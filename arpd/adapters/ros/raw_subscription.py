@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import struct
+import threading
 import time
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from arpd.adapters.ros.events import no_subscription_events
-from arpd.observe.rate_limits import TokenBucket
+from arpd.observe.rate_limits import Refusals, TokenBucket
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from rclpy.qos import QoSProfile
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
+    from arpd.model.observation import Kind, Reason
 
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
 _MOST_AT_ONCE = 1000
 _CALM_HZ = 200.0  # messages that need no pause; a hundred nodes and two peers say as many
 _FLOOD_S = 3.0
@@ -171,3 +175,39 @@ def octets(data: bytes) -> bytes:
 
 def _aligned(offset: int) -> int:
     return -4 * (-offset // 4)
+
+
+log = logging.getLogger(__name__)
+
+
+class Refused:
+    """`Refusals` for callbacks in any number of threads.
+
+    Parameters
+    ----------
+    clock : monotonic clock (s)
+    """
+
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._refusals = Refusals()
+
+    @property
+    def counts(self) -> Mapping[tuple[Kind, Reason], int]:
+        """Refusals so far."""
+        with self._lock:
+            return MappingProxyType(self._refusals.counts)
+
+    def note(self, kind: Kind, reason: Reason, words: str, *, source: str = "") -> None:
+        """Count a refusal, and say it if it is news.
+
+        Parameters
+        ----------
+        words : what was refused, and why
+        source : who said it, empty = not known
+        """
+        with self._lock:
+            is_news = self._refusals.note(kind, reason, source, self._clock())
+        if is_news:
+            log.warning("ignored, and said once a minute: %s", words)

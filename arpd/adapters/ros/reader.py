@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.apply.endpoint.reader_swap import Key
-    from arpd.model.refusal import RefusalReason
+    from arpd.model.endpoints import RefusalReason
 
 Sample = tuple[Any, Any]  # message and MessageInfo
 

@@ -16,7 +16,7 @@ from arpd.adapters.host.addresses import Locators
 from arpd.adapters.host.interface import likeliest_interface
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.runtime import ros_node, serve_until, stop_on_signals
-from arpd.adapters.systemd.logs import configure_logging
+from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Heartbeat, Notifier
 from arpd.apply.relay_routes import Refusal, Route, Source, choose_route, own_output
 from arpd.model.settings import AUTO

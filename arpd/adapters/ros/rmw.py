@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.refusal import Refusal, RefusalReason
+from arpd.model.endpoints import Refusal, RefusalReason
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ class Rmw:
     name : its identifier, as in RMW_IMPLEMENTATION
     can_swap : whether writers and readers may be replaced live: acknowledgements come fast enough to wait for them,
         and samples carry the sequence number that tells doubles apart
-    tells_hosts : whether an endpoint's GID carries its host in bytes 2-3 (DESIGN §2). Not under DDS Security: there
+    tells_hosts : whether an endpoint's GID carries its host in bytes 2-3 . Not under DDS Security: there
         Fast DDS puts a hash of the certificate's subject, the enclave, into bytes 0-5
     """
 

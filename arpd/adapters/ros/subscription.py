@@ -23,11 +23,10 @@ from arpd.adapters.ros.names import reader_parameter_name
 from arpd.adapters.ros.node_subscriptions import NodeListening
 from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, SubscriptionState, arguments_of, key_of
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
-from arpd.apply.endpoint.deadlines import DeadlineCount
-from arpd.apply.endpoint.reader_swap import Handover, HandoverResult
-from arpd.govern.plan import is_kept
-from arpd.model.readers import ReaderState
-from arpd.model.refusal import NO_REFUSAL, Refusal, RefusalReason
+from arpd.apply.endpoint.meters import DeadlineCount
+from arpd.apply.endpoint.reader_swap import Handover
+from arpd.model.endpoints import NO_REFUSAL, HandoverResult, ReaderState, Refusal, RefusalReason
+from arpd.model.plan import is_kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

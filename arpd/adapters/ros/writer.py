@@ -1,4 +1,4 @@
-"""One rclpy publisher behind the `arpd.model.writer.Writer` protocol."""
+"""One rclpy publisher behind the `arpd.model.endpoints.Writer` protocol."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class RosWriter:
 
     def is_acknowledged(self) -> bool:
         """Whether every sample written was acknowledged."""
-        # A zero timeout only looks; anything longer would block the pacing thread (shared/SWAP.md).
+        # A zero timeout only looks; anything longer would block the pacing thread (docs/design.md, DDS facts).
         return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
 
     def wait_for_all_acked(self, timeout: Duration | None) -> bool:

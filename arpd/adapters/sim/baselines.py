@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.estimate.parameters import EstimatorTuning
-from arpd.model.values import CapacityKind, LinkEstimate, LinkState
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
-    from arpd.model.values import Observation
 
 _FIRST_S = 1.0  # of reports, before the first plan is made
 _ARPD = EstimatorTuning()  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate

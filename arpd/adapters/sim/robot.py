@@ -11,10 +11,8 @@ from arpd.adapters.sim.result import TopicResult
 from arpd.adapters.sim.timeline import Alarm
 from arpd.adapters.sim.writer import SAMPLE, Route, SimulatedWriter
 from arpd.apply.endpoint.flow import Flow
-from arpd.model.publishers import PublisherState
+from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.settings import Overflow
-from arpd.model.values import Direction
-from arpd.model.writer import WriterQos
 from arpd.solve.topics import assumed_traffic
 
 if TYPE_CHECKING:
@@ -22,8 +20,8 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.adapters.sim.timeline import Timeline
+    from arpd.model.plan import TopicPlan
     from arpd.model.settings import Settings
-    from arpd.model.values import TopicPlan
 
 RCLPY_DEPTH = 10  # what every rclpy tutorial passes
 PREFIX = "/link"

@@ -8,9 +8,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.timeline import Alarm
+from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.probing import PeerReport
-from arpd.model.values import Direction, MemoryState, Observation
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.receiver import Receiver, ReportSchedule
 
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.link import SimulatedLink
     from arpd.adapters.sim.robot import SimulatedPublisher
     from arpd.adapters.sim.timeline import Timeline
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import Transition
     from arpd.model.probing import ProbeRequest
-    from arpd.model.publishers import PublisherState
     from arpd.model.settings import GraphSettings
-    from arpd.model.values import Transition
 
 RELAY, PLANNER = "/arpd_relay", "/planner"
 _ON_HOST_S = 0.001

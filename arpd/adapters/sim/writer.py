@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.arrivals import Arrivals
     from arpd.adapters.sim.link import SimulatedLink
     from arpd.adapters.sim.timeline import Timeline
-    from arpd.model.writer import WriterQos
+    from arpd.model.endpoints import WriterQos
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
 # Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
@@ -86,7 +86,7 @@ class SimulatedWriter:
     """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
 
     As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic one serves the others.
-    It is a `arpd.model.writer.Writer`.
+    It is a `arpd.model.endpoints.Writer`.
 
     Parameters
     ----------

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from arpd.model.endpoints import DropCause
 from arpd.model.settings import Overflow
 
 if TYPE_CHECKING:
@@ -16,16 +16,6 @@ if TYPE_CHECKING:
 # delayed; no window of T seconds ever sees more than rate·T + max(1.5, rate·50 ms) samples.
 _LEAST_BURST = 1.5
 _BURST_S = 0.05
-
-
-class DropCause(StrEnum):
-    """Why a sample of the application's was not published."""
-
-    RATE = "rate"  # the application was faster than the plan's rate
-    GATE = "gate"  # the same, while the gate kept the rate below the plan's, or a slow start before the first plan
-    BLOCKED = "blocked"  # no rate kept it back, but the writer that blocked
-    FAILED = "failed"  # writing it raised
-    CLOSED = "closed"  # it still waited when the publisher was destroyed
 
 
 class Pacer:

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
+from arpd.model.endpoints import HandoverResult
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 # What tells samples apart: source timestamp (ns) and publication sequence number. rclpy does not say which writer a
 # sample is from; two writers would have to write their n-th samples in the same nanosecond to be mistaken.
 Key = tuple[int, int]
-
 _MOST_KEYS = 20_000  # 10 s at 2 kHz
 _MOST_HELD = 1_000
-
 S = TypeVar("S")
 S_co = TypeVar("S_co", covariant=True)
 Q = TypeVar("Q")
@@ -40,16 +40,6 @@ class HandoverState(StrEnum):
     IDLE = "idle"
     MATCHING = "matching"
     CATCHING_UP = "catching_up"
-
-
-class HandoverResult(StrEnum):
-    """How a handover ended."""
-
-    OK = "ok"
-    INCOMPLETE = "incomplete"  # the old reader still missed what the new one had; with loss, its older samples too
-    UNMATCHED = "unmatched"  # writers did not match the new reader in time; the old one stays
-    SUPERSEDED = "superseded"  # a newer request came first
-    FAILED = "failed"  # the middleware refused the new reader, or it ran too far ahead; the old one stays
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

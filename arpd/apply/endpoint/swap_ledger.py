@@ -6,11 +6,10 @@ import math
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from arpd.model.publishers import SwapRecord
+from arpd.model.endpoints import SwapRecord
 
 if TYPE_CHECKING:
-    from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult
-    from arpd.model.writer import WriterQos
+    from arpd.model.endpoints import SwapPhase, SwapResult, WriterQos
 
 
 class SwapLedger:

@@ -1,4 +1,7 @@
-"""The make-before-break swap of one publisher's writer, as an explicit state machine (shared/SWAP.md)."""
+"""The make-before-break swap of one publisher's writer, as an explicit state machine.
+
+Design: docs/design.md, The writer swap.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,10 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from arpd.apply.endpoint.swap_ledger import SwapLedger
-from arpd.model.writer import Writer
+from arpd.model.endpoints import SwapPhase, SwapResult, Writer, WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from arpd.model.writer import WriterQos
 
 W = TypeVar("W", bound=Writer)
 
@@ -28,29 +29,6 @@ class SwapState(StrEnum):
     HOLDING = "holding"
     PROVING = "proving"
     DOUBTING = "doubting"
-
-
-class SwapPhase(StrEnum):
-    """What the time of a swap is spent on: the states of it, and draining the old writer once it is over."""
-
-    MATCHING = "matching"
-    WATCHING = "watching"
-    HOLDING = "holding"
-    PROVING = "proving"
-    DOUBTING = "doubting"
-    DRAINING = "draining"
-
-
-class SwapResult(StrEnum):
-    """How a swap ended."""
-
-    OK = "ok"
-    REORDER_POSSIBLE = "reorder_possible"  # samples left by one writer while the other's were not all acknowledged
-    UNMATCHED = "unmatched"  # readers did not match the new writer in time; the old one stays
-    INCOMPATIBLE = "incompatible"  # a reader would have been lost to the new QoS; the old writer stays
-    SUPERSEDED = "superseded"  # a newer request came first
-    UNDELIVERED = "undelivered"  # beside the swap's own result: an old writer was given up with samples unacknowledged
-    FAILED = "failed"  # the middleware refused the new writer; the old one stays
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,7 +2,8 @@
 
 import pytest
 
-from arpd.govern.governor import MOST_GENERATION, Governor
+from arpd.govern.governor import Governor
+from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Settings
 from arpd.solve.program import Program
 from arpd.solve.topics import topics_to_plan

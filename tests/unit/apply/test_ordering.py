@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.apply.ordering import PATIENCE_S, Ordering, Steps
-from arpd.model.readers import ReaderPlan, is_reader_confirmed, plan_readers, restore_readers
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import QosPlan, TopicPlan
+from arpd.apply.readers import is_reader_confirmed, plan_readers, restore_readers
+from arpd.model.endpoints import RefusalReason
+from arpd.model.plan import QosPlan, ReaderPlan, TopicPlan
 from tests.sample_publishers import publisher, reader
 
 TOPIC = "/t"

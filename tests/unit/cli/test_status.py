@@ -14,9 +14,10 @@ from arpd.cli import main as cli
 from arpd.cli import verdict as cli_verdict
 from arpd.cli.status import screen
 from arpd.cli.verdict import faults
+from arpd.model.allocation import AllocationStatus, Binding
+from arpd.model.endpoints import RefusalReason
 from arpd.model.interface import InterfaceState
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import AllocationStatus, Binding, LinkState
+from arpd.model.link import LinkState
 from arpd.report.events import EventKind
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 

@@ -24,8 +24,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from arpd.cli import main as cli
-from arpd.cli.frame import View, frame
-from arpd.cli.sparkline import BLOCKS, sparkline
+from arpd.cli.frame import BLOCKS, View, frame, sparkline
 from tests.unit.cli.test_status import HOSTILE, broken_documents
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 

@@ -17,7 +17,7 @@ from arpd.estimate.estimator import Estimator
 from arpd.govern.governor import Governor
 from arpd.model.errors import ConfigError
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.values import MemoryState, Observation
+from arpd.model.observation import MemoryState, Observation
 from tests.sample_publishers import publisher
 
 DT_S = 1.0

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from arpd.daemon.tick import Daemon
+from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.settings import LinkSettings, Settings
-from arpd.model.values import Direction, MemoryState, Observation
 from arpd.solve.program import Program
 from tests.sample_publishers import publisher, reader
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimate.cross_traffic import ForeignTraffic
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.probing import ProbeRequest
-from arpd.model.publishers import PublisherState
-from arpd.model.values import Direction, MemoryState, Observation
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 TICK_S = 0.1

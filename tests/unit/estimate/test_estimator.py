@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.belief import EstimatorEvent
 from arpd.estimate.estimator import Estimator
 from arpd.estimate.parameters import EstimatorTuning
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.link import MOST_YIELDED, CapacityKind, EstimatorEvent, LinkState
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
-from arpd.model.values import MOST_YIELDED, CapacityKind, LinkState, MemoryState, Observation
 from arpd.model.wire import probe_wire_bytes
 
 TUNING = EstimatorTuning()

@@ -17,8 +17,8 @@ from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import SimulatedWorld
 from arpd.estimate.estimator import Estimator
+from arpd.model.link import CapacityKind, LinkState
 from arpd.model.settings import GraphSettings, LinkSettings
-from arpd.model.values import CapacityKind, LinkState
 from arpd.model.wire import wire_size
 
 MBIT = 125_000.0  # bytes/s

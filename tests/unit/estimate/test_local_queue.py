@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimate.local_queue import LocalQueue
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.publishers import PublisherState
-from arpd.model.values import Direction, MemoryState, Observation
+from arpd.model.observation import MemoryState, Observation
 
 TICK_S = 0.1
 WINDOW_S = 1.0

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.probe_loss import ProbeLoss
+from arpd.estimate.probes import ProbeLoss
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.observe.receiver import Receiver
 

@@ -3,17 +3,22 @@
 from dataclasses import replace
 from itertools import pairwise
 from random import Random
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.govern.governor import Governor
+from arpd.model.allocation import Topic
+from arpd.model.link import LinkState
 from arpd.model.settings import Backend, GovernorSettings, ProgramSettings, Settings
-from arpd.model.values import Decision, LinkState, Topic
 from arpd.solve.program import Program
 from tests.sample_link import LINK
 from tests.sample_publishers import publisher
+
+if TYPE_CHECKING:
+    from arpd.model.plan import Decision
 
 MEMORY = 64 * 2.0**20
 GOVERNOR = GovernorSettings()

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.govern.plan import is_confirmed, make_plan, restore_plan
-from arpd.model.refusal import RefusalReason
+from arpd.apply.transitions import is_confirmed, restore_plan
+from arpd.govern.plan import make_plan
+from arpd.model.allocation import Topic
+from arpd.model.endpoints import Direction, RefusalReason
+from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
-from arpd.model.values import Direction, QosPlan, Topic, TopicPlan
 from arpd.solve.program import Program
 from tests.sample_publishers import plan_transitions, publisher
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.model.refusal import RefusalReason
+from arpd.model.endpoints import RefusalReason
 
 
 @pytest.mark.parametrize("reason", sorted(set(RefusalReason) - {RefusalReason.NONE}))

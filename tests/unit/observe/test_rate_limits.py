@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arpd.model.observation import Kind, Reason
 from arpd.model.probing import PeerReport, Train
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
-from arpd.observe.rate_limits import Kind, Reason, Refusals, TokenBucket, Turnstile
+from arpd.observe.rate_limits import Refusals, TokenBucket, Turnstile
 from arpd.observe.registry import MOST, MOST_OF_NODE, Endpoints
 from tests.sample_publishers import publisher
 

@@ -10,22 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arpd.model.allocation import Allocation, AllocationStatus, Binding
+from arpd.model.endpoints import RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.publishers import SwapRecord
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import (
-    Allocation,
-    AllocationStatus,
-    Binding,
-    CapacityKind,
-    Decision,
-    LinkEstimate,
-    LinkState,
-    MemoryState,
-    Observation,
-    QosPlan,
-    TopicPlan,
-)
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.model.observation import MemoryState, Observation
+from arpd.model.plan import Decision, QosPlan, TopicPlan
 from arpd.report.decision_log import MOST_EVENTS, Chronicle
 from arpd.report.events import EventKind, Severity
 from arpd.report.snapshot import Snapshot, Totals

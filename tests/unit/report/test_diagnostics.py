@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.model.values import AllocationStatus, LinkState
+from arpd.model.allocation import AllocationStatus
+from arpd.model.link import LinkState
 from arpd.report.decision_log import Chronicle
 from arpd.report.diagnostics import Level, diagnose
 from tests.golden.sample import FINISHED_AT_S, make_snapshot

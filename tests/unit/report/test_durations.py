@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.publishers import SwapRecord
-from arpd.report.distribution import Distribution
-from arpd.report.durations import Durations, SwapWatch
+from arpd.model.endpoints import SwapRecord
+from arpd.report.durations import Distribution, Durations, SwapWatch
 from tests.sample_publishers import publisher
 
 BOUNDS = (0.01, 0.1, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.report.event_limits import Episode, Quota, Turn
+from arpd.report.wording import Episode, Quota, Turn
 
 
 def test_a_quota_lets_so_many_pass_in_a_minute_and_counts_the_rest():

@@ -9,8 +9,7 @@ import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
 
-from arpd.report.history import MOST_TOPICS, SPAN_S, History
-from arpd.report.history_document import history_document, history_json
+from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_document, history_json
 from tests.sample_publishers import publisher
 
 

@@ -12,7 +12,8 @@ import promql_parser
 import pytest
 import yaml
 
-from arpd.model.values import AllocationStatus, Binding, CapacityKind, LinkState
+from arpd.model.allocation import AllocationStatus, Binding
+from arpd.model.link import CapacityKind, LinkState
 from scripts.dashboards.document import as_json
 from scripts.dashboards.fleet import fleet
 from scripts.dashboards.robot import robot

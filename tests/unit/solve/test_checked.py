@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.model.settings import Backend
-from arpd.solve.checked import CheckedSolver, Infeasible, ShareProblem, Solved, SolverFailed, Stand, load
-from arpd.solve.exact import water_fill
+from arpd.solve.checked import CheckedSolver, load
+from arpd.solve.exact import Stand, water_fill
 from arpd.solve.osqp_ import OsqpSolver
-from arpd.solve.problem import checked, disagreement
+from arpd.solve.problem import Infeasible, ShareProblem, Solved, SolverFailed, checked, disagreement
 
 WHOLE = 10**9
 

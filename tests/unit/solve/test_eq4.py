@@ -13,7 +13,7 @@ from arpd.model.settings import Backend
 from arpd.solve import osqp_
 from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
 from arpd.solve.problem import Solved
-from arpd.solve.rounding import rate_of, rational
+from arpd.solve.rows import rate_of, rational
 
 TABLE_2 = [
     (100, 7, 365, Fraction(22, 3), Fraction(1097, 3)),

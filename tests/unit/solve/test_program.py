@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arpd.model.allocation import AllocationStatus, Binding, Topic
 from arpd.model.settings import Backend, ProgramSettings
-from arpd.model.values import AllocationStatus, Binding, Topic
-from arpd.solve.checked import CheckedSolver, Solved
+from arpd.solve.checked import CheckedSolver
 from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
+from arpd.solve.problem import Solved
 from arpd.solve.program import Program
-from arpd.solve.rounding import rate_of, rational
+from arpd.solve.rows import rate_of, rational
 
 AMPLE = 1e12  # bytes of memory that bind nothing
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.solve.rounding import decimal, period_ns, rate_of, whole
+from arpd.solve.rows import decimal, period_ns, rate_of, whole
 
 RATES = st.fractions(Fraction(1, 10**6), 10**6)
 

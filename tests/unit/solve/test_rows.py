@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model.values import Binding, Topic
-from arpd.solve.rounding import decimal, rational
-from arpd.solve.rows import SAMPLE, give_up, refuse_nonsense, rows_of
+from arpd.model.allocation import Binding, Topic
+from arpd.solve.rows import SAMPLE, decimal, give_up, rational, refuse_nonsense, rows_of
 
 TOPIC = Topic(name="/t", wire_bytes=1000.0, packets=1, desired_rate_hz=100.0, min_rate_hz=2.0)
 CAPACITY = 100_000.0

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from arpd.model.endpoints import Direction
+from arpd.model.observation import MemoryState
 from arpd.model.settings import ProgramSettings, Settings, TopicSettings
-from arpd.model.values import Direction, MemoryState
 from arpd.model.wire import wire_size
 from arpd.solve.topics import (
     Traffic,

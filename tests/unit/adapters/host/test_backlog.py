@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from arpd.adapters.host.backlog import Backlog, find_root, read_backlog
+from arpd.adapters.host.netlink import Backlog, find_root, read_backlog
 
 # linux/rtnetlink.h, linux/pkt_sched.h, linux/gen_stats.h
 NEWQDISC, DONE, ERROR = 36, 3, 2

@@ -15,7 +15,7 @@ from arpd.adapters.host.interface import (
     name_of,
     read_counters,
 )
-from arpd.adapters.host.net_device import NetDevice
+from arpd.adapters.host.netlink import NetDevice
 from arpd.model.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arpd.adapters.host.net_device import NetDevice, find_device, read_device
+from arpd.adapters.host.netlink import NetDevice, find_device, read_device
 
 # linux/rtnetlink.h, linux/if_link.h
 NEWLINK, DONE, ERROR = 16, 3, 2

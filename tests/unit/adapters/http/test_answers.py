@@ -23,13 +23,11 @@ from arpd.adapters.http.metrics import SnapshotCollector, make_registry
 from arpd.adapters.http.page import render_page
 from arpd.adapters.http.places import MAX_PLACES
 from arpd.adapters.http.server import HttpAddressError, HttpServer
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.writer_swap import SwapPhase
 from arpd.cli.status import screen
-from arpd.estimate.belief import EstimatorEvent
+from arpd.model.allocation import AllocationStatus
+from arpd.model.endpoints import DropCause, RefusalReason, SwapPhase
 from arpd.model.interface import InterfaceState
-from arpd.model.refusal import RefusalReason
-from arpd.model.values import AllocationStatus
+from arpd.model.link import EstimatorEvent
 from arpd.report.events import EventKind
 from arpd.report.snapshot import Totals
 from arpd.report.status import status_document

@@ -9,19 +9,17 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from arpd.adapters.http.answers import PATHS
-from arpd.adapters.http.schemas import SCHEMAS_BY_PATH
+from arpd.adapters.http.answers import PATHS, SCHEMAS_BY_PATH
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon import scenario
 from arpd.daemon.tick import Daemon
-from arpd.model.values import AllocationStatus
+from arpd.model.allocation import AllocationStatus
 from arpd.report.events import Event, EventKind, Severity
-from arpd.report.history import History
-from arpd.report.history_document import history_json
+from arpd.report.history import History, history_json
 from arpd.report.status import status_document
 
-KEYS = Path(__file__).parents[4] / "golden" / "api-v1-keys.txt"
+KEYS = Path(__file__).parents[3] / "golden" / "api-v1-keys.txt"
 SCHEMAS = {name: json.loads(SCHEMAS_BY_PATH[f"/api/v1/schema/{name}-v1.json"]) for name in ("status", "history")}
 EVENT = Event(
     number=7,

@@ -20,8 +20,10 @@ from arpd.adapters.http.bundle import Bundle
 from arpd.adapters.http.page import FORMATS, render_page
 from arpd.adapters.http.request import read_request
 from arpd.adapters.http.server import HttpServer
+from arpd.model.allocation import AllocationStatus
 from arpd.model.interface import InterfaceState
-from arpd.model.values import AllocationStatus, Decision, LinkState, QosPlan, TopicPlan
+from arpd.model.link import LinkState
+from arpd.model.plan import Decision, QosPlan, TopicPlan
 from arpd.report.history import History
 from arpd.report.status import status_document
 from tests.visible import fields, visible

@@ -8,7 +8,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from arpd.adapters.http.metrics import SnapshotCollector
 from arpd.adapters.ros.graph import Crossing, Endpoint, crossing_without_hosts
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
-from arpd.model.values import Direction
+from arpd.model.endpoints import Direction
 from arpd.report.status import status_document
 
 MS = 1_000_000

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.adapters.ros.transport import send_without_waiting
+from arpd.adapters.ros.runtime import send_without_waiting
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import time
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.adapters.ros.wakeups import Visits
+from arpd.adapters.ros.node_publishers import Visits
 
 NAMES = st.sampled_from("abcd")
 

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.adapters.sim.baselines import Oracle, ThroughputAverage, Truth, WindowMaximum
+from arpd.model.link import CapacityKind, LinkState
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.probing import PeerReport
 from arpd.model.settings import LinkSettings
-from arpd.model.values import CapacityKind, LinkState, MemoryState, Observation
 
 INTERVAL_S = 0.1
 SETTINGS = LinkSettings(initial_capacity_bytes_per_second=123_456.0)

@@ -13,9 +13,8 @@ from arpd.adapters.sim.robot import SimTopic, SimulatedPublisher, Source
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.adapters.sim.timeline import Timeline
 from arpd.adapters.sim.writer import Route
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult
-from arpd.model.values import TopicPlan
+from arpd.model.endpoints import DropCause, SwapPhase, SwapResult
+from arpd.model.plan import TopicPlan
 
 ORIGIN_S = 1000.0
 PLAN = TopicPlan(rate_hz=10.0, min_rate_hz=1.0, deadline_ns=125_000_000, depth=40)

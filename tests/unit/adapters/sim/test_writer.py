@@ -14,8 +14,8 @@ from arpd.adapters.sim.link import LinkModel, SimulatedLink
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.adapters.sim.timeline import Timeline
 from arpd.adapters.sim.writer import SAMPLE, Route, SimulatedWriter
+from arpd.model.endpoints import WriterQos
 from arpd.model.wire import HEARTBEAT_BYTES, wire_size
-from arpd.model.writer import WriterQos
 
 ORIGIN_S = 1000.0
 

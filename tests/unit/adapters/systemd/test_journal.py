@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from arpd.adapters.systemd.journal import MESSAGE_IDS, JournalHandler
-from arpd.adapters.systemd.logs import log_event
+from arpd.adapters.systemd.journal import MESSAGE_IDS, JournalHandler, log_event
 from arpd.report.events import Event, EventKind, Severity
 
 CATALOG = Path(__file__).parents[4] / "systemd/arpd.catalog"

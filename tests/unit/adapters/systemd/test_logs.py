@@ -8,8 +8,7 @@ import socket
 
 import pytest
 
-from arpd.adapters.systemd.journal import JournalHandler
-from arpd.adapters.systemd.logs import configure_logging
+from arpd.adapters.systemd.journal import JournalHandler, configure_logging
 
 
 @pytest.fixture(autouse=True)

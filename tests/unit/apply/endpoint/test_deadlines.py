@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.deadlines import DeadlineCount
+from arpd.apply.endpoint.meters import DeadlineCount
 
 
 class Endpoint:

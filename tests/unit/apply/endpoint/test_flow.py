@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.flow import Flow
-from arpd.apply.endpoint.pacing import DropCause
 from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.model.endpoints import DropCause, WriterQos
 from arpd.model.settings import Overflow
-from arpd.model.writer import WriterQos
 
 STEP_S = 0.005
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.lease import Lease
+from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import OnLost, Settings
-from arpd.model.values import QosPlan, TopicPlan
 from tests.sample_publishers import plan_transitions, publisher
 
 ROW = TopicPlan(rate_hz=10.0, min_rate_hz=1.0, deadline_ns=0, depth=20)

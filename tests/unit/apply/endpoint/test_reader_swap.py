@@ -6,7 +6,8 @@ from typing import Any
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.reader_swap import Handover, HandoverResult, HandoverState, HandoverTiming
+from arpd.apply.endpoint.reader_swap import Handover, HandoverState, HandoverTiming
+from arpd.model.endpoints import HandoverResult
 
 WRITERS = 2
 TIMING = HandoverTiming(settle_s=1.0, match_timeout_s=5.0, catch_up_s=100.0, remember_s=10.0)

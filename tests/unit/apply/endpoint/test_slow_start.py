@@ -2,12 +2,10 @@
 
 import pytest
 
-from arpd.apply.endpoint.flow import Flow
-from arpd.apply.endpoint.pacing import DropCause
-from arpd.apply.endpoint.slow_start import SLOW_START_HZ
+from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
+from arpd.model.endpoints import DropCause, WriterQos
 from arpd.model.settings import Overflow
 from arpd.model.wire import FRAGMENT_BYTES
-from arpd.model.writer import WriterQos
 
 SOURCE_HZ = 50.0
 

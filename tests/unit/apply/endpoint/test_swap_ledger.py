@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.swap_ledger import SwapLedger
-from arpd.apply.endpoint.writer_swap import SwapPhase, SwapResult, SwapState, SwapTiming
+from arpd.apply.endpoint.writer_swap import SwapState, SwapTiming
+from arpd.model.endpoints import SwapPhase, SwapResult
 from tests.unit.swap_world import make, qos
 
 TIMING = SwapTiming()

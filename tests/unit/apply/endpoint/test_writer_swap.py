@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.writer_swap import SwapResult, SwapState, SwapTiming
+from arpd.apply.endpoint.writer_swap import SwapState, SwapTiming
+from arpd.model.endpoints import SwapResult
 from tests.unit.swap_world import FIRST, make, qos
 
 TIMING = SwapTiming()

@@ -7,7 +7,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from arpd.apply.endpoint.writer_swap import SwapResult, SwapState, WriterSwap
+from arpd.apply.endpoint.writer_swap import SwapState, WriterSwap
+from arpd.model.endpoints import SwapResult
 from tests.unit.swap_world import FIRST, World, qos
 
 

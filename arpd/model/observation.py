@@ -1,0 +1,98 @@
+"""What one tick sees of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.model.endpoints import PublisherState, ReaderState
+    from arpd.model.interface import LinkCounters
+    from arpd.model.probing import PeerReport
+
+
+class Kind(StrEnum):
+    """What a message that arrives is about."""
+
+    PUBLISHERS = "publishers"
+    READERS = "readers"
+    REPORTS = "reports"
+    CLAIMS = "claims"
+
+
+class Reason(StrEnum):
+    """Why a message, or a part of one, is not believed."""
+
+    SIZE = "size"  # longer than any honest one
+    MALFORMED = "malformed"  # not to be decoded, or with values that cannot be
+    SOURCE = "source"  # the graph shows nobody who could have said it
+    RATE = "rate"  # more often than anything honest would say it
+    QUOTA = "quota"  # one source wants more places than it may have, or all are taken
+    UNANSWERED = "unanswered"  # a report that answers no probe of this daemon
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Taken:
+    """What became of what arrived.
+
+    Parameters
+    ----------
+    refused : messages, or parts of them, that were not believed since start, by kind and reason
+    pending : publishers and readers that announce themselves, but that the graph does not show (yet)
+    """
+
+    refused: Mapping[tuple[Kind, Reason], int] = field(default_factory=lambda: MappingProxyType({}))
+    pending: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MemoryState:
+    """Memory of the robot computer (psutil ``virtual_memory``)."""
+
+    total_bytes: int
+    available_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """Everything one tick sees of the world.
+
+    Parameters
+    ----------
+    now_s : monotonic clock (s)
+    counters : the robot's link interface, None while it cannot be read
+    reports : peer reports that arrived since the last tick, oldest first
+    publishers : live AdaptivePublishers
+    readers : live AdaptiveSubscriptions
+    memory : memory of the robot computer
+    sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
+    peers : peers in the graph, None = not known; with none left, silence is no outage
+    rmw : the middleware ROS runs on, empty where there is none
+    rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
+    other_daemons : hosts of the other daemons in the ROS domain
+    superior : host of the one that drives the robot in this one's place, empty when this one does
+    radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
+    peer_ages_s : peers heard in the last minute, with the time since the last report of each (s)
+    taken : what became of what arrived from the network
+    """
+
+    now_s: float
+    counters: LinkCounters | None
+    reports: tuple[PeerReport, ...]
+    publishers: tuple[PublisherState, ...]
+    memory: MemoryState
+    sensing_topics: int
+    actuation_topics: int
+    peers: int | None = None
+    readers: tuple[ReaderState, ...] = ()
+    rmw: str = ""
+    rmw_refusal: str = ""
+    other_daemons: tuple[str, ...] = ()
+    superior: str = ""
+    radio_bytes_per_second: float | None = None
+    peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    taken: Taken = field(default_factory=Taken)
