@@ -1,4 +1,4 @@
-"""The tables of `adapt.py`, as text and as the README has them, from its document alone."""
+"""Write the tables of `adapt.py` from its document alone, as text and for docs/results.md and README.md."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def table(document: Mapping[str, Any]) -> str:
     return "\n".join([*lines, "", _spread(document)])
 
 
-def readme(document: Mapping[str, Any]) -> str:
-    """Return the README's block."""
+def markdown(document: Mapping[str, Any]) -> str:
+    """Return the block of docs/results.md."""
     verdicts = judge(document)
     links = {link["name"]: link for link in document["links"]}
     lines = [
@@ -115,7 +115,7 @@ def readme(document: Mapping[str, Any]) -> str:
 
 
 def summary(document: Mapping[str, Any]) -> str:
-    """Return the small table of the README's top."""
+    """Return the small table at the top of README.md."""
     return "\n".join(
         _crossed(document, [side for side in (DEFAULTS, PAPER, ARPD, ORACLE) if side in document["sides"]])
     )

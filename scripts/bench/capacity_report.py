@@ -1,4 +1,4 @@
-"""What `estimate.py` and `link.py` measured of the capacity's estimate, as the README shows it."""
+"""Show for docs/results.md how well the capacity is estimated, from the results of `estimate.py` and `link.py`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WAYS = {
 }
 
 
-def readme(estimate: dict[str, Any], link: dict[str, Any]) -> str:
+def markdown(estimate: dict[str, Any], link: dict[str, Any]) -> str:
     """Return a row per target, which of them were missed, and how far throughput alone gets."""
     measured = {entry["target"]: entry for entry in estimate["targets"]}
     targets = [target for target in TARGETS if target.title in measured]

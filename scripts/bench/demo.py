@@ -1,4 +1,4 @@
-"""`scripts/demo --quick`, recorded for the README.
+"""`scripts/demo --quick`, recorded for docs/results.md.
 
 Usage: .venv/bin/python scripts/bench/demo.py [--quick] [--json FILE]
 
@@ -17,7 +17,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
-from scripts.bench.demo_report import readme
+from scripts.bench.demo_report import markdown
 from scripts.bench.record import REPO, conditions, keep, target
 from scripts.robot.demo import QUICK
 
@@ -37,7 +37,7 @@ def main() -> None:
     document |= json.loads(played.stdout)
     if not all(topic["with"]["received"] for topic in document["topics"]):
         sys.exit("demo: nothing arrived on some topic with arpd")
-    print(readme(document))
+    print(markdown(document))
     keep(document, target(options.json, "demo.json", is_partial=options.quick))
 
 

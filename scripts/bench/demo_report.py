@@ -1,4 +1,4 @@
-"""What `demo.py` recorded, as the README shows it."""
+"""Show the results of `demo.py` as docs/results.md has them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEGEND = (
 )
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return a row per topic, every cell without arpd → with arpd, and the demo's own verdict."""
     head = (
         f"`scripts/demo --quick` ({described(document)}), link {document['schedule']}; rclpy defaults (RELIABLE, "

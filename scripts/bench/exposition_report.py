@@ -1,4 +1,4 @@
-"""What `exposition.py` measured, as the README says it."""
+"""Sum up the results of `exposition.py` for docs/results.md."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from scripts.bench.record import described
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return a sentence on the largest size, and one on the ticks of a daemon that is scraped by the most."""
     race = max(document["races"], key=lambda race: race["topics"])
     spent = list(race["median_s"].values())

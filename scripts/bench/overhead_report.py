@@ -26,8 +26,8 @@ def table(document: dict[str, Any]) -> str:
     return "\n".join([*lines, "", *verdicts(document), *_unsettled(document), _without(document)])
 
 
-def readme(document: dict[str, Any]) -> str:
-    """Return the README's block: what arpd costs, how soon a plan follows the link, and what falls short."""
+def markdown(document: dict[str, Any]) -> str:
+    """Return the block of docs/results.md: what arpd costs, how soon a plan follows the link, and what falls short."""
     rates = document["rates_bytes_per_second"]
     parts = [
         (

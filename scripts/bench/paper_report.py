@@ -71,8 +71,8 @@ def table(document: dict[str, Any]) -> str:
     return "\n".join([*rows, "", *_judged(document), "", *_loss_table(document)])
 
 
-def readme(document: dict[str, Any]) -> str:
-    """Return the README's block."""
+def markdown(document: dict[str, Any]) -> str:
+    """Return the block of docs/results.md."""
     links = "; ".join(
         f"{link['name']}: {link['rate_bytes_per_second'] * 8 / 1e6:g} Mbit/s, queue {link['queue_bytes'] / 1e3:g} kB, "
         f"loss {percent(link['loss'])} %"

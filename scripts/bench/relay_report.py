@@ -1,4 +1,4 @@
-"""What `relay.py` measured, as the README says it."""
+"""Sum up the results of `relay.py` for docs/results.md."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scripts.bench.record import described
 TARGET = 1.25
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return a bullet: the range of the ratios, and every cell above the target."""
     cells = sorted(document["cells"], key=lambda cell: cell["ratio"])
     above = [cell for cell in cells if cell["ratio"] > TARGET]

@@ -47,7 +47,7 @@ from scripts.bench.record import RESULTS, conditions, keep, target
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
-from scripts.bench.reliability_report import readme
+from scripts.bench.reliability_report import markdown
 from scripts.bench.soak import footprint
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import SimLink
@@ -391,7 +391,7 @@ def main() -> None:
         document["security"] = security_scores()
         keep(document, target(options.json, "reliability.json", is_partial=options.quick))
     fuzz = json.loads(options.fuzz.read_text(encoding="utf-8")) if options.fuzz.exists() else None
-    print(readme(document, fuzz))
+    print(markdown(document, fuzz))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ _NAMES = {
 }
 
 
-def readme(document: dict[str, Any], fuzz: dict[str, Any] | None = None) -> str:
+def markdown(document: dict[str, Any], fuzz: dict[str, Any] | None = None) -> str:
     """Return everything as a Markdown table, the conditions above it; with what `fuzz.py` found, if it is there."""
     # Memory counts from this age of a process on; a short run has no time for more.
     warm_s = 10.0 if document["minutes"] < HOUR_MINUTES / 2 else 60.0

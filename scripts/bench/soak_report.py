@@ -1,4 +1,4 @@
-"""What `soak.py` noted: what grew, what was lost, and the bullet of the README."""
+"""Judge the notes of `soak.py`: what grew, what was lost, and the bullet of docs/results.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def verdict(document: dict[str, Any]) -> list[str]:
     return lines
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return a bullet on thousands of swaps on end."""
     settled, last = _ends(document)
     grown = " and ".join(

@@ -1,4 +1,4 @@
-"""What `solve.py` measured, as the README shows it."""
+"""Show the results of `solve.py` as docs/results.md has them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMES = {
 _SIDES = tuple(_NAMES)[:4]  # those that answer the same question, so that their times are comparable
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return a row per way, a column per number of topics, and what a process takes before ROS."""
     races, footprints = document["races"], document["footprints"]
     first, *others = (f"{race['topics']:,}" for race in races)

@@ -1,10 +1,10 @@
-"""Every benchmark, one after the other, and then the README from what they found.
+"""Run every benchmark, one after the other, and fill docs/results.md and README.md from what they found.
 
 Usage: scripts/bench/all [--quick] [--only NAME,...]
 
 Needs root, as the simulated link does, and a machine that does nothing else for as long as it says. What a benchmark
 prints goes to the folder that is named at the start; when one fails, the others go on, and the exit code is 1. With
---quick their short forms run, into that folder only: results and README stay as they are.
+--quick their short forms run, into that folder only: results and pages stay as they are.
 """
 
 from __future__ import annotations
@@ -132,13 +132,13 @@ def main() -> int:
     )
     wrong = run(benchmarks, folder, is_quick=options.quick)
     if not options.quick:
-        code = subprocess.run([sys.executable, "-m", "scripts.bench.readme"], cwd=REPO, check=False).returncode
+        code = subprocess.run([sys.executable, "-m", "scripts.bench.results_page"], cwd=REPO, check=False).returncode
         if code:
-            wrong["README.md"] = "not written"
+            wrong["docs/results.md"] = "not written"
     if wrong:
         print(f"failed: {', '.join(f'{name} ({why})' for name, why in wrong.items())}")
         return 1
-    print("all went well" + ("" if options.quick else "; README.md says what they found"))
+    print("all went well" + ("" if options.quick else "; docs/results.md says what they found"))
     return 0
 
 

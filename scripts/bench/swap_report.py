@@ -1,4 +1,4 @@
-"""What `swap.py` measured: where a way does worse than no swaps at all, and the bullets of the README."""
+"""Judge the results of `swap.py`: where a way does worse than no swaps at all, and the bullets of docs/results.md."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def verdict(cells: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def readme(document: dict[str, Any]) -> str:
+def markdown(document: dict[str, Any]) -> str:
     """Return two bullets: what swaps lose beside the same run without swaps, and what they cost."""
     cells = document["cells"]
     deep = promised(cells)

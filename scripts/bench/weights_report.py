@@ -1,4 +1,4 @@
-"""What `arpd solve` plans for the demo robot at two capacities, as the README shows it; nothing is measured."""
+"""Show the plans of `arpd solve` for the demo robot at two capacities, for docs/results.md; nothing is measured."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CONFIG = REPO / "scripts/robot/arpd.yaml"
 CAPACITIES = ("5", "0.5")
 
 
-def readme() -> str:
+def markdown() -> str:
     """Return a row per topic: its wishes, and its rate and what bounds it at each capacity."""
     plans = [planned(f"{capacity}mbit") for capacity in CAPACITIES]
     heads = " | ".join(f"at {capacity} Mbit/s | bound by" for capacity in CAPACITIES)

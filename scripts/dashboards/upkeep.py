@@ -316,7 +316,7 @@ def _versions() -> Json:
         Advice(
             shows="Version of arpd and of its Python, the middleware of ROS, and whether it allows QoS swaps.",
             bad="swaps: no. Topics are then paced and gated only, and depths stay.",
-            then="use a middleware for which swaps were measured (README, Limits).",
+            then="use Fast DDS, the only middleware for which swaps were measured.",
         ),
         (
             Column(title="Robot", label="instance"),

@@ -1,4 +1,4 @@
-"""The benchmark of the solvers, in brief: what it measures is what the README claims."""
+"""The benchmark of the solvers, in brief: what it measures is what docs/results.md claims."""
 
 import json
 import subprocess

@@ -3,9 +3,9 @@
 import pytest
 
 from scripts.bench.exposition import ARPD, FORMATS, LIBRARY
-from scripts.bench.exposition_report import readme as exposition_text
+from scripts.bench.exposition_report import markdown as exposition_text
 from scripts.bench.soak import QUICK_SWAPS, TOPICS
-from scripts.bench.soak_report import readme as soak_text
+from scripts.bench.soak_report import markdown as soak_text
 from scripts.netns.simlink import available
 from tests.bench.quick import played
 

@@ -13,7 +13,7 @@ from scripts.bench.adapt import renewed
 from scripts.bench.adapt_figures import beyond_period, check, document, due, late_share, over_time, pooled
 from scripts.bench.adapt_links import CALM_S, MBIT, SEED, links, quick_link
 from scripts.bench.adapt_plot import draw
-from scripts.bench.adapt_report import readme, summary, table
+from scripts.bench.adapt_report import markdown, summary, table
 from scripts.bench.adapt_sides import SIDES, manner, papers_optimum, plain_wire_bytes, throttle
 from scripts.bench.adapt_targets import TARGETS, figures_of, judge
 from scripts.bench.adapt_walk import TRACE, text, walk
@@ -293,9 +293,9 @@ def test_rounds_are_summed_up_by_their_medians_and_never_is_worst():
 
 
 def test_the_report_says_what_was_missed_with_its_numbers():
-    """README, summary and table come from the document alone, and name what was not met."""
+    """Block, summary and table come from the document alone, and name what was not met."""
     found = four(arpd={"age_s": 2.1})
-    block = readme(found)
+    block = markdown(found)
     assert "5 of 8 met" in block
     assert "drop B (2.1 s, allowed 2.0 s, the oracle 100 ms)" in block
     assert "| drop | never / 10.0 s | 500 ms / 5.0 s | **10 ms / 2.1 s** | 10 ms / 100 ms |" in summary(found)
@@ -319,7 +319,7 @@ def test_a_partial_run_is_reported_without_targets():
     found = made(made_run("drop", "defaults"), made_run("drop", "arpd"))
     assert judge(found) == []
     assert "defaults" in table(found)
-    assert "| drop |" in readme(found)
+    assert "| drop |" in markdown(found)
 
 
 def test_the_picture_shows_every_link(tmp_path):
@@ -345,8 +345,8 @@ def test_runs_measured_again_stand_for_those_of_their_side_and_are_named():
     found = renewed(old, fresh)
     ages = {run["side"]: run["all"]["age_p99_s"] for run in found["runs"]}
     assert ages == {"defaults": 0.1, "oracle": 0.1, "arpd": 0.2}
-    assert "Measured again after the others: arpd (2026-01-01, x86_64, 2 cores" in readme(found)
-    assert "Measured again" not in readme(old)
+    assert "Measured again after the others: arpd (2026-01-01, x86_64, 2 cores" in markdown(found)
+    assert "Measured again" not in markdown(old)
 
 
 def test_runs_over_another_link_stand_for_none():

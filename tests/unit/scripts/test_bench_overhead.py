@@ -7,7 +7,7 @@ import pytest
 from scripts.bench.overhead import check
 from scripts.bench.overhead_cases import DEMO_TOPICS, SYNTHETIC, case_of
 from scripts.bench.overhead_meter import ANSWERS, DISCOVERY, KINDS, ORDERS, PROBES, REPORTS, kind_of
-from scripts.bench.overhead_report import readme, table, verdicts
+from scripts.bench.overhead_report import markdown, table, verdicts
 from scripts.bench.overhead_robot import OverheadError
 
 FAST, SLOW = 2.5e6, 625e3
@@ -106,7 +106,7 @@ def test_without_twelve_topics_nothing_is_judged():
 def test_a_reaction_that_never_came_is_counted():
     """What never came is told as that, and not left out of a median."""
     reactions = [reaction(falls=True), reaction(falls=True, confirmed_s=None), reaction(falls=False, gate_s=None)]
-    text = readme(document(case(reactions=reactions)))
+    text = markdown(document(case(reactions=reactions)))
     (fall,) = (line for line in text.splitlines() if "20 → 5" in line)
     assert "| 0.40 | 2.0 | never in 1 of 2 | 1 |" in fall
     (rise,) = (line for line in text.splitlines() if "5 → 20" in line)
@@ -116,21 +116,21 @@ def test_a_reaction_that_never_came_is_counted():
 def test_the_worst_stands_beside_the_median():
     """Spans of the same phase are one cell."""
     spans = [span("rest without"), span("rest"), *(span("load", run=share) for share in (0.02, 0.03, 0.06))]
-    assert "3.0 (6.0)" in readme(document(case(*spans)))
+    assert "3.0 (6.0)" in markdown(document(case(*spans)))
     assert "3.0 (6.0)" in table(document(case(*spans)))
 
 
 def test_a_robot_whose_plan_was_never_confirmed_is_named():
     """It has costs all the same."""
     found = document(case(), case(topics=500, settled_s=None))
-    assert "With 500 topics no plan was ever confirmed" in readme(found)
+    assert "With 500 topics no plan was ever confirmed" in markdown(found)
     assert "With" not in table(document())
 
 
 def test_a_robot_that_could_not_be_measured_is_named_with_the_reason():
     """The others are measured all the same."""
     found = {**document(case()), "failures": [{"topics": 500, "why": "500 topics, load: nothing came"}]}
-    assert "- Not measured: 500 topics, load: nothing came." in readme(found)
+    assert "- Not measured: 500 topics, load: nothing came." in markdown(found)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from scripts.bench.paper_cells import (
     shuffled,
 )
 from scripts.bench.paper_figures import draw
-from scripts.bench.paper_report import nonsense, readme, table, voids
+from scripts.bench.paper_report import markdown, nonsense, table, voids
 from scripts.bench.paper_summary import summary
 from scripts.bench.paper_verdict import cells, verdicts
 
@@ -255,7 +255,7 @@ def set_p99(runs, *values_s):
 def test_what_the_paper_says_is_found_to_hold(document):
     """Every optimum is below all that lose nothing and loses no more than its like, and no miss is named."""
     assert len(verdicts(document)) == 2 * len(PAYLOADS_BYTES) * len(RMAX_HZ)
-    text = readme(document)
+    text = markdown(document)
     for link in ("2.4 GHz", "wired"):
         assert (
             f"- {link}: p99 of the optimum below that of every fixed configuration that loses nothing: 12 of 12" in text
@@ -271,9 +271,9 @@ def test_what_the_paper_says_is_found_to_hold(document):
 
 
 def test_an_optimum_that_is_slower_is_named_with_both_numbers(document):
-    """The README says which optimum is not below which configuration, by how much, and that nothing explains it."""
+    """The page says which optimum is not below which configuration, by how much, and that nothing explains it."""
     set_p99(of(document, "wired", 10, 200, 5000), 0.003, 0.003)
-    text = readme(document)
+    text = markdown(document)
     assert "- wired: p99 of the optimum below that of every fixed configuration that loses nothing: 8 of 12" in text
     assert (
         "Not so: p99, for a reason these figures do not tell: 4 optima, most 10 B (82 Hz, 410) 4.2 ms against "
@@ -287,32 +287,31 @@ def test_a_fixed_configuration_on_an_idle_link_leaves_nothing_to_gain(document):
     set_p99(runs, 0.003, 0.003)
     for run in runs:
         run["used_ratio"] = 0.02
-    assert "the fixed configuration does not fill the link either, so nothing queues: 4 optima, most 100 B (" in readme(
-        document
-    )
+    text = markdown(document)
+    assert "the fixed configuration does not fill the link either, so nothing queues: 4 optima, most 100 B (" in text
 
 
 def test_a_difference_within_the_rounds_spread_is_called_that(document):
     """Two configurations whose rounds overlap cannot be told apart."""
     set_p99(of(document, "wired", 100, 100, 5000), 0.003, 0.005)
-    assert "p99, the two differ by less than the rounds do: 4 optima, most 100 B (" in readme(document)
+    assert "p99, the two differ by less than the rounds do: 4 optima, most 100 B (" in markdown(document)
 
 
 def test_a_wait_for_the_heartbeat_is_no_queue(document):
     """On a link that loses packets, a p99 of seconds at a third of its capacity is a resend that waits."""
     set_p99(of(document, "2.4 GHz", 100, 7, 365), 2.4, 2.5)
-    text = readme(document)
+    text = markdown(document)
     assert "p99, a lost packet is sent again only after a heartbeat of 3 s: 100 B (7 Hz, 365) 2450 ms" in text
     assert "- 2.4 GHz: p99 of the optimum below that of every fixed configuration that loses nothing: 11 of 12" in text
 
 
 def test_a_socket_that_overflowed_is_not_the_links_doing(document):
-    """Where a link that loses nothing has a p99 of seconds, the machine dropped the packets; the README counts them."""
+    """Where a link that loses nothing has a p99 of seconds, the machine dropped the packets; the page counts them."""
     runs = of(document, "wired", 100, 7, 365)
     set_p99(runs, 2.4, 2.5)
     for run in runs:
         run["receive_buffer_overflows"], run["lost"] = 21, 1
-    text = readme(document)
+    text = markdown(document)
     assert "p99, what a full socket of this machine dropped is sent again only after a heartbeat of 3 s: 100 B" in text
     assert "loss, sockets of this machine overflowed (42 datagrams): 100 B (7 Hz, 365) 0.01 % against" in text
     assert "- In 1 of 144 configurations a reader's socket overflowed" in text
@@ -325,7 +324,7 @@ def test_an_optimum_that_fills_the_link_is_no_optimum_of_that_link(document):
     set_p99(runs, 3.0, 3.0)
     for run in runs:
         run["used_ratio"], run["lost"] = 0.99, 40
-    text = readme(document)
+    text = markdown(document)
     assert "p99, the optimum fills the link itself, which has less than this Rmax" in text
     assert "loss, the optimum fills the link itself" in text
     assert "1000 B (82 Hz, 410) 0.4 % against (100 Hz, 5000) 0 %" in text
@@ -335,9 +334,9 @@ def test_loss_is_compared_with_a_like_latency_only(document):
     """A configuration that is slower by more than a factor of two may lose less."""
     for run in of(document, "wired", 10, 7, 365):
         run["lost"] = 1
-    assert "loss, " not in readme(document)
+    assert "loss, " not in markdown(document)
     set_p99(of(document, "wired", 10, 100, 5000), 0.008, 0.008)
-    assert "loss, for a reason these figures do not tell: 10 B (7 Hz, 365) 0.01 % against (100 Hz, 5000)" in readme(
+    assert "loss, for a reason these figures do not tell: 10 B (7 Hz, 365) 0.01 % against (100 Hz, 5000)" in markdown(
         document
     )
 
@@ -347,7 +346,7 @@ def test_an_optimum_that_never_answers_is_not_below_any(document):
     set_p99(of(document, "wired", 10, 7, 365), None, None)
     verdict = next(v for v in verdicts(document) if v.optimum.link == "wired")
     assert {cell.deadline_hz for cell in verdict.slower_than} == {100, 200, 500, 1000}
-    assert "10 B (7 Hz, 365) – ms against (100 Hz, 5000) 2000 ms" in readme(document)
+    assert "10 B (7 Hz, 365) – ms against (100 Hz, 5000) 2000 ms" in markdown(document)
 
 
 def test_a_void_cell_has_no_figures_and_no_verdict(document):
@@ -359,7 +358,7 @@ def test_a_void_cell_has_no_figures_and_no_verdict(document):
     for run in rival:
         run["void"] = "planner"
     of(document, "wired", 100, 82, 410)[0].update(void="generator", lost=5000)
-    text = readme(document)
+    text = markdown(document)
     assert "11 of 11 (payload × Rmax)" in text
     assert "- No verdict on wired 10 B (82 Hz, 410): void." in text
     assert "wired 10 B (1000 Hz, 5000) (void: planner)" in text
@@ -373,7 +372,7 @@ def test_where_publish_blocked_the_rate_that_was_reached_is_said(document):
     """A sensor below its rate in a turn that is not void was held back by the middleware."""
     for run in [*of(document, "2.4 GHz", 1000, 1000, 5000), *of(document, "2.4 GHz", 1000, 500, 5000)]:
         run["reached_ratio"] = 300 / run["deadline_hz"]
-    text = readme(document)
+    text = markdown(document)
     assert "- In 2 of 144 configurations publish() blocked" in text
     assert "less than 95 % of their rate; least, 30 %, 2.4 GHz 1000 B (1000 Hz, 5000), the link 100 % full." in text
 
@@ -383,7 +382,7 @@ def test_what_a_lost_packet_costs_is_laid_side_by_side(document):
     for run in document["runs"]:
         if run["experiment"] == LOSS and run["link_loss"] == 0.01 and run["heartbeat"] == DEFAULT:
             set_p99([run], 3.1)
-    text = readme(document)
+    text = markdown(document)
     assert "rclpy's default: (82 Hz, 410) | rclpy's default: (82 Hz, 5000) | arpd's: (82 Hz, 410) | arpd's: (82" in text
     assert "| 1 | 1, 3100 (3100–3100) | 1, 3100 (3100–3100) | 1, 4.2 (4.1–4.2) | 1, 4.2 (4.1–4.2) |" in text
 

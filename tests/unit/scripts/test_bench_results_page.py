@@ -1,4 +1,4 @@
-"""The README's figures: every one is what a benchmark left, and each report says what its document says."""
+"""The generated figures: every one comes from a benchmark's document, and each report says what its document says."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import re
 
 import pytest
 
-from scripts.bench import readme as blocks
-from scripts.bench.capacity_report import readme as capacity_text
-from scripts.bench.demo_report import readme as demo_text
-from scripts.bench.exposition_report import readme as exposition_text
+from scripts.bench import results_page
+from scripts.bench.capacity_report import markdown as capacity_text
+from scripts.bench.demo_report import markdown as demo_text
+from scripts.bench.exposition_report import markdown as exposition_text
 from scripts.bench.record import RESULTS, conditions, described, keep, target
-from scripts.bench.relay_report import readme as relay_text
-from scripts.bench.reliability_report import readme as reliability_text
-from scripts.bench.soak_report import readme as soak_text
+from scripts.bench.relay_report import markdown as relay_text
+from scripts.bench.reliability_report import markdown as reliability_text
+from scripts.bench.soak_report import markdown as soak_text
 from scripts.bench.soak_report import verdict as soak_verdict
 from scripts.bench.solve_report import PAPER
-from scripts.bench.solve_report import readme as solve_text
+from scripts.bench.solve_report import markdown as solve_text
 from scripts.bench.suite import BENCHMARKS, chosen
 from scripts.bench.swap_report import ADAPTIVE, RECREATE, STILL, beyond
-from scripts.bench.swap_report import readme as swap_text
+from scripts.bench.swap_report import markdown as swap_text
 
 NOTED = {
     "conditions": {
@@ -33,16 +33,17 @@ NOTED = {
 WHEN = "2026-01-02, x86_64, 2 cores, load average 0.3 before"
 
 
-def test_the_readme_is_what_the_results_say():
-    """`scripts/bench/readme.py --check` finds nothing that differs."""
-    stands = blocks.README.read_text(encoding="utf-8")
-    assert blocks.regenerated(stands, RESULTS) == stands
+@pytest.mark.parametrize("path", results_page.PAGES, ids=lambda path: path.name)
+def test_a_page_is_what_the_results_say(path):
+    """`scripts/bench/results_page.py --check` finds nothing that differs."""
+    page = path.read_text(encoding="utf-8")
+    assert results_page.regenerated(page, results_page.PAGES[path], RESULTS) == page
 
 
 def test_every_pictured_result_is_there_once_its_document_is():
-    """A picture the README shows from the results exists where the benchmark's JSON does."""
-    text = blocks.README.read_text(encoding="utf-8")
-    pictures = re.findall(r"^!\[.*\]\(scripts/bench/results/(.+)\)$", text, re.MULTILINE)
+    """A picture that a page shows from the results exists where the benchmark's JSON does."""
+    text = "".join(path.read_text(encoding="utf-8") for path in results_page.PAGES)
+    pictures = re.findall(r"^!\[.*\]\((?:\.\./)?scripts/bench/results/(.+)\)$", text, re.MULTILINE)
     assert pictures
     for picture in pictures:
         name = picture.removesuffix(".png").partition("-")[0]
@@ -51,22 +52,22 @@ def test_every_pictured_result_is_there_once_its_document_is():
 
 
 def test_a_block_is_replaced_and_the_rest_stays(tmp_path, monkeypatch):
-    """What stands between the markers goes, whatever it was; what stands around them does not change."""
+    """Only the text between the markers changes, whatever it was before."""
     (tmp_path / "soak.json").write_text('{"swaps": 7}')
-    monkeypatch.setattr(blocks, "BLOCKS", {"soak": blocks.Block(results=("soak",), report="soak_report")})
-    monkeypatch.setattr("scripts.bench.soak_report.readme", lambda document: f"{document['swaps']} swaps\n")
+    blocks = {"soak": results_page.Block(results=("soak",), report="soak_report")}
+    monkeypatch.setattr("scripts.bench.soak_report.markdown", lambda document: f"{document['swaps']} swaps\n")
     before = "above\n<!-- soak:begin -->\ntyped by hand\n<!-- soak:end -->\nbelow\n"
     after = "above\n<!-- soak:begin -->\n7 swaps\n<!-- soak:end -->\nbelow\n"
-    assert blocks.regenerated(before, tmp_path) == after
-    assert blocks.regenerated(after, tmp_path) == after
+    assert results_page.regenerated(before, blocks, tmp_path) == after
+    assert results_page.regenerated(after, blocks, tmp_path) == after
 
 
-def test_a_block_without_results_stays_as_it_is(tmp_path, monkeypatch):
+def test_a_block_without_results_stays_as_it_is(tmp_path):
     """Nothing is invented for a benchmark that has not run."""
-    monkeypatch.setattr(blocks, "BLOCKS", {"swap": blocks.Block(results=("swap", "soak"), report="swap_report")})
+    blocks = {"swap": results_page.Block(results=("swap", "soak"), report="swap_report")}
     (tmp_path / "swap.json").write_text("{}")
     text = "<!-- swap:begin -->\nas it was\n<!-- swap:end -->\n"
-    assert blocks.regenerated(text, tmp_path) == text
+    assert results_page.regenerated(text, blocks, tmp_path) == text
 
 
 @pytest.mark.parametrize(
@@ -78,19 +79,19 @@ def test_a_block_without_results_stays_as_it_is(tmp_path, monkeypatch):
         "<!-- soak:begin -->\n<!-- other:end -->\n",
     ],
 )
-def test_a_marker_that_fits_no_block_is_an_error(text, tmp_path, monkeypatch):
+def test_a_marker_that_fits_no_block_is_an_error(text, tmp_path):
     """A block without a place, with two, with a wrong end, or a place without a block would leave figures to rot."""
-    monkeypatch.setattr(blocks, "BLOCKS", {"soak": blocks.Block(results=("soak",), report="soak_report")})
-    with pytest.raises(blocks.ReadmeError):
-        blocks.regenerated(text, tmp_path)
+    blocks = {"soak": results_page.Block(results=("soak",), report="soak_report")}
+    with pytest.raises(results_page.MarkerError):
+        results_page.regenerated(text, blocks, tmp_path)
 
 
 def test_prose_is_broken_and_tables_are_not(tmp_path, monkeypatch):
-    """A report need not know how wide the README is."""
-    monkeypatch.setattr(blocks, "BLOCKS", {"weights": blocks.Block(results=(), report="weights_report")})
+    """A report need not know how wide a page is."""
+    blocks = {"weights": results_page.Block(results=(), report="weights_report")}
     row = "| " + "cell " * 60 + "|"
-    monkeypatch.setattr("scripts.bench.weights_report.readme", lambda: "- " + "word " * 60 + "\n" + row)
-    text = blocks.regenerated("<!-- weights:begin -->\n<!-- weights:end -->\n", tmp_path)
+    monkeypatch.setattr("scripts.bench.weights_report.markdown", lambda: "- " + "word " * 60 + "\n" + row)
+    text = results_page.regenerated("<!-- weights:begin -->\n<!-- weights:end -->\n", blocks, tmp_path)
     lines = text.splitlines()
     assert row in lines
     bullet = [line for line in lines if "word" in line]
@@ -100,9 +101,10 @@ def test_prose_is_broken_and_tables_are_not(tmp_path, monkeypatch):
 
 
 def test_every_block_of_results_has_a_benchmark_that_makes_them():
-    """`scripts/bench/all` runs whatever the README shows."""
+    """`scripts/bench/all` runs whatever the pages show."""
     made = {each.name for each in BENCHMARKS}
-    assert {name for block in blocks.BLOCKS.values() for name in block.results} <= made
+    blocks = [block for page in results_page.PAGES.values() for block in page.values()]
+    assert {name for block in blocks for name in block.results} <= made
     assert all(importlib.util.find_spec(f"scripts.bench.{name}") for name in made)
 
 
@@ -115,7 +117,7 @@ def test_only_takes_names_in_the_benchmarks_own_order():
 
 
 def test_a_quick_run_is_kept_only_where_it_is_asked_for(tmp_path):
-    """Short forms must not become the README's figures."""
+    """Short forms must not become published figures."""
     assert target(None, "x.json", is_partial=True) is None
     assert target(None, "x.json", is_partial=False) == RESULTS / "x.json"
     assert target(tmp_path, "x.json", is_partial=True) == tmp_path

@@ -1,0 +1,141 @@
+"""Fill the generated blocks of docs/results.md and README.md from the benchmarks' documents in scripts/bench/results.
+
+Usage: .venv/bin/python scripts/bench/results_page.py [--check]
+
+A report module of the benchmark writes what stands between `<!-- NAME:begin -->` and `<!-- NAME:end -->` from its JSON;
+nobody types a figure there by hand. A block without results stays as it is. With --check the program writes nothing,
+shows what differs, and exits with 1 if anything does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import json
+import re
+import sys
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from scripts.bench.record import REPO, RESULTS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_WIDTH = 130
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Block:
+    """A generated block of a page.
+
+    Parameters
+    ----------
+    results : names of the documents the block is made from
+    report : module of scripts/bench that writes it
+    function : function of that module, called with the documents
+    """
+
+    results: tuple[str, ...]
+    report: str
+    function: str = "markdown"
+
+    def text(self, results: Path) -> str | None:
+        """Return the block's Markdown; None while a document is missing."""
+        paths = [results / f"{name}.json" for name in self.results]
+        if not all(path.exists() for path in paths):
+            return None
+        documents = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+        # By name, because a report is not needed, and need not be importable, before its results are there.
+        write = getattr(importlib.import_module(f"scripts.bench.{self.report}"), self.function)
+        return "\n".join(map(_wrapped, str(write(*documents)).strip("\n").split("\n")))
+
+
+PAGES: Mapping[Path, Mapping[str, Block]] = {
+    REPO / "README.md": {"adapt-summary": Block(results=("adapt",), report="adapt_report", function="summary")},
+    REPO / "docs/results.md": {
+        "demo": Block(results=("demo",), report="demo_report"),
+        "adapt": Block(results=("adapt",), report="adapt_report"),
+        "paper": Block(results=("paper",), report="paper_report"),
+        "overhead": Block(results=("overhead",), report="overhead_report"),
+        "reliability": Block(results=("reliability", "fuzz"), report="reliability_report"),
+        "estimate": Block(results=("estimate", "link"), report="capacity_report"),
+        "weights": Block(results=(), report="weights_report"),
+        "solve": Block(results=("solve",), report="solve_report"),
+        "swap": Block(results=("swap",), report="swap_report"),
+        "soak": Block(results=("soak",), report="soak_report"),
+        "relay": Block(results=("relay",), report="relay_report"),
+        "exposition": Block(results=("exposition",), report="exposition_report"),
+    },
+}
+_BLOCK = re.compile(r"<!-- (?P<name>[\w-]+):begin -->\n(?P<text>.*?)<!-- (?P<end>[\w-]+):end -->\n", re.DOTALL)
+
+
+def _wrapped(line: str) -> str:
+    """Break prose and bullets as the rest of the page is; tables, headings, pictures and HTML stay whole."""
+    if not line or line.startswith(("|", "#", "<", "!", "```", "    ")):
+        return line
+    bullet = re.match(r" *- ", line)
+    indent = " " * len(bullet[0]) if bullet else ""
+    return textwrap.fill(line, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+class MarkerError(Exception):
+    """The markers of a page do not fit its blocks."""
+
+
+def regenerated(page: str, blocks: Mapping[str, Block], results: Path) -> str:
+    """Return a page with every block rewritten that has results.
+
+    Raises
+    ------
+    MarkerError
+        If a block has no place, more than one, or a marker names no block.
+    """
+    found = [match["name"] for match in _BLOCK.finditer(page)]
+    if sorted(found) != sorted(blocks):
+        wrong = sorted({*found} ^ {*blocks}) or sorted(name for name in {*found} if found.count(name) > 1)
+        raise MarkerError(f"these have no place, no block, or more than one place: {', '.join(wrong)}")
+
+    def written(match: re.Match[str]) -> str:
+        name = match["name"]
+        if match["end"] != name:
+            raise MarkerError(f"{name} ends as {match['end']}")
+        text = blocks[name].text(results)
+        return match[0] if text is None else f"<!-- {name}:begin -->\n{text}\n<!-- {name}:end -->\n"
+
+    return _BLOCK.sub(written, page)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="show what differs, and write nothing")
+    options = parser.parse_args()
+    before = {path: path.read_text(encoding="utf-8") for path in PAGES}
+    after: dict[Path, str] = {}
+    for path, blocks in PAGES.items():
+        try:
+            after[path] = regenerated(before[path], blocks, RESULTS)
+        except MarkerError as error:
+            sys.exit(f"{path.relative_to(REPO)}: {error}")
+    for path in PAGES:
+        name = str(path.relative_to(REPO))
+        if options.check:
+            now, wanted = before[path].splitlines(keepends=True), after[path].splitlines(keepends=True)
+            sys.stdout.writelines(difflib.unified_diff(now, wanted, name, "from the results", n=1))
+        else:
+            path.write_text(after[path], encoding="utf-8")
+    if options.check:
+        sys.exit(int(before != after))
+    for name, block in ((name, block) for blocks in PAGES.values() for name, block in blocks.items()):
+        if missing := [result for result in block.results if not (RESULTS / f"{result}.json").exists()]:
+            print(f"{name} stays as it is: there is no {missing[0]}.json")
+
+
+if __name__ == "__main__":
+    main()

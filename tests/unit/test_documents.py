@@ -1,0 +1,212 @@
+"""The Markdown files of the repository: links lead somewhere, named files exist, and tables agree with the code."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+REPO = Path(__file__).resolve().parents[2]
+FOLDERS = ("arpd", "docs", "etc", "scripts", "systemd", "tests")
+DOCUMENTS = sorted([*REPO.glob("*.md"), *(path for folder in FOLDERS for path in (REPO / folder).rglob("*.md"))])
+MOST_README_LINES = 250
+
+_FENCE = re.compile(r"^(```|~~~).*?^\1[^\n]*$", re.DOTALL | re.MULTILINE)
+_CODE = re.compile(r"(`+)(?!`)(.+?)(?<!`)\1(?!`)", re.DOTALL)
+_LINK = re.compile(r"\[(?:[^\[\]]|\[[^\]]*\])*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")
+_REFERENCE = re.compile(r"^ {0,3}\[[^\]]+\]:\s*<?(\S+?)>?\s*(?:\"[^\"]*\")?$", re.MULTILINE)
+_HTML = re.compile(r"<(?:img|a)\b[^>]*?\b(?:src|href)=\"([^\"]+)\"")
+_HEADING = re.compile(r"^ {0,3}#{1,6}\s+(.+?)\s*#*$", re.MULTILINE)
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)
+_PATH = re.compile(rf"(?:{'|'.join(FOLDERS)})(?:/[\w.*-]+)+/?")
+
+
+def slug(heading: str) -> str:
+    """Return a heading's anchor by GitHub's rule: lower case, punctuation gone, a hyphen for each space."""
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", heading)
+    text = re.sub(r"(?<!\w)[*_]+|[*_]+(?!\w)", "", text.replace("`", ""))
+    return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
+
+
+def anchors(markdown: str) -> set[str]:
+    """Return the anchors of a document; a heading that comes again gets a number."""
+    found: set[str] = set()
+    counts: Counter[str] = Counter()
+    for heading in _HEADING.findall(_FENCE.sub("", markdown)):
+        name = slug(heading)
+        found.add(f"{name}-{counts[name]}" if counts[name] else name)
+        counts[name] += 1
+    return found | set(re.findall(r"<a\s+(?:id|name)=\"([^\"]+)\"", markdown))
+
+
+def links(markdown: str) -> list[str]:
+    """Return the targets of all links and pictures outside code."""
+    prose = _CODE.sub("`code`", _FENCE.sub("", markdown))
+    return [*_LINK.findall(prose), *_REFERENCE.findall(prose), *_HTML.findall(prose)]
+
+
+def has_anchor(path: Path, anchor: str) -> bool:
+    """Whether a file is a document with such an anchor."""
+    return path.suffix == ".md" and anchor in anchors(path.read_text(encoding="utf-8"))
+
+
+def broken_links(path: Path) -> list[str]:
+    """Return the links of a document that lead nowhere in the repository."""
+    wrong = []
+    for target in links(path.read_text(encoding="utf-8")):
+        if _SCHEME.match(target) or target.startswith("//"):
+            continue
+        name, _, anchor = unquote(target).partition("#")
+        there = (path.parent / name).resolve() if name else path.resolve()
+        is_there = not name.startswith("/") and there.is_relative_to(REPO.resolve()) and there.exists()
+        if not is_there or (anchor and not has_anchor(there, anchor)):
+            wrong.append(target)
+    return wrong
+
+
+def named_paths(markdown: str) -> set[str]:
+    """Return the paths of the repository in code, inline or fenced; ``*`` may replace a part of a name."""
+    code = [match[0] for match in _FENCE.finditer(markdown)]
+    code += [match[2] for match in _CODE.finditer(_FENCE.sub("", markdown))]
+    words = {word.strip("\"'(),;:") for text in code for word in text.split()}
+    return {word for word in words if _PATH.fullmatch(word)}
+
+
+def missing_paths(markdown: str) -> list[str]:
+    """Return the named paths that do not exist."""
+    return sorted(path for path in named_paths(markdown) if not any(REPO.glob(path.rstrip("/"))))
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(REPO))
+
+
+def table(markdown: str, heading: str) -> list[list[str]]:
+    """Return the rows of the first table under a heading, without its own head."""
+    _, _, below = markdown.partition(f"\n{heading}\n")
+    lines = re.search(r"^\|.*?(?=\n[^|]|\Z)", below, re.DOTALL | re.MULTILINE)
+    assert lines, heading
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[0].splitlines()[2:]]
+
+
+def documented(name: str) -> str:
+    return (REPO / name).read_text(encoding="utf-8")
+
+
+def test_the_documents_are_found():
+    """A test over no documents would hold nothing."""
+    found = {name_of(path) for path in DOCUMENTS}
+    assert {"README.md", "CHANGELOG.md", "arpd/README.md", "docs/design.md", "docs/results.md"} <= found
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_every_relative_link_leads_somewhere(path):
+    """File and anchor of every link exist."""
+    assert broken_links(path) == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_every_named_file_exists(path):
+    """A file or folder of the repository that a document names is there."""
+    assert missing_paths(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("link", "is_broken"),
+    [
+        ("[x](there.md)", False),
+        ("[x](there.md#a-bad-hour)", False),
+        ("[x](there.md#the-papers-code-1)", False),
+        ("[x](#here)", False),
+        ("![x](there.md)", False),
+        ("[x](https://example.org/nowhere)", False),
+        ("`[x](nowhere.md)`", False),
+        ("```\n[x](nowhere.md)\n```", False),
+        ("[x](nowhere.md)", True),
+        ("[x](there.md#nowhere)", True),
+        ("[x](#nowhere)", True),
+        ("[x](/there.md)", True),
+        ("[x](../../outside.md)", True),
+        ("![`x`](nowhere.png)", True),
+        ('<img src="nowhere.png">', True),
+        ("[x][1]\n\n[1]: nowhere.md", True),
+    ],
+)
+def test_a_broken_link_is_found(link, is_broken, tmp_path, monkeypatch):
+    """Links to files and to anchors are followed; text in code is no link."""
+    monkeypatch.setitem(broken_links.__globals__, "REPO", tmp_path)
+    (tmp_path / "there.md").write_text("# A bad hour\n## The paper's `code`\n## The paper's code\n")
+    (tmp_path / "here.md").write_text(f"# Here\n{link}\n")
+    assert bool(broken_links(tmp_path / "here.md")) is is_broken
+
+
+def test_a_path_in_code_is_found():
+    """Arguments, punctuation and prose around a path do not hide it, and other words are no paths."""
+    text = (
+        "Run `scripts/demo --quick`, see `tests/unit/`.\n```\nsudo scripts/install.sh\n```\nnot `/etc/arpd/arpd.yaml`"
+    )
+    assert named_paths(text) == {"scripts/demo", "tests/unit/", "scripts/install.sh"}
+    assert missing_paths(f"{text} `scripts/nowhere.py` `docs/*.md` `docs/*.txt`") == [
+        "docs/*.txt",
+        "scripts/nowhere.py",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("heading", "anchor"),
+    [
+        ("The paper's experiment", "the-papers-experiment"),
+        ("Eq. (4), the paper", "eq-4-the-paper"),
+        ("(G1) and (G2), per topic", "g1-and-g2-per-topic"),
+        ("`arpd run` & [peers](x.md)", "arpd-run--peers"),
+        ("*Down*: snake_case", "down-snake_case"),
+    ],
+)
+def test_anchors_follow_githubs_rule(heading, anchor):
+    """Punctuation goes, letters become small, and each space becomes a hyphen."""
+    assert slug(heading) == anchor
+
+
+def test_the_readme_stays_short():
+    """Whoever wants more follows a link."""
+    assert len(documented("README.md").splitlines()) <= MOST_README_LINES
+
+
+def test_every_documented_metric_is_exposed():
+    """The table of metrics names no metric that `/metrics` does not have, and no label that no sample carries."""
+    exposed = documented("tests/golden/exposition.txt")
+    rows = table(documented("docs/metrics.md"), "## What answers which question")
+    told = [each for _, cell in rows for each in re.findall(r"`([^`]+)`", cell)]
+    assert len(told) > 30
+    for metric in told:
+        name, _, labels = metric.removesuffix("}").partition("{")
+        name = name.replace("*", r"\w+")
+        assert re.search(rf"^# HELP arpd_{name} ", exposed, re.MULTILINE), metric
+        samples = re.findall(rf"^arpd_{name}(?:_bucket)?{{(.*)}} ", exposed, re.MULTILINE)
+        for label in filter(None, labels.split(",")):
+            assert all(f'{label}="' in sample for sample in samples), metric
+
+
+def test_every_metric_that_shows_a_failure_is_exposed():
+    """The table of failures names no metric that `/metrics` does not have, and no value of a label that it lacks."""
+    exposed = documented("tests/golden/exposition.txt")
+    told = [
+        each
+        for row in table(documented("docs/operating.md"), "## Failures")
+        for each in re.findall(r"`([^`]+)`", row[2])
+    ]
+    metrics = [each for each in told if re.fullmatch(r"[a-z_]+_[a-z_]+(?:{.*})?|peers", each)]
+    assert len(metrics) > 8
+    assert [each for each in metrics if not re.search(rf"^arpd_{re.escape(each)}[{{ ]", exposed, re.MULTILINE)] == []
+
+
+def test_every_event_is_documented():
+    """The table of events has each kind that is counted, and each MESSAGE_ID that the catalog explains."""
+    rows = table(documented("docs/events.md"), "## The events")
+    counted = re.findall(r'^arpd_events_total\{event="(\w+)"', documented("tests/golden/exposition.txt"), re.MULTILINE)
+    explained = re.findall(r"^-- ([0-9a-f]{32})$", documented("systemd/arpd.catalog"), re.MULTILINE)
+    assert sorted(kind.strip("`") for kind, _, _ in rows) == sorted(counted)
+    assert sorted(number.strip("`") for _, _, number in rows) == sorted(explained)
