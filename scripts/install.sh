@@ -257,7 +257,7 @@ switch() {
     place_share "$source"
     keep "$source/etc/arpd/arpd.yaml" $config "$old/share/arpd/etc/arpd/arpd.yaml"
     keep "$source/systemd/arpd.default" /etc/default/arpd "$old/share/arpd/systemd/arpd.default"
-    if $changed; then step "make the system user arpd, and systemd read its files anew" tell_systemd; fi
+    if $changed; then step "make the system user arpd, and let systemd read its files again" tell_systemd; fi
 }
 
 # Waits for READY, and a moment more, in which a daemon that dies of its first ticks shows.
