@@ -153,7 +153,7 @@ TARGETS = (
     Target(title="levels per minute, any scenario: <= 6", scenarios=(), figure="levels", limit=6.0),
     Target(title="probes and reports, any scenario: <= 1 % of capacity", scenarios=(), figure="measuring", limit=0.01),
     Target(title="outage, gate closed within: <= 0.5 s", scenarios=_OUTAGES, figure="closed within", limit=0.5),
-    # docs/design.md, The estimator takes a delay above 100 ms for a queue.
+    # A delay above 100 ms is a queue: docs/design.md, The estimator.
     Target(
         title="outage that loses, no queue built: <= 0.1 s", scenarios=("outages, lost",), figure="queue in", limit=0.1
     ),
