@@ -27,7 +27,7 @@ ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy
 # The daemon first: if a new version does not start, the relay, which carries the data, has not been touched.
 all_units=(arpd arpd-peer arpd-relay)
 # What the daemon, the peer and the relay import; a version that cannot is not switched to.
-imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.supervisor, arpd.adapters.ros.peer, arpd.adapters.ros.relay'
+imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay'
 
 usage() {
     cat <<END

@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arpd import __version__
 from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
 from arpd.cli.top import add_top
 from arpd.model.errors import ArpdError, ConfigError
 from arpd.model.settings import Settings
-from arpd.model.version import VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,7 +69,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
 `arpd status` exits 3 where there is no daemon""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"arpd {VERSION}")
+    parser.add_argument("--version", action="version", version=f"arpd {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_run(commands)
     _add_relay(commands)
@@ -173,7 +173,7 @@ def _add_log_level(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from arpd.daemon.supervisor import run_daemon
+    from arpd.daemon.run import run_daemon
 
     return run_daemon(config_path=options.config, log_level=options.log_level)
 

@@ -1,4 +1,4 @@
-"""`arpd run`: the supervisor loop, which ticks the daemon, and what stands around it."""
+"""The supervisor loop: ticks the daemon, follows signals and reloads, and reports to systemd."""
 
 from __future__ import annotations
 
@@ -10,19 +10,12 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.load import load_settings
-from arpd.adapters.host.addresses import Locators
-from arpd.adapters.systemd.journal import configure_logging, log_event
 from arpd.adapters.systemd.notify import Heartbeat, Notifier
-from arpd.daemon.gc import Garbage
 from arpd.daemon.tick import TICK_S, Daemon
-from arpd.model.settings import OnStop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-    from arpd.daemon.world import CapacityEstimator
     from arpd.model.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -128,7 +121,8 @@ class Supervisor:
         while not self._signals.stop and not self._is_cut_off():
             self._follow_reloads()
             now_s = time.monotonic()
-            self._daemon.note_lateness(max(0.0, now_s - next_s))
+            late_s = max(0.0, now_s - next_s)
+            self._daemon.record.note_lateness(late_s, is_late=late_s > TICK_S / 2)
             self._resting.clear()
             try:
                 self._daemon.tick(now_s)
@@ -150,7 +144,7 @@ class Supervisor:
                 self._daemon.reload(self._reading.result)
             except Exception as error:
                 log.exception("reload failed; the configuration in force stays")
-                self._daemon.note_failed_reload(f"{type(error).__name__}: {error}")
+                self._daemon.configuration.note_failed_reload(f"{type(error).__name__}: {error}")
             self._reading = None
             if self._is_ready:  # else READY=1 would end the start before a tick has finished
                 self._notifier.ready()
@@ -161,7 +155,7 @@ class Supervisor:
             self._reading = _reading(self._load)
 
     def _note_failure(self, error: Exception) -> None:
-        self._daemon.note_failed_tick()
+        self._daemon.record.note_failed_tick()
         if (failure := type(error).__name__) != self._failure:
             self._failure = failure
             log.error("a tick failed; the publishers keep the plan they have", exc_info=error)
@@ -181,97 +175,3 @@ class Supervisor:
         if status != self._status:
             self._status = status
             self._notifier.status(status)
-
-
-def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimator | None = None) -> int:
-    """Run the daemon until SIGTERM or SIGINT.
-
-    Parameters
-    ----------
-    config_path : YAML configuration
-    log_level : name of a logging level
-    estimator : what tells the capacity, arpd's own unless a benchmark brings another
-
-    Raises
-    ------
-    ArpdError
-        If the configuration or ROS cannot be used, or a new process would reach more: the publishers keep their plan.
-    """
-    signals = Signals()
-    signals.install()
-    configure_logging(log_level)
-    notifier = Notifier()
-
-    def load() -> Settings:
-        return load_settings(config_path, interfaces=None)  # one that is not there yet may come
-
-    settings = load()
-    from arpd.adapters.ros.runtime import control_node, spinning  # noqa: PLC0415 - the config is checked before ROS is needed
-
-    locators = Locators(lambda: daemon.interface)
-    with control_node("arpd") as node:
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-
-        from arpd.adapters.http.patient import PatientServer  # noqa: PLC0415
-        from arpd.adapters.http.service import serving  # noqa: PLC0415
-        from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
-        from arpd.adapters.ros.world import RosControl  # noqa: PLC0415
-
-        link = settings.link.interface
-        world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
-        daemon = Daemon(
-            world,
-            settings,
-            interface=link,
-            config_path=str(config_path),
-            estimator=estimator,
-            tell=log_event,
-        )
-        Diagnostics(node, lambda: daemon.snapshot)
-        signals.is_looping = True
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        resting, garbage = threading.Event(), Garbage()
-        web = PatientServer(
-            lambda: serving(
-                settings.http,
-                lambda: daemon.snapshot,
-                directory=config_path.parent,
-                history=daemon.history,
-                resting=resting,
-            )
-        )
-        supervisor = Supervisor(
-            daemon,
-            signals,
-            notifier,
-            load=load,
-            fault=lambda: web.fault,
-            is_cut_off=locators.are_outdated,
-            resting=resting,
-            tidy=garbage.collect_if_due,
-        )
-        garbage.take_over()
-        with web.up(), spinning(executor):
-            supervisor.run()
-            if not signals.stop:
-                raise locators.error()
-            notifier.stopping()
-            stop(daemon)
-    return 0
-
-
-def stop(daemon: Daemon) -> None:
-    """Leave the publishers as the configuration says; whatever fails, the process ends cleanly."""
-    if daemon.settings.on_stop is not OnStop.RESTORE:
-        log.info("stopping; the publishers keep their plan (on_stop: keep)")
-        return
-    try:
-        missing = daemon.restore(wait=time.sleep)
-    except Exception:
-        log.exception("stopping; restoring failed, and publishers may keep their plan")
-        return
-    if missing:
-        log.warning("stopping; %d publishers or readers did not confirm their original QoS in time", missing)
-    else:
-        log.info("stopping; every publisher has its original QoS back")

@@ -9,6 +9,7 @@ from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_rate
+from arpd.model.settings import AUTO
 from arpd.report.events import Severity
 
 if TYPE_CHECKING:
@@ -162,3 +163,34 @@ def _hz(rate_hz: float) -> str:
 
 def _said(severity: Severity, headline: str, rest: str) -> Verdict:
     return Verdict(severity, headline, f"{headline}: {rest}.")
+
+
+def status_line(snapshot: Snapshot | None) -> str:
+    """One line a human can read, for ``systemctl status``."""
+    if snapshot is None:
+        return "starting"
+    if superior := snapshot.observation.superior:
+        return f"standing by: another arpd daemon, on {superior}, drives this robot"
+    link, decision = snapshot.link, snapshot.decision
+    line = (
+        f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
+        f"{link.foreign_bytes_per_second * 8e-6:.1f} foreign), "
+        f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
+        f"{snapshot.confirmed} of {snapshot.managed} publishers confirmed"
+    )
+    refused = f"reload refused: {snapshot.config_error}" if snapshot.config_error else ""
+    awaiting = snapshot.keys_awaiting_restart
+    waiting = f"restart needed for {', '.join(awaiting[:3])}" if awaiting else ""
+    if (more := len(awaiting) - 3) > 0:
+        waiting += f" and {more} more"
+    return "; ".join(said for said in (_interface_fault(snapshot), line, refused, waiting) if said)
+
+
+def _interface_fault(snapshot: Snapshot) -> str:
+    """Say why the link interface carries nothing, empty when it does."""
+    fault = state_of(snapshot.observation.counters).fault
+    if not fault:
+        return ""
+    if snapshot.has_interface:
+        return f"{snapshot.interface} {fault}"
+    return "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"

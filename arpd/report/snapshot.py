@@ -62,7 +62,8 @@ class Snapshot:
     Parameters
     ----------
     version : arpd's version
-    interface : link interface in use
+    interface : link interface in use; as configured until it was found
+    has_interface : whether it was ever there
     finished_at_s : monotonic clock when the tick finished (s)
     unix_time_s : wall clock at the same moment (s)
     tick_s : how long the tick took (s)
@@ -93,6 +94,7 @@ class Snapshot:
     config_error: str = ""
     config_loaded_at_s: float = 0.0
     keys_awaiting_restart: tuple[str, ...] = ()
+    has_interface: bool = True
     confirmed: int = 0
     reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
     readers_confirmed: int = 0

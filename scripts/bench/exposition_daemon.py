@@ -162,45 +162,37 @@ def crowded_daemon(topics: int, *, ticks: int = 40) -> Daemon:
     return daemon
 
 
-class Watched(Daemon):
-    """Keeps how late every tick began, and how long it took (s)."""
-
-    lateness_s: list[float]
-
-    def note_lateness(self, late_s: float) -> None:
-        self.lateness_s.append(late_s)
-        super().note_lateness(late_s)
-
-
 def main() -> None:
     """Tick and serve until stdin closes; for every line of it, say what the ticks since the last one were like."""
     logging.disable(logging.WARNING)
-    daemon = Watched(
+    daemon = Daemon(
         Crowd(int(sys.argv[1])), Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY)), interface="wlan0"
     )
-    daemon.lateness_s = []
+    lateness_s: list[float] = []
     ticks_s: list[float] = []
-    seen: list[Snapshot | None] = [None]
+    add, note_lateness = daemon.record.add, daemon.record.note_lateness
 
     def snapshot() -> Snapshot | None:
         return daemon.snapshot
 
-    publish = daemon._publish  # noqa: SLF001 - the one place every finished tick comes by
-
-    def note(picture: Snapshot) -> None:
+    def watch_ticks(picture: Snapshot, **sources: Any) -> None:
+        add(picture, **sources)
         ticks_s.append(picture.tick_s)
-        seen[0] = picture
-        publish(picture)
 
-    daemon._publish = note  # type: ignore[method-assign]  # noqa: SLF001
+    def watch_lateness(late_s: float, *, is_late: bool) -> None:
+        lateness_s.append(late_s)
+        note_lateness(late_s, is_late=is_late)
+
+    daemon.record.add = watch_ticks  # type: ignore[method-assign]
+    daemon.record.note_lateness = watch_lateness  # type: ignore[method-assign]
     signals, resting = Signals(is_looping=True), threading.Event()
 
     def answer() -> None:
         for _ in sys.stdin:
-            late, took = daemon.lateness_s[:], ticks_s[:]
-            daemon.lateness_s.clear()
+            late, took = lateness_s[:], ticks_s[:]
+            lateness_s.clear()
             ticks_s.clear()
-            planned = 0 if seen[0] is None else len(seen[0].decision.plan.topics)
+            planned = 0 if daemon.snapshot is None else len(daemon.snapshot.decision.plan.topics)
             print(json.dumps({"late_s": late, "tick_s": took, "planned": planned}), flush=True)
         signals.stop = True
 

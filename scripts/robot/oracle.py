@@ -17,7 +17,7 @@ from pathlib import Path
 
 from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.sim.baselines import Oracle, Truth
-from arpd.daemon.supervisor import run_daemon
+from arpd.daemon.run import run_daemon
 from scripts.netns.simlink import INTERFACE
 
 

@@ -13,6 +13,7 @@ from prometheus_client import CollectorRegistry, PlatformCollector, ProcessColle
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.registry import Collector
 
+from arpd import __version__
 from arpd.adapters.http.families import gauge, gauge_by
 from arpd.adapters.http.link_metrics import link_metrics
 from arpd.adapters.http.reader_metrics import reader_metrics
@@ -23,7 +24,6 @@ from arpd.model.endpoints import RefusalReason
 from arpd.model.link import CapacityKind, LinkState
 from arpd.model.observation import Kind, Reason
 from arpd.model.settings import Backend
-from arpd.model.version import VERSION
 from arpd.report.topic_rows import topic_rows
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class SnapshotCollector(Collector):
         snapshot: Callable[[], Snapshot | None],
         *,
         clock: Callable[[], float] = time.monotonic,
-        version: str = VERSION,
+        version: str = __version__,
         python: str = platform.python_version(),
     ) -> None:
         self._snapshot = snapshot

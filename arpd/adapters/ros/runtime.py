@@ -83,6 +83,17 @@ def spinning(executor: Any) -> Iterator[None]:
         executor.shutdown(timeout_sec=1.0)
 
 
+@contextmanager
+def spinning_alone(node: Any) -> Iterator[None]:
+    """Spin a node in a thread of its own, one callback at a time."""
+    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415 - ROS is checked in ros_node
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    with spinning(executor):
+        yield
+
+
 def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
     """Spin in this thread until ``stopping`` is set.
 

@@ -11,11 +11,11 @@ from types import ModuleType
 
 import pytest
 
+from arpd import __version__
 from arpd.adapters.config.schema import flatten
 from arpd.cli import main as cli
 from arpd.model.errors import LinkError, RosUnavailableError
 from arpd.model.settings import Settings
-from arpd.model.version import VERSION
 
 COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status", "top")
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
@@ -49,7 +49,7 @@ def config(tmp_path):
 
 def test_version_is_the_installed_one(run):
     """`--version` prints what is installed."""
-    assert run("--version") == (0, f"arpd {VERSION}\n", "")
+    assert run("--version") == (0, f"arpd {__version__}\n", "")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -152,10 +152,10 @@ def entry_point(monkeypatch):
     [
         (
             ["run", "--config", "a.yaml", "--log-level", "debug"],
-            "arpd.daemon.supervisor:run_daemon",
+            "arpd.daemon.run:run_daemon",
             {"config_path": "a.yaml", "log_level": "debug"},
         ),
-        (["run"], "arpd.daemon.supervisor:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
+        (["run"], "arpd.daemon.run:run_daemon", {"config_path": "/etc/arpd/arpd.yaml", "log_level": "info"}),
         (
             ["relay", "--node-name", "r"],
             "arpd.adapters.ros.relay:run_relay",

@@ -16,7 +16,8 @@ import pytest
 from arpd.adapters.host.addresses import Locators
 from arpd.adapters.http.patient import PatientServer
 from arpd.adapters.http.server import HttpAddressError
-from arpd.daemon.supervisor import Signals, Supervisor, stop
+from arpd.daemon.run import stop
+from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import TICK_S
 from arpd.model.settings import OnStop, Settings
 
@@ -71,6 +72,7 @@ class Daemon:
         self.failed = 0
         self.ticked = 0
         self.late_s = []
+        self.record = self.configuration = self
 
     def tick(self, _now_s):
         self._signals.wakeup.set()  # the next one at once
@@ -90,7 +92,7 @@ class Daemon:
     def note_failed_tick(self):
         self.failed += 1
 
-    def note_lateness(self, late_s):
+    def note_lateness(self, late_s, *, is_late):
         self.late_s.append(late_s)
 
     def status_line(self):

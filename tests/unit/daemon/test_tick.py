@@ -199,7 +199,7 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
         for tick in range(30, 40):
             with pytest.raises(ArithmeticError):
                 daemon.tick(0.1 * tick)
-            daemon.note_failed_tick()
+            daemon.record.note_failed_tick()
     assert daemon.snapshot.totals.ticks_failed == 10
     assert (replace(daemon.snapshot, totals=before.totals), len(world.gates)) == (before, gates)
     daemon.tick(4.0)
@@ -228,7 +228,7 @@ def test_an_interface_that_is_not_there_yet_is_named():
 def test_a_decision_log_that_fails_stops_nothing(monkeypatch, caplog):
     """The robot is governed all the same, and what is wrong is said once."""
     daemon = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0)
-    monkeypatch.setattr(daemon._chronicle, "follow", lambda _picture: 1 / 0)
+    monkeypatch.setattr(daemon.record._decision_log, "follow", lambda _picture: 1 / 0)
     for tick in range(3):
         daemon.tick(tick / 10)
     assert daemon.snapshot is not None

@@ -1,0 +1,118 @@
+"""The record of a daemon: its counts, its decision log, its history, and the snapshot that shows them all."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from arpd.report.decision_log import Chronicle
+from arpd.report.durations import SwapWatch
+from arpd.report.history import History
+from arpd.report.snapshot import Snapshot, Totals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.daemon.reload import Configuration
+    from arpd.daemon.world import World
+    from arpd.govern.governor import Governor
+    from arpd.report.events import Event
+    from arpd.solve.program import Program
+
+log = logging.getLogger(__name__)
+
+
+class Record:
+    """Keeps what the daemon's ticks leave behind.
+
+    Parameters
+    ----------
+    tell : called with each event of the decision log
+
+    Attributes
+    ----------
+    snapshot : the daemon after its last finished tick, None before the first
+    history : the last ten minutes
+    """
+
+    def __init__(self, *, tell: Callable[[Event], None]) -> None:
+        self.snapshot: Snapshot | None = None
+        self.history = History()
+        self._tell = tell
+        self._totals = Totals()
+        self._swaps = SwapWatch()
+        self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
+        self._disagreements = 0
+        self._decision_log = Chronicle()
+        self._is_untold = False  # whether the decision log failed
+
+    def note_failed_tick(self) -> None:
+        """Count a tick that raised, and show it: there may be no other for a while."""
+        self._totals = replace(self._totals, ticks_failed=self._totals.ticks_failed + 1)
+        if self.snapshot is not None:
+            totals = replace(self.snapshot.totals, ticks_failed=self._totals.ticks_failed)
+            self.snapshot = replace(self.snapshot, totals=totals)
+
+    def note_lateness(self, late_s: float, *, is_late: bool) -> None:
+        """Count how late a tick begins (s)."""
+        self._totals = replace(
+            self._totals,
+            ticks_late=self._totals.ticks_late + is_late,
+            durations=self._totals.durations.with_lateness(late_s),
+        )
+
+    def keep_counts_of(self, program: Program) -> None:
+        """Keep the counts of a program that another one replaces."""
+        self._solves.update(program.outcomes)
+        self._disagreements += program.disagreements
+
+    def add(
+        self, picture: Snapshot, *, world: World, program: Program, governor: Governor, configuration: Configuration
+    ) -> None:
+        """Count a finished tick, write what happened into the decision log, and show the snapshot to everybody.
+
+        Parameters
+        ----------
+        picture : the tick, without counts and events
+        """
+        self._totals = self._count(picture, world, program, governor, configuration)
+        picture = replace(picture, totals=self._totals)
+        try:
+            for event in self._decision_log.follow(picture):
+                self._tell(event)
+        except Exception:
+            # A log that fails must not keep the robot from being governed.
+            if not self._is_untold:
+                log.exception("the decision log misses what happened; said once")
+            self._is_untold = True
+        totals = replace(picture.totals, events_by_kind=self._decision_log.counts_by_kind)
+        self.snapshot = replace(picture, totals=totals, events=self._decision_log.events)
+        self.history.note(self.snapshot)
+
+    def _count(
+        self, picture: Snapshot, world: World, program: Program, governor: Governor, configuration: Configuration
+    ) -> Totals:
+        probes, probe_bytes = world.probes_sent()
+        is_solved = self.snapshot is None or picture.allocation is not self.snapshot.allocation
+        return replace(
+            self._totals,
+            ticks=self._totals.ticks + 1,
+            solves_by_outcome=MappingProxyType(dict(self._solves + Counter(program.outcomes))),
+            cross_check_disagreements=self._disagreements + program.disagreements,
+            levels_by_cause=MappingProxyType(dict(governor.levels_by_cause)),
+            refusals_by_reason=MappingProxyType(dict(governor.refusals_by_reason)),
+            applies_by_result=MappingProxyType(dict(world.results())),
+            probes=probes,
+            probe_bytes=probe_bytes,
+            reports=self._totals.reports + len(picture.observation.reports),
+            reloads_by_result=MappingProxyType(dict(configuration.reloads_by_result)),
+            changed_keys_by_effect=MappingProxyType(dict(configuration.changed_keys_by_effect)),
+            durations=self._totals.durations.with_tick(
+                picture.tick_s,
+                solve_s=picture.allocation.solve_s if is_solved else None,
+                phases=self._swaps.look(picture.observation.publishers),
+            ),
+        )

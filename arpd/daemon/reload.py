@@ -1,0 +1,92 @@
+"""The configuration in force, and the reloads that change it."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from arpd.adapters.config.load import describe_change, in_force, restart_only_changes
+from arpd.model.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.model.settings import Settings
+
+log = logging.getLogger(__name__)
+
+_MOST_FAULTS = 20  # in the log; `arpd check` names all
+
+
+class Configuration:
+    """Settings in force, where they came from, and what became of every reload.
+
+    Parameters
+    ----------
+    settings : the settings to begin with
+    path : the file they came from
+    wall_clock : Unix time (s)
+
+    Attributes
+    ----------
+    error : first line of why the last reload was refused, empty when it was not
+    loaded_at_s : when the settings in force were read, Unix time (s)
+    awaiting_restart : keys whose value in the file last read takes effect after a restart
+    reloads_by_result, changed_keys_by_effect : counts since start
+    """
+
+    def __init__(self, settings: Settings, *, path: str, wall_clock: Callable[[], float]) -> None:
+        self.settings = settings
+        self.path = path
+        self.error = ""
+        self.loaded_at_s = wall_clock()
+        self.awaiting_restart: tuple[str, ...] = ()
+        self.reloads_by_result: Counter[str] = Counter()
+        self.changed_keys_by_effect: Counter[str] = Counter()
+        self._wall_clock = wall_clock
+
+    def note_failed_reload(self, why: str) -> None:
+        """Count a reload that was refused; ``why`` shows in the status until one succeeds."""
+        self.error = why
+        self.reloads_by_result["failed"] += 1
+
+    def reload(self, load: Callable[[], Settings], *, take: Callable[[Settings], None]) -> bool:
+        """Take a new configuration whole, or keep the old one whole.
+
+        Keys that are read only at start keep their value; they are named as waiting for a restart.
+
+        Parameters
+        ----------
+        load : reads and checks the new configuration; raises ConfigError
+        take : brings settings into force everywhere, or raises and changes nothing
+
+        Returns
+        -------
+        Whether the new configuration is in force.
+        """
+        try:
+            wanted = load()
+        except ConfigError as error:
+            for fault in error.faults[:_MOST_FAULTS]:
+                log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
+            if (more := len(error.faults) - _MOST_FAULTS) > 0:
+                log.error("further faults: %d", more)  # noqa: TRY400 - the same
+            self.note_failed_reload(error.faults[0])
+            return False
+        before, fresh = self.settings, in_force(self.settings, wanted)
+        if fresh != before:
+            take(fresh)
+        self.settings = fresh
+        changes, awaiting = describe_change(before, fresh), restart_only_changes(before, wanted)
+        for change in changes:
+            log.info("reloaded: %s", change)
+        for change in describe_change(fresh, wanted):
+            log.warning("%s; takes effect after a restart", change)
+        newly_awaiting = {*awaiting} - {*self.awaiting_restart}
+        self.changed_keys_by_effect.update(in_force=len(changes), awaiting_restart=len(newly_awaiting))
+        self.awaiting_restart = tuple(awaiting)
+        self.error = ""
+        self.loaded_at_s = self._wall_clock()
+        self.reloads_by_result["ok"] += 1
+        return True

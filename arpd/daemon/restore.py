@@ -1,0 +1,77 @@
+"""Restoring: a stopping daemon gives every publisher and reader its application's QoS back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from arpd.apply.ordering import Ordering
+from arpd.apply.readers import restore_readers
+from arpd.apply.transitions import paced_restore_plan, restore_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.daemon.world import World
+    from arpd.model.observation import Observation
+
+_LOOK_S = 0.1
+_RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
+_RESTORE_READERS_S = 4.0  # additional time for readers that go first
+_UNPACE_S = 3.0  # additional time for the rates, which need no swap
+
+
+def restore(
+    world: World,
+    observe: Callable[[float], Observation],
+    *,
+    generation: int,
+    clock: Callable[[], float],
+    wait: Callable[[float], None],
+) -> int:
+    """Restore every publisher and reader that carries a plan, and wait for the announcements.
+
+    The rates go last: on a link that cannot carry what the applications publish, no new writer would prove itself.
+
+    Parameters
+    ----------
+    observe : looks at the world at a time of the monotonic clock (s)
+    generation : of the plan that restores, above every plan this daemon made
+    clock : monotonic clock (s)
+    wait : sleeps for the given time (s)
+
+    Returns
+    -------
+    Number of publishers and readers that did not confirm in time.
+    """
+    ordering = Ordering(patience_s=_RESTORE_READERS_S)
+    begun_s = clock()
+    plan_of = paced_restore_plan
+    while True:
+        now_s = clock()
+        observation = observe(now_s)
+        if observation.superior:
+            return 0  # the plan in force is another daemon's
+        # Every carrier of a plan, also a predecessor's, also of a topic whose far reader has left.
+        publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
+        generation = max([generation, *(publisher.generation for publisher in publishers)])
+        generation = max([generation, *(reader.generation for reader in observation.readers)])
+        reader_plans = restore_readers(observation.readers)
+        steps = ordering.steps(
+            now_s,
+            publishers=publishers,
+            readers=observation.readers,
+            plan=plan_of(publishers, generation=generation),
+            reader_plans=reader_plans,
+            reason="stop",
+        )
+        missing = len(publishers) - steps.confirmed + len(reader_plans) - steps.readers_confirmed
+        patience_s = _RESTORE_S + (_RESTORE_READERS_S if reader_plans else 0.0)
+        is_done, spent_s = not (missing or steps.transitions), now_s - begun_s
+        if plan_of is paced_restore_plan and (is_done or spent_s > patience_s):
+            plan_of = restore_plan
+            continue
+        if is_done or spent_s > patience_s + _UNPACE_S:
+            return missing
+        world.set_gate(1.0)
+        world.apply(steps.transitions, now_s=now_s)
+        wait(_LOOK_S)

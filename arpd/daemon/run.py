@@ -1,0 +1,110 @@
+"""`arpd run`: puts the daemon together, runs it until a signal, and restores what it leaves."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.host.addresses import Locators
+from arpd.adapters.systemd.journal import configure_logging, log_event
+from arpd.adapters.systemd.notify import Notifier
+from arpd.daemon.gc import Garbage
+from arpd.daemon.supervisor import Signals, Supervisor
+from arpd.daemon.tick import Daemon
+from arpd.model.settings import OnStop
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from arpd.daemon.world import CapacityEstimator
+    from arpd.model.settings import Settings
+
+log = logging.getLogger(__name__)
+
+
+def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimator | None = None) -> int:
+    """Run the daemon until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    config_path : YAML configuration
+    log_level : name of a logging level
+    estimator : estimates the capacity; arpd's own by default
+
+    Raises
+    ------
+    ArpdError
+        If the configuration or ROS cannot be used, or a new process would reach more: the publishers keep their plan.
+    """
+    signals = Signals()
+    signals.install()
+    configure_logging(log_level)
+    notifier = Notifier()
+
+    def load() -> Settings:
+        return load_settings(config_path, interfaces=None)  # one that is not there yet may come
+
+    settings = load()  # before ROS is imported: a wrong file is told at once
+    from arpd.adapters.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
+
+    addresses = Locators(lambda: daemon.interface)
+    with control_node("arpd") as node:
+        from arpd.adapters.http.patient import PatientServer  # noqa: PLC0415 - after ROS, as what follows
+        from arpd.adapters.http.service import serving  # noqa: PLC0415
+        from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
+        from arpd.adapters.ros.runtime import spinning_alone  # noqa: PLC0415
+        from arpd.adapters.ros.world import RosControl  # noqa: PLC0415
+
+        link, resting, garbage = settings.link.interface, threading.Event(), Garbage()
+        world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
+        daemon = Daemon(
+            world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
+        )
+        Diagnostics(node, lambda: daemon.snapshot)
+        web = PatientServer(
+            lambda: serving(
+                settings.http,
+                lambda: daemon.snapshot,
+                directory=config_path.parent,
+                history=daemon.history,
+                resting=resting,
+            )
+        )
+        supervisor = Supervisor(
+            daemon,
+            signals,
+            notifier,
+            load=load,
+            fault=lambda: web.fault,
+            is_cut_off=addresses.are_outdated,
+            resting=resting,
+            tidy=garbage.collect_if_due,
+        )
+        signals.is_looping = True
+        garbage.take_over()
+        with web.up(), spinning_alone(node):
+            supervisor.run()
+            if not signals.stop:
+                raise addresses.error()
+            notifier.stopping()
+            stop(daemon)
+    return 0
+
+
+def stop(daemon: Daemon) -> None:
+    """Leave the publishers as the configuration says; whatever fails, the process ends cleanly."""
+    if daemon.settings.on_stop is not OnStop.RESTORE:
+        log.info("stopping; the publishers keep their plan (on_stop: keep)")
+        return
+    try:
+        missing = daemon.restore(wait=time.sleep)
+    except Exception:
+        log.exception("stopping; restoring failed, and publishers may keep their plan")
+        return
+    if missing:
+        log.warning("stopping; %d publishers or readers did not confirm their original QoS in time", missing)
+    else:
+        log.info("stopping; every publisher has its original QoS back")
