@@ -11,6 +11,7 @@ import socket
 import ssl
 import threading
 import time
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
@@ -146,11 +147,12 @@ def status(capsys, monkeypatch):
 
 def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkeypatch):
     """CA and name by option, the password from the environment only."""
-    with running(folder, TLS + USERS, snapshot=lambda: sample_snapshot) as world:
+    stopped = replace(sample_snapshot, finished_at_s=time.monotonic() - 3600.0)  # before this machine booted, perhaps
+    with running(folder, TLS + USERS, snapshot=lambda: stopped) as world:
         right = ("--cacert", str(folder / "server.crt"), "--user", "alice")
         code, out, err = status(world, *right)
         assert (code, json.loads(out)["api_version"]) == (1, "v1")
-        assert err.startswith("arpd: no tick has finished for ")  # the sample is old
+        assert err.startswith("arpd: no tick has finished for ")
         for options, password, wrong in (
             (right, "guess", "refuses the password of alice; "),
             (right[:2], "", "asks for a user; give --user NAME; "),
