@@ -126,8 +126,8 @@ def test_a_formatted_quantity_has_three_digits(formatted, text):
     assert formatted == text
 
 
-# The smallest unit shows two decimals and no more, so rounding moves a value by up to half a hundredth of that unit. A tie
-# (0.125 B is written 0.12 B) moves it by exactly so much, and floats need a little room to say so.
+# The smallest unit shows two decimals and no more, so rounding moves a value by up to half a hundredth of that unit.
+# A tie (0.125 B is written 0.12 B) moves it by exactly so much, and floats need a little room to say so.
 HALF_A_HUNDREDTH = 0.005 * (1 + 1e-9)
 
 
