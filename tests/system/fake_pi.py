@@ -13,9 +13,15 @@ import zipfile
 from importlib import metadata
 from pathlib import Path
 
+import machine
+
 REPO = Path(__file__).parents[2]
 PYTHON = "python{}.{}".format(*sys.version_info)
 SITE = f".venv/lib/{PYTHON}/site-packages"
+# The system's Python there: this machine's, or, where that has another version, the one this venv is made of.
+IS_SYSTEMS = Path("/usr/bin/python3").resolve().name == PYTHON
+SYSTEM_PYTHON = Path("/usr/bin/python3") if IS_SYSTEMS else machine.PYTHON / "bin" / PYTHON
+SYSTEM_SITE = f"/usr/local/lib/{PYTHON}/dist-packages" if IS_SYSTEMS else f"{machine.PYTHON}/lib/{PYTHON}/site-packages"
 SOURCE = ("pyproject.toml", "README.md", "LICENSE", "arpd", "etc", "systemd")
 SCRIPTS = ("bootstrap", "install-checks", "install.sh", "uninstall.sh")
 CONFIG = "/etc/arpd/arpd.yaml"
@@ -67,18 +73,24 @@ def installed_by_apt(folder):
     wheel = wheel_of_setuptools(folder)
     return {
         "/opt/ros/jazzy/setup.bash": (
-            f'for libs in /srv/arpd/.venv/lib {site}/ros_*.libs; do LD_LIBRARY_PATH="$libs:$LD_LIBRARY_PATH"; done\n'
+            f"for libs in /srv/arpd/.venv/lib {machine.PYTHON}/lib {site}/ros_*.libs; do\n"
+            '    LD_LIBRARY_PATH="$libs:$LD_LIBRARY_PATH"\n'
+            "done\n"
             "export LD_LIBRARY_PATH\nfalse\n"
         ),
-        f"/usr/local/lib/{PYTHON}/dist-packages/apt.pth": f"{site}\n",
-        **{
-            f"/usr/local/lib/{PYTHON}/dist-packages/{name}-{version}.dist-info/METADATA": (
-                f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
-            )
-            for name, version in ON_A_PI.items()
-        },
         f"/srv/wheels/{wheel.name}": wheel,
     }
+
+
+def systems_site_packages(folder):
+    """Fill a folder with what stands for the system's site-packages: this venv's, some under an older version."""
+    folder.chmod(0o755)
+    (folder / "apt.pth").write_text(f"/srv/arpd/{SITE}\n")
+    for name, version in ON_A_PI.items():
+        (folder / f"{name}-{version}.dist-info").mkdir()
+        metadata_of = folder / f"{name}-{version}.dist-info/METADATA"
+        metadata_of.write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    return {SYSTEM_SITE: folder}
 
 
 class FakePi:
@@ -101,6 +113,8 @@ class FakePi:
     def install(self, version, *options):
         # Nothing of this process's environment: sudo would not hand it on either.
         environment = ("env", "-i", "PATH=/usr/sbin:/usr/bin", "PIP_NO_INDEX=1", "PIP_FIND_LINKS=/srv/wheels")
+        if not IS_SYSTEMS:
+            environment += (f"PYTHON={SYSTEM_PYTHON}", f"LD_LIBRARY_PATH={machine.PYTHON}/lib")
         # To its end: making a venv takes seconds, and on two busy cores a minute.
         running = self.booted.popen(*environment, f"/srv/{version}/scripts/install.sh", *options)
         told, _ = running.communicate()

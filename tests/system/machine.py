@@ -123,7 +123,9 @@ class Machine:
 
 
 @contextmanager
-def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iterator[Machine]:
+def booted(
+    name: str, *, network: Path, files: Mapping[str, str | Path], binds: Mapping[str, Path] | None = None
+) -> Iterator[Machine]:
     """Boot a machine into multi-user.target, which wants what `files` enable; leaving the block ends it.
 
     Parameters
@@ -131,6 +133,7 @@ def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iter
     name : of the machine, unique on this one
     network : network namespace the machine lives in
     files : what to install, path → its text, or the file to copy with its mode
+    binds : folders of this machine it sees, too, and cannot write: path → folder
 
     Raises
     ------
@@ -148,6 +151,7 @@ def booted(name: str, *, network: Path, files: Mapping[str, str | Path]) -> Iter
             # A fixed place: the checkout may well live under /tmp, which nspawn and the units' sandbox hide.
             f"--bind-ro={_REPO}:/srv/arpd",
             f"--bind-ro={sys.base_prefix}:{PYTHON}",
+            *(f"--bind-ro={folder}:{path}" for path, folder in (binds or {}).items()),
             *("--console=pipe", "--", "systemd.unit=multi-user.target"),
         )
         again = ("env", f"again={_REBOOT}", "sh", "-c", _AGAIN, "sh")

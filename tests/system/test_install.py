@@ -18,7 +18,16 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install p
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.netns.simlink import SimLink, available
 from tests.system import machine
-from tests.system.fake_pi import BREAK, CONFIG, PYTHON, REPO, UNITS, FakePi, installed_by_apt, unpack_source
+from tests.system.fake_pi import (
+    BREAK,
+    CONFIG,
+    REPO,
+    UNITS,
+    FakePi,
+    installed_by_apt,
+    systems_site_packages,
+    unpack_source,
+)
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
@@ -177,12 +186,13 @@ def pi(tmp_path_factory):
     for can, why in (available(), machine.available()):
         if not can:
             pytest.skip(why)
-    if Path("/usr/bin/python3").resolve().name != PYTHON:
-        pytest.skip(f"/usr/bin/python3 is not {PYTHON}, for which this venv has its packages")
     files = installed_by_apt(tmp_path_factory.mktemp("wheels"))
+    binds = systems_site_packages(tmp_path_factory.mktemp("site"))
     with (
         SimLink(f"install-{os.getpid()}") as link,
-        machine.booted(f"install-{os.getpid()}", network=NETNS_DIR / link.robot.namespace, files=files) as booted,
+        machine.booted(
+            f"install-{os.getpid()}", network=NETNS_DIR / link.robot.namespace, files=files, binds=binds
+        ) as booted,
     ):
         yield FakePi(booted)
 
