@@ -1,12 +1,42 @@
-"""Fixtures for more than one folder of tests."""
+"""Fixtures for more than one folder of tests, and what scripts/test asks of tests that are skipped."""
 
 from __future__ import annotations
+
+import os
+import platform
+import re
 
 import pytest
 
 from tests.golden.sample import make_snapshot
 
+# scripts/test sets it where it could install everything: there no test is skipped for want of a package.
+_MISSING_FAILS = os.environ.get("ARPD_TESTS_MISSING") == "fail"
+# A reason to skip names a missing package by these words.
+_MISSING = re.compile(r"\b(not installed|not found|install|could not import)\b")
+_HAS_ROS_WHEELS = platform.machine() == "x86_64"
+
 
 @pytest.fixture
 def sample_snapshot():
     return make_snapshot()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport():
+    return _judge((yield))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_make_collect_report():
+    return _judge((yield))
+
+
+def _judge(report):
+    """Turn a test that was skipped for want of a package into one that failed."""
+    if not (_MISSING_FAILS and report.skipped and isinstance(report.longrepr, tuple)):
+        return report
+    reason = report.longrepr[2]
+    if _MISSING.search(reason) and (_HAS_ROS_WHEELS or "ROS 2 is not installed" not in reason):
+        report.outcome, report.longrepr = "failed", f"{reason.removeprefix('Skipped: ')}; scripts/test installs it"
+    return report

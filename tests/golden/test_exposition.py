@@ -42,7 +42,7 @@ def test_promtool_finds_nothing_to_complain_about(sample_snapshot, is_started):
     """Prometheus's own linter accepts the exposition before and after the first tick."""
     found = subprocess.run([GET_PROMETHEUS, "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
-        pytest.skip(f"no promtool: {found.stderr.strip()}")
+        pytest.skip(f"promtool is not installed: {found.stderr.strip()}")
     checked = subprocess.run(
         [found.stdout.strip(), "check", "metrics"],
         input=exposition(sample_snapshot if is_started else None),

@@ -26,7 +26,7 @@ SELECTOR = re.compile(r"\b([a-z]+:)?(arpd_[a-z0-9_:]+)\{([^}]*)\}")
 def promtool():
     found = subprocess.run([REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
-        pytest.skip(f"no promtool: {found.stderr.strip()}")
+        pytest.skip(f"promtool is not installed: {found.stderr.strip()}")
     return found.stdout.strip()
 
 

@@ -41,7 +41,7 @@ def test_metrics_of_a_live_robot_are_clean(side):
         [REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False
     )
     if promtool.returncode != 0:
-        pytest.skip(f"no promtool: {promtool.stderr.strip()}")
+        pytest.skip(f"promtool is not installed: {promtool.stderr.strip()}")
     confirmed(side)
     with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
         exposition = answer.read()

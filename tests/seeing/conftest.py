@@ -20,6 +20,6 @@ def run(tmp_path_factory):
         pytest.skip(why)
     found = subprocess.run([REPO / "scripts/get-prometheus", "prometheus"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
-        pytest.skip(f"no Prometheus: {found.stderr.strip()}")
+        pytest.skip(f"Prometheus is not installed: {found.stderr.strip()}")
     with real_run(tmp_path_factory.mktemp("seeing"), prometheus=found.stdout.strip()) as played:
         yield played

