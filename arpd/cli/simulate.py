@@ -110,7 +110,8 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _understand(options: argparse.Namespace) -> Asked:
     from arpd.adapters.config.load import load_settings
-    from arpd.adapters.sim.robot import DEMO_TOPICS, configured_topics
+    from arpd.adapters.sim.demo import demo_topics
+    from arpd.adapters.sim.robot import configured_topics
     from arpd.cli.comparison import Asked
 
     model = _model(options)
@@ -133,7 +134,7 @@ def _understand(options: argparse.Namespace) -> Asked:
         duration_s=duration_s,
         seed=options.seed,
         model=replace(model, losses=trace.losses),
-        robot=configured or DEMO_TOPICS,
+        robot=configured or demo_topics(),
         is_demo=not configured,
     )
 

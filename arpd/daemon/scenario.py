@@ -8,15 +8,15 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.baselines import Truth
+from arpd.adapters.sim.demo import demo_topics
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
-from arpd.adapters.sim.robot import DEMO_TOPICS, PREFIX, SimulatedPublisher, Source
+from arpd.adapters.sim.robot import SimulatedPublisher, Source
 from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.adapters.sim.writer import Route
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
-from arpd.model.settings import RelaySettings, Settings, TopicSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.schedule import RateSchedule
     from arpd.daemon.world import CapacityEstimator
     from arpd.model.link import LinkState
+    from arpd.model.settings import Settings
 
     EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
 
@@ -97,20 +98,6 @@ class ScenarioResult:
         return tuple(moment for moment in self.moments if moment.cause)
 
 
-def demo_settings() -> Settings:
-    """Return the demo robot's configuration, as in scripts/robot/arpd.yaml."""
-    return Settings(
-        relay=RelaySettings(
-            topics=tuple(topic.name for topic in DEMO_TOPICS if topic.direction is Direction.SENSING), prefix=PREFIX
-        ),
-        topics={
-            "/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=20.0),
-            f"{PREFIX}/imu": TopicSettings(weight=4.0, min_rate_hz=50.0),
-            f"{PREFIX}/odom": TopicSettings(weight=4.0, min_rate_hz=20.0),
-        },
-    )
-
-
 def run(
     settings: Settings,
     schedule: RateSchedule,
@@ -120,7 +107,7 @@ def run(
     managed: bool,
     model: LinkModel | None = None,
     foreign: tuple[ForeignFlow, ...] = (),
-    topics: tuple[SimTopic, ...] = DEMO_TOPICS,
+    topics: tuple[SimTopic, ...] | None = None,
     make_estimator: EstimatorMaker | None = None,
 ) -> ScenarioResult:
     """Let a robot work for ``duration_s`` of virtual time.
@@ -136,7 +123,14 @@ def run(
     topics : what the robot publishes; the demo robot's by default
     make_estimator : makes what tells arpd the capacity, out of what tells the truth; arpd's own by default
     """
-    plant = _Plant(schedule, duration_s, seed=seed, model=model or LinkModel(), foreign=foreign, topics=topics)
+    plant = _Plant(
+        schedule,
+        duration_s,
+        seed=seed,
+        model=model or LinkModel(),
+        foreign=foreign,
+        topics=demo_topics() if topics is None else topics,
+    )
     return _managed(plant, settings, make_estimator) if managed else _plain(plant)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scripts.robot.sensors import COMMAND_TOPIC
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.robot.stamped import AGE_PERIOD_S
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import TYPE_CHECKING
 
+from arpd.adapters.sim.demo import demo_settings, demo_topics
 from arpd.adapters.sim.foreign import Contention, ForeignFlow, contended
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.loss import GilbertElliott
-from arpd.adapters.sim.robot import DEMO_TOPICS, PREFIX, SimTopic
+from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.daemon.scenario import demo_settings
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 
@@ -29,10 +29,10 @@ QUEUE_BYTES = 1_500_000
 UNSEEN_QUEUE = LinkModel(queue_bytes=0, firmware_bytes=QUEUE_BYTES)
 
 #: The demo robot publishes 12 Mbit/s; with two more of its cameras 27, so that no link here carries everything.
-CAMERA = next(topic for topic in DEMO_TOPICS if topic.name == "/camera/image/compressed")
-BUSY_ROBOT = (*DEMO_TOPICS, *(replace(CAMERA, name=f"/camera/{side}/compressed") for side in ("left", "right")))
+CAMERA = next(topic for topic in demo_topics() if topic.name == "/camera/image/compressed")
+BUSY_ROBOT = (*demo_topics(), *(replace(CAMERA, name=f"/camera/{side}/compressed") for side in ("left", "right")))
 #: Without its camera it publishes 4 Mbit/s.
-LIGHT_ROBOT = tuple(topic for topic in DEMO_TOPICS if topic is not CAMERA)
+LIGHT_ROBOT = tuple(topic for topic in demo_topics() if topic is not CAMERA)
 #: The demo robot's weights, and floors that fit into 0.4 Mbit/s: with the demo's, a link of 1 Mbit/s would be too slow
 #: for the floors alone, and its queue the floors' and not the estimate's fault.
 LOW_FLOORS = replace(
@@ -40,8 +40,8 @@ LOW_FLOORS = replace(
     default_topic=TopicSettings(min_rate_hz=0.2),
     topics={
         "/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=20.0),
-        f"{PREFIX}/imu": TopicSettings(weight=4.0, min_rate_hz=20.0),
-        f"{PREFIX}/odom": TopicSettings(weight=4.0, min_rate_hz=10.0),
+        "/link/imu": TopicSettings(weight=4.0, min_rate_hz=20.0),
+        "/link/odom": TopicSettings(weight=4.0, min_rate_hz=10.0),
     },
 )
 #: Twelve topics of 100 bytes at 200 Hz: 2,400 samples/s, and none that is a train by itself.

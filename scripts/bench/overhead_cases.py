@@ -7,9 +7,9 @@ from typing import Any
 
 import yaml
 
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.bench.child import sample_of
 from scripts.robot.run import CONFIG
-from scripts.robot.sensors import COMMAND_TOPIC
 
 PREFIX = "/link"
 DEMO_TOPICS = 12

@@ -152,7 +152,7 @@ def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides in virtual time."""
-    from arpd.daemon.scenario import demo_settings
+    from arpd.adapters.sim.demo import demo_settings
     from arpd.daemon.scenario import run as simulate
 
     sides = []

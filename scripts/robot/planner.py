@@ -15,14 +15,13 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
 from arpd import AdaptivePublisher
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.robot.process import live, told
-from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
-
-COMMAND_RATE_HZ = 20.0
 
 
 class Planner(Node):

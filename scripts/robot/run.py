@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from arpd.adapters.sim.result import TopicResult
 from arpd.model.errors import ArpdError
-from scripts.robot.planner import COMMAND_RATE_HZ
 from scripts.robot.proxy import window
-from scripts.robot.sensors import BASE_DRIVER, COMMAND_TOPIC, SENSORS
+from scripts.robot.sensors import BASE_DRIVER, COMMAND_RATE_HZ, SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

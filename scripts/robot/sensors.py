@@ -28,6 +28,7 @@ from sensor_msgs.msg import (
     Temperature,
 )
 
+from arpd.adapters.sim.demo import COMMAND_TOPIC, demo_topics
 from scripts.robot.process import DemoNode, live, told
 from scripts.robot.stamped import StampedArrivals
 
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.qos import QoSProfile
-
-COMMAND_TOPIC = "/cmd_vel"
 
 
 def laser_scan() -> LaserScan:
@@ -64,20 +63,23 @@ def joint_state() -> JointState:
     )
 
 
-# topic → (rate in Hz, message with its realistic size)
-SENSORS: dict[str, tuple[float, Callable[[], Any]]] = {
-    "/scan/front": (20.0, laser_scan),
-    "/scan/rear": (20.0, laser_scan),
-    "/camera/image/compressed": (30.0, image),
-    "/points": (10.0, point_cloud),
-    "/imu": (200.0, Imu),
-    "/odom": (50.0, Odometry),
-    "/joint_states": (50.0, joint_state),
-    "/range/front": (20.0, Range),
-    "/gps/fix": (5.0, NavSatFix),
-    "/temperature": (2.0, Temperature),
-    "/battery": (1.0, BatteryState),
+_RATES_HZ = {topic.name: topic.rate_hz for topic in demo_topics()}
+_MESSAGES: dict[str, Callable[[], Any]] = {
+    "/scan/front": laser_scan,
+    "/scan/rear": laser_scan,
+    "/camera/image/compressed": image,
+    "/points": point_cloud,
+    "/imu": Imu,
+    "/odom": Odometry,
+    "/joint_states": joint_state,
+    "/range/front": Range,
+    "/gps/fix": NavSatFix,
+    "/temperature": Temperature,
+    "/battery": BatteryState,
 }
+# topic → (rate in Hz, message with its realistic size)
+SENSORS = {topic: (_RATES_HZ[topic], make) for topic, make in _MESSAGES.items()}
+COMMAND_RATE_HZ = _RATES_HZ[COMMAND_TOPIC]
 BASE_DRIVER = "base_driver"
 
 

@@ -11,9 +11,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.netns.simlink import available
 from scripts.robot.run import REPO
-from scripts.robot.sensors import COMMAND_TOPIC
 from tests.link.live_robot import HEAVY, SLOW, SOURCES, eventually, is_confirmed, live_robot, qos, topics
 
 CAN, WHY = available()

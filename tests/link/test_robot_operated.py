@@ -9,9 +9,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.netns.simlink import available
 from scripts.robot.run import PREFIX, REPO
-from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+from scripts.robot.sensors import SENSORS
 from tests.link.live_robot import HEAVY, SLOW, eventually, is_confirmed, live_robot, received, topics
 
 CAN, WHY = available()

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.demo import demo_settings, demo_topics
 from arpd.adapters.sim.foreign import ForeignFlow
 from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.robot import DEMO_TOPICS
 from arpd.adapters.sim.schedule import RateSchedule
-from arpd.daemon.scenario import demo_settings, run
+from arpd.daemon.scenario import run
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
 
@@ -82,7 +82,7 @@ def test_a_steady_link_does_not_flap(rate):
     result = play(f"0:{rate}", STEADY_S)
     assert len([moment for moment in result.plans if moment.t_s > 10.0]) <= 1
     settled = between(result, 20.0, STEADY_S)
-    assert all(moment.confirmed == moment.planned == len(DEMO_TOPICS) for moment in settled)
+    assert all(moment.confirmed == moment.planned == len(demo_topics()) for moment in settled)
 
 
 def test_an_overloaded_link_is_kept_free_of_a_queue():
@@ -100,7 +100,7 @@ def test_an_overloaded_link_is_kept_free_of_a_queue():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("topic", [t.name for t in DEMO_TOPICS if t.name != "/cmd_vel"])
+@pytest.mark.parametrize("topic", [t.name for t in demo_topics() if t.name != "/cmd_vel"])
 def test_through_a_fall_every_topic_is_fresher_with_arpd(topic, seed):
     """Lower p99 latency, lower p99 age and no more loss than with rclpy's defaults."""
     without, managed = (
@@ -145,7 +145,7 @@ def test_a_recovery_is_used(seed):
     last = result.moments[-1]
     assert first(between(result, RISE_S, STEP_S), lambda moment: error(moment) < 0.15) <= RISE_S + 10.0
     assert last.level_bytes_per_second > 0.8 * 0.85 * 20 * MBIT
-    assert last.confirmed == last.planned == len(DEMO_TOPICS)
+    assert last.confirmed == last.planned == len(demo_topics())
     causes = [moment.cause for moment in result.plans if moment.t_s > FALL_S]
     assert causes[0] == "down"
     assert set(causes[1:]) == {"up"}
@@ -170,7 +170,7 @@ def test_after_an_outage_traffic_and_estimate_return():
     assert first(after, lambda moment: moment.gate > 0.5) <= OUTAGE[1] + 0.5
     assert max(error(moment) for moment in between(result, OUTAGE[1] + 5.0, OUTAGE_S)) < 0.15
     assert max(moment.queue_delay_s for moment in after) < 0.25
-    assert result.moments[-1].confirmed == len(DEMO_TOPICS)
+    assert result.moments[-1].confirmed == len(demo_topics())
 
 
 def test_an_outage_is_no_reason_for_a_plan():

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 
-from arpd.adapters.sim.robot import DEMO_TOPICS
+from arpd.adapters.sim.demo import demo_topics
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
 from arpd.model.endpoints import RefusalReason
 from arpd.model.interface import InterfaceState, LinkCounters
@@ -151,7 +151,7 @@ def demo_robot():
             deadline_ns=int(1.25e9 / topic.rate_hz),
             offered=1000,
         )
-        for topic in DEMO_TOPICS
+        for topic in demo_topics()
     )
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
 
 RCLPY_DEPTH = 10  # what every rclpy tutorial passes
-PREFIX = "/link"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,26 +44,6 @@ class SimTopic:
     rate_hz: float
     direction: Direction = Direction.SENSING
     prefix: str = ""
-
-
-def _relayed(name: str, payload_bytes: int, rate_hz: float) -> SimTopic:
-    return SimTopic(name=name, payload_bytes=payload_bytes, rate_hz=rate_hz, prefix=PREFIX)
-
-
-DEMO_TOPICS = (
-    _relayed("/scan/front", 5800, 20.0),
-    _relayed("/scan/rear", 5800, 20.0),
-    _relayed("/camera/image/compressed", 30_000, 30.0),
-    _relayed("/points", 16_400, 10.0),
-    _relayed("/imu", 330, 200.0),
-    _relayed("/odom", 730, 50.0),
-    _relayed("/joint_states", 600, 50.0),
-    _relayed("/battery", 250, 1.0),
-    _relayed("/gps/fix", 130, 5.0),
-    _relayed("/temperature", 60, 2.0),
-    _relayed("/range/front", 60, 20.0),
-    SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=20.0, direction=Direction.ACTUATION),
-)
 
 
 def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:

@@ -491,8 +491,8 @@ def test_the_demo_robots_payloads_are_those_its_nodes_publish():
     from geometry_msgs.msg import TwistStamped
     from rclpy.serialization import serialize_message
 
-    from scripts.robot.planner import COMMAND_RATE_HZ
-    from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+    from arpd.adapters.sim.demo import COMMAND_TOPIC
+    from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 
     assumed = {
         name: (wishes.payload_bytes, wishes.source_rate_hz)

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.demo import COMMAND_TOPIC
 from arpd.adapters.sim.result import TopicResult
 from arpd.solve.topics import assumed_traffic
 from scripts.bench.adapt import renewed
@@ -18,7 +19,7 @@ from scripts.bench.adapt_sides import SIDES, manner, papers_optimum, plain_wire_
 from scripts.bench.adapt_targets import TARGETS, figures_of, judge
 from scripts.bench.adapt_walk import TRACE, text, walk
 from scripts.robot.run import CONFIG
-from scripts.robot.sensors import COMMAND_TOPIC, SENSORS
+from scripts.robot.sensors import SENSORS
 from scripts.robot.stamped import StampedArrivals
 
 # -- the links

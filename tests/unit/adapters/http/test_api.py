@@ -10,6 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from arpd.adapters.http.answers import PATHS, SCHEMAS_BY_PATH
+from arpd.adapters.sim.demo import demo_settings
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon import scenario
@@ -45,7 +46,7 @@ def simulated():
         patch.setattr(scenario, "Daemon", Watched)
         schedule = RateSchedule.parse("0:20mbit,7:5mbit")
         model = LinkModel(outages=((9.0, 10.0),))
-        scenario.run(scenario.demo_settings(), schedule, 11.0, seed=1, managed=True, model=model)
+        scenario.run(demo_settings(), schedule, 11.0, seed=1, managed=True, model=model)
     return made[0]
 
 

@@ -1,0 +1,29 @@
+"""The demo robot: its configuration and its topics, as demo.yaml defines them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.sim.robot import configured_topics
+
+if TYPE_CHECKING:
+    from arpd.adapters.sim.robot import SimTopic
+    from arpd.model.settings import Settings
+
+DEMO_CONFIG = Path(__file__).with_name("demo.yaml")
+COMMAND_TOPIC = "/cmd_vel"  # the only one that crosses the link towards the robot
+
+
+@cache
+def demo_settings() -> Settings:
+    """Return the demo robot's configuration."""
+    return load_settings(DEMO_CONFIG, interfaces=None)
+
+
+@cache
+def demo_topics() -> tuple[SimTopic, ...]:
+    """Return what the demo robot publishes."""
+    return configured_topics(demo_settings(), actuation={COMMAND_TOPIC})
