@@ -35,12 +35,13 @@ class Asked:
 
     Parameters
     ----------
+    config : file of the configuration; None = there is none, and the settings are the demo robot's, too
     trace : the link, as long as the run
     duration_s : length of the run (s)
     is_demo : whether the robot is the demo's, for lack of topics in the configuration
     """
 
-    config: Path
+    config: Path | None
     settings: Settings
     trace: LinkTrace
     duration_s: float
@@ -91,7 +92,7 @@ def comparison_tables(asked: Asked, comparison: Comparison) -> str:
 def comparison_document(asked: Asked, comparison: Comparison) -> dict[str, Any]:
     """Return everything as JSON, the course by columns; ``null`` is what does not exist, or never ended."""
     return {
-        "config": str(asked.config),
+        "config": None if asked.config is None else str(asked.config),
         "trace": asked.trace.name,
         "duration_s": asked.duration_s,
         "seed": asked.seed,
@@ -167,8 +168,10 @@ def _head(asked: Asked, comparison: Comparison) -> list[str]:
         about.append(f"{format_duration(model.packet_overhead_s)} per transmission of {most}")
     published = sum(topic.payload_bytes * topic.rate_hz for topic in asked.robot)
     robot = f"{len(asked.robot)} topics that publish {format_rate(published)} of payload"
-    config = printable(str(asked.config), longest=200)
-    if asked.is_demo:
+    if asked.config is None:
+        robot = f"the demo robot, {robot}; --config names another"
+    elif asked.is_demo:
+        config = printable(str(asked.config), longest=200)
         robot = f"the demo robot, {robot}; no topic in {config} has a payload and a source_rate_hz"
     return [
         f"link     {printable(asked.trace.name)}: {low} to {high}, mean {mean}",

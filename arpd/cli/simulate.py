@@ -11,8 +11,10 @@ from arpd.model.errors import UsageError
 
 if TYPE_CHECKING:
     from arpd.adapters.sim.link import LinkModel
+    from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.trace import LinkTrace
     from arpd.cli.comparison import Asked
+    from arpd.model.settings import Settings
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0
 _DEFAULT_S = 60.0  # when the trace is shorter
@@ -32,8 +34,9 @@ defaults, unpaced), and with an oracle that knows the link in place of arpd's es
 virtual time: no ROS, no root, and no waiting.
 
 The robot publishes what the configuration says of its topics (payload and source_rate_hz), to one reader each; if it
-says nothing, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per
-change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
+says nothing, or there is no configuration, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps
+loss; one row per change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500
+bytes; repeated).""",
         epilog="""\
 examples:
   arpd simulate --config robot.yaml --trace walk.csv
@@ -45,7 +48,10 @@ examples:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--config", type=Path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"YAML configuration (default {default_config}, or the demo robot's where that does not exist)",
     )
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--trace", type=Path, metavar="FILE", help="the link's rate, and perhaps loss, over time")
@@ -64,7 +70,7 @@ examples:
     _add_link(parser.add_argument_group("the link, besides its rate"))
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the course, too (needs arpd[plot])")
     parser.add_argument("--json", action="store_true", help="print JSON, with the course ten times a second")
-    parser.set_defaults(handler=_simulate)
+    parser.set_defaults(handler=_simulate, default_config=default_config)
 
 
 def _add_link(group: argparse._ArgumentGroup) -> None:
@@ -109,26 +115,16 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _understand(options: argparse.Namespace) -> Asked:
-    from arpd.adapters.config.load import load_settings
+    from dataclasses import replace
+
     from arpd.adapters.sim.demo import demo_topics
-    from arpd.adapters.sim.robot import configured_topics
     from arpd.cli.comparison import Asked
 
     model = _model(options)
     trace, duration_s = _trace(options)
-    settings = load_settings(options.config, interfaces=None)  # it may be another computer's
-    configured = configured_topics(settings, actuation=options.actuation)
-    known = {topic.prefix + topic.name for topic in configured}
-    for name in options.actuation:
-        if name not in known:
-            raise UsageError(
-                f"--actuation {name}: {options.config} does not say what it publishes; "
-                f"give it payload and source_rate_hz under topics"
-            )
-    from dataclasses import replace
-
+    config, settings, configured = _robot(options)
     return Asked(
-        config=options.config,
+        config=config,
         settings=settings,
         trace=trace,
         duration_s=duration_s,
@@ -137,6 +133,31 @@ def _understand(options: argparse.Namespace) -> Asked:
         robot=configured or demo_topics(),
         is_demo=not configured,
     )
+
+
+def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
+    """Return the configuration's file, what it says, and the topics of which it says what they publish."""
+    from arpd.adapters.config.load import load_settings
+    from arpd.adapters.sim.demo import demo_settings
+    from arpd.adapters.sim.robot import configured_topics
+
+    config: Path | None = options.config
+    if config is None and options.default_config.exists():
+        config = options.default_config
+    if config is None:
+        if options.actuation:
+            raise UsageError("--actuation is for the topics of a configuration; name it with --config")
+        return None, demo_settings(), ()
+    settings = load_settings(config, interfaces=None)  # it may be another computer's
+    configured = configured_topics(settings, actuation=options.actuation)
+    known = {topic.prefix + topic.name for topic in configured}
+    for name in options.actuation:
+        if name not in known:
+            raise UsageError(
+                f"--actuation {name}: {config} does not say what it publishes; "
+                f"give it payload and source_rate_hz under topics"
+            )
+    return config, settings, configured
 
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:

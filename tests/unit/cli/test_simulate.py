@@ -40,7 +40,8 @@ def simulate(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
 
     def simulate(*arguments, config="robot.yaml"):
-        code = cli.main(["simulate", "--config", config, *arguments])
+        named = () if config is None else ("--config", config)
+        code = cli.main(["simulate", *named, *arguments])
         captured = capsys.readouterr()
         return code, captured.out, captured.err
 
@@ -142,6 +143,20 @@ def test_a_configuration_without_traffic_gets_the_demo_robot(simulate):
     assert "the demo robot, 12 topics" in out
     assert "no topic in empty.yaml has a payload and a source_rate_hz" in out
     assert "/camera/image/compressed" in out
+
+
+def test_without_a_configuration_the_demo_robot_plays(simulate, refused, files, monkeypatch):
+    """A default configuration that exists is read, and one that is named must exist."""
+    monkeypatch.setattr(cli, "DEFAULT_CONFIG", files / "nosuch.yaml")
+    code, out, _ = simulate("--rate", "0:20mbit", *QUICK, config=None)
+    assert code == 0
+    assert "the demo robot, 12 topics" in out
+    code, said = refused("--rate", "0:20mbit", *QUICK, config="nosuch.yaml")
+    assert (code, "nosuch.yaml:1:1: file: does not exist" in said) == (78, True)
+    assert refused("--rate", "0:20mbit", "--actuation", "/imu", config=None)[0] == 2
+    monkeypatch.setattr(cli, "DEFAULT_CONFIG", files / "tiny.yaml")
+    document = json.loads(simulate("--rate", "0:20mbit", *QUICK, "--json", config=None)[1])
+    assert (document["config"], document["robot"]["is_demo"]) == (str(files / "tiny.yaml"), False)
 
 
 def test_a_topic_may_cross_the_other_way(simulate):
