@@ -11,7 +11,7 @@ import pytest
 
 from scripts.tested import lines, tally
 
-REPO = Path(__file__).parents[2]
+REPO = Path(__file__).parents[3]
 TESTS = """
 import pytest
 
