@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Source:
+class TopicWriter:
     """One writer of a topic to be relayed: its node, its type, the QoS policies that decide who hears it."""
 
     node: str
@@ -37,13 +37,13 @@ class Route:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Refusal:
+class RouteRefusal:
     """Why a topic is not carried, in words."""
 
     reason: str
 
 
-def own_output(topic: str, *, prefix: str, output: str) -> Refusal | None:
+def own_output(topic: str, *, prefix: str, output: str) -> RouteRefusal | None:
     """Refuse a topic that is relayed already, by its name: carried again it would nest, ``/link/link/…``.
 
     Parameters
@@ -51,15 +51,20 @@ def own_output(topic: str, *, prefix: str, output: str) -> Refusal | None:
     output : what the topic would be carried to, remapping rules applied
     """
     if output == topic:
-        return Refusal(reason="a remapping rule carries it to itself")
+        return RouteRefusal(reason="a remapping rule carries it to itself")
     if topic == prefix or topic.startswith(f"{prefix}/"):
-        return Refusal(reason=f"it already carries the prefix {prefix}; name the topic without it")
+        return RouteRefusal(reason=f"it already carries the prefix {prefix}; name the topic without it")
     return None
 
 
 def choose_route(
-    sources: Iterable[Source], *, carrier: str, output: str, output_readers: Collection[str], in_force: Route | None
-) -> Route | Refusal | None:
+    sources: Iterable[TopicWriter],
+    *,
+    carrier: str,
+    output: str,
+    output_readers: Collection[str],
+    in_force: Route | None,
+) -> Route | RouteRefusal | None:
     """Tell how to carry a topic that these writers publish, None while nobody does.
 
     Parameters
@@ -74,14 +79,14 @@ def choose_route(
         return None
     nodes = {source.node for source in sources}
     if carrier in nodes:
-        return Refusal(reason=f"{carrier} publishes it itself, so its output would be its own input")
+        return RouteRefusal(reason=f"{carrier} publishes it itself, so its output would be its own input")
     if circle := ", ".join(sorted(nodes.intersection(output_readers))):
-        return Refusal(reason=f"{circle} reads {output} and publishes it, so messages would go round in circles")
+        return RouteRefusal(reason=f"{circle} reads {output} and publishes it, so messages would go round in circles")
     types = {source.type_name for source in sources}
     # A stray writer of another type must not take away what already flows.
     kept = in_force.type_name if in_force is not None and in_force.type_name in types else None
     if kept is None and len(types) > 1:
-        return Refusal(reason=f"it has more than one type: {_by_type(sources)}")
+        return RouteRefusal(reason=f"it has more than one type: {_by_type(sources)}")
     type_name = kept or types.pop()
     same = [source for source in sources if source.type_name == type_name]
     return Route(
@@ -99,5 +104,5 @@ def _is_latched(route: Route | None) -> bool:
     return route is not None and route.is_latched
 
 
-def _by_type(sources: Iterable[Source]) -> str:
+def _by_type(sources: Iterable[TopicWriter]) -> str:
     return ", ".join(sorted({f"{source.type_name} from {source.node}" for source in sources}))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.result import TopicResult
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.trace import LinkTrace
-    from arpd.daemon.compare import Comparison, Event, Summary
+    from arpd.daemon.compare import Comparison, LinkEvent, Summary
     from arpd.daemon.scenario import ScenarioResult
     from arpd.model.settings import Settings
 
@@ -240,7 +240,7 @@ def _over(titles: str, names: Sequence[str]) -> str:
     return line
 
 
-def _event_cells(event: Event) -> tuple[str, ...]:
+def _event_cells(event: LinkEvent) -> tuple[str, ...]:
     after = event.after_bytes_per_second
     if after is None:
         return ("", f"{event.t_s:.1f} s", event.what, "")

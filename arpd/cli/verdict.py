@@ -57,8 +57,8 @@ def who_confirmed(status: dict[str, Any]) -> str:
 
 def _failing(status: dict[str, Any]) -> str:
     """Say why arpd cannot do what it is for: what the verdict of a newer daemon says in its own words."""
-    if superior := text(status, "daemons", "standing_by_for"):
-        return f"standing by: another arpd daemon, on {superior}, drives this robot"
+    if active_daemon := text(status, "daemons", "standing_by_for"):
+        return f"standing by: another arpd daemon, on {active_daemon}, drives this robot"
     if fault := interface_fault({"interface_state": text(status, "interface_state") or "up"}):
         return f"{text(status, 'interface')} {fault}"
     if text(status, "link", "state") == _OUTAGE:

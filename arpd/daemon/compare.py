@@ -62,7 +62,7 @@ class Summary:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Event:
+class LinkEvent:
     """Something an operator would see in the log.
 
     Parameters
@@ -155,18 +155,18 @@ def between(moments: Sequence[Moment], start_s: float, end_s: float) -> list[Mom
     return [moment for moment in moments if start_s <= moment.t_s < end_s]
 
 
-def events(result: ScenarioResult) -> tuple[Event, ...]:
+def events(result: ScenarioResult) -> tuple[LinkEvent, ...]:
     """List the plans, and when the link was thought to be gone and back."""
     found = []
     level, was_out = None, False
     for moment in result.moments:
         is_out = moment.state is LinkState.OUTAGE
         if is_out != was_out:
-            found.append(Event(t_s=moment.t_s, what="outage" if is_out else "outage over"))
+            found.append(LinkEvent(t_s=moment.t_s, what="outage" if is_out else "outage over"))
         was_out = is_out
         if moment.cause:
             found.append(
-                Event(
+                LinkEvent(
                     t_s=moment.t_s,
                     what=moment.cause,
                     before_bytes_per_second=level,

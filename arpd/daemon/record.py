@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.report.decision_log import Chronicle
+from arpd.report.decision_log import DecisionLog
 from arpd.report.durations import SwapWatch
 from arpd.report.history import History
 from arpd.report.snapshot import Snapshot, Totals
@@ -46,7 +46,7 @@ class Record:
         self._swaps = SwapWatch()
         self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
         self._disagreements = 0
-        self._decision_log = Chronicle()
+        self._decision_log = DecisionLog()
         self._is_untold = False  # whether the decision log failed
 
     def note_failed_tick(self) -> None:

@@ -49,7 +49,7 @@ def restore(
     while True:
         now_s = clock()
         observation = observe(now_s)
-        if observation.superior:
+        if observation.active_daemon:
             return 0  # the plan in force is another daemon's
         # Every carrier of a plan, also a predecessor's, also of a topic whose far reader has left.
         publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]

@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 from arpd.adapters.config.load import load_settings
-from arpd.adapters.host.addresses import Locators
+from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.systemd.journal import configure_logging, log_event
 from arpd.adapters.systemd.notify import Notifier
 from arpd.daemon.gc import Garbage
@@ -50,9 +50,9 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
     settings = load()  # before ROS is imported: a wrong file is told at once
     from arpd.adapters.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
 
-    addresses = Locators(lambda: daemon.interface)
+    addresses = Addresses(lambda: daemon.interface)
     with control_node("arpd") as node:
-        from arpd.adapters.http.patient import PatientServer  # noqa: PLC0415 - after ROS, as what follows
+        from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, as what follows
         from arpd.adapters.http.service import serving  # noqa: PLC0415
         from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.adapters.ros.runtime import spinning_alone  # noqa: PLC0415
@@ -64,7 +64,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
             world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
         )
         Diagnostics(node, lambda: daemon.snapshot)
-        web = PatientServer(
+        web = RetryingServer(
             lambda: serving(
                 settings.http,
                 lambda: daemon.snapshot,

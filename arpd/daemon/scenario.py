@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from arpd.adapters.sim.baselines import Truth
 from arpd.adapters.sim.demo import demo_topics
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
-from arpd.adapters.sim.robot import SimulatedPublisher, Source
+from arpd.adapters.sim.robot import SampleSource, SimulatedPublisher
 from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
-from arpd.adapters.sim.writer import Route
+from arpd.adapters.sim.writer import LinkPath
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
 
@@ -55,7 +55,7 @@ class Moment:
     truth_bytes_per_second : rate of the link until the next moment, in the mean (bytes/s)
     queue_delay_s : what a packet sent now would wait on the robot's side (s)
     estimate_bytes_per_second : the estimator's capacity (bytes/s)
-    foreign_bytes_per_second : the estimator's foreign traffic (bytes/s)
+    cross_traffic_bytes_per_second : the estimator's foreign traffic (bytes/s)
     level_bytes_per_second : what the plan in force was made for (bytes/s)
     packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
     gate, generation : gate in force, generation of the plan
@@ -70,7 +70,7 @@ class Moment:
     truth_bytes_per_second: float
     queue_delay_s: float
     estimate_bytes_per_second: float | None = None
-    foreign_bytes_per_second: float | None = None
+    cross_traffic_bytes_per_second: float | None = None
     level_bytes_per_second: float | None = None
     packet_overhead_s: float | None = None
     state: LinkState | None = None
@@ -176,7 +176,7 @@ class _Plant:
             there, back = (self.up, self.down) if sensing else (self.down, self.up)
             relayed = managed and bool(topic.prefix)
             publisher = SimulatedPublisher(
-                Route(timeline=self.timeline, there=there, back=back),
+                LinkPath(timeline=self.timeline, there=there, back=back),
                 topic,
                 name=topic.prefix + topic.name if relayed else topic.name,
                 node=RELAY if sensing else PLANNER,
@@ -184,7 +184,7 @@ class _Plant:
                 ingress_s=_RELAY_HOP_S if relayed else 0.0,
             )
             self.publishers.append(publisher)
-            Source(
+            SampleSource(
                 self.timeline,
                 publisher.publish,
                 rate_hz=topic.rate_hz,
@@ -201,7 +201,7 @@ class _Plant:
         return Truth(
             capacity_bytes_per_second=rate,
             queue_delay_s=self.up.queue_delay_s,
-            foreign_bytes_per_second=sum(
+            cross_traffic_bytes_per_second=sum(
                 flow.rate_bytes_per_second for flow in self._foreign if flow.start_s <= run_s < flow.end_s
             ),
             # On a busy link aggregates are full.
@@ -295,7 +295,7 @@ def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker |
         return replace(
             moment,
             estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
-            foreign_bytes_per_second=snapshot.link.foreign_bytes_per_second,
+            cross_traffic_bytes_per_second=snapshot.link.cross_traffic_bytes_per_second,
             level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
             packet_overhead_s=snapshot.link.packet_overhead_s,
             state=snapshot.link.state,

@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.systemd.notify import Heartbeat, Notifier
+from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.daemon.tick import TICK_S, Daemon
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class Supervisor:
         self._resting = resting or threading.Event()
         self._resting.set()
         self._tidy = tidy
-        self._heartbeat = Heartbeat(notifier)
+        self._heartbeat = Watchdog(notifier)
         self._reading: Future[Settings] | None = None
         self._is_ready = False
         self._status = ""

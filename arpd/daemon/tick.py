@@ -119,7 +119,7 @@ class Daemon:
             reason=decision.reason,
             lease_s=self.settings.lease_s,
         )
-        if not observation.superior:
+        if not observation.active_daemon:
             self._act(now_s, decision, steps)
         self._report(
             now_s,
@@ -148,7 +148,7 @@ class Daemon:
         allocation: Allocation,
         topics: Sequence[Topic],
     ) -> Decision:
-        if observation.superior:
+        if observation.active_daemon:
             return self._governor.stand_by()
         return self._governor.decide(
             now_s,

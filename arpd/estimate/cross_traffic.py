@@ -31,7 +31,7 @@ _CHATTER_BYTES_PER_SECOND = 40_000.0
 _TOPICS_ALLOWANCE = 0.05
 
 
-class ForeignTraffic:
+class CrossTraffic:
     """Measures the foreign traffic; one `update` per tick.
 
     The interface's counters are read at every tick, the publishers' come once a second, each node's at its own

@@ -7,18 +7,18 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from arpd.estimate.belief import Belief
-from arpd.estimate.cross_traffic import ForeignTraffic
+from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue
-from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.parameters import EstimatorParameters
 from arpd.estimate.peer_queue import PeerGauges, SentProbe
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
-from arpd.estimate.silence import Hearing
+from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
-    from arpd.estimate.probes import ProbeTuning
+    from arpd.estimate.probes import ProbeParameters
     from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
@@ -32,41 +32,43 @@ class Estimator:
     Throughput alone never shows capacity, so it is believed only while a queue stands (rule *down*). Otherwise the
     dispersion of probe trains speaks (rules *first*, *undo*, *agree*, *follow*). Silence is an outage, not a capacity.
 
-    The capacity is that of the whole link: what the peer receives while a queue stands includes foreign traffic, and a
-    train, sent faster than the link, leaves others little room between its packets. So foreign traffic is subtracted
-    from it. Twice for a moment where that reasoning fails: for traffic to another host than the peer, until trains
-    correct the capacity; and for what a train lets in between. The bound on what is yielded bounds that, too.
+    The capacity is that of the whole link: a peer under a standing queue receives cross traffic, too, and a train,
+    sent faster than the link, leaves others little room between its packets. So cross traffic is subtracted. This
+    over-subtracts briefly in two cases: cross traffic to another host than the peer, until trains correct the
+    capacity, and cross traffic inside a train. `MOST_YIELDED` bounds both.
 
-    Several peers share the link: what they receive adds up, the longest queue counts, and a train crosses once for
-    each of them. The trains of one are read, the one heard for the longest: a second reading would confirm nothing.
+    Several peers share the link: what they receive adds up, and the longest queue counts. A train crosses the link once
+    per peer, but only the longest-known peer's reading counts: the others would confirm nothing.
 
     Parameters
     ----------
     settings : pins, first belief
-    tuning, probing : the constants
+    parameters, probing : the constants
     """
 
     def __init__(
-        self, settings: LinkSettings, tuning: EstimatorTuning | None = None, probing: ProbeTuning | None = None
+        self,
+        settings: LinkSettings,
+        parameters: EstimatorParameters | None = None,
+        probing: ProbeParameters | None = None,
     ) -> None:
         self._settings = settings
-        self._tuning = tuning or EstimatorTuning()
+        self._parameters = parameters or EstimatorParameters()
         self._schedule = ProbeSchedule(probing)
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
         self._before_down: float | None = None
         self._down_at_s = -math.inf
         self._state = LinkState.APP_LIMITED
         self._started_at_s: float | None = None
-        self._last_s = -math.inf
-        self._reported_s = -math.inf
-        self._peers = PeerGauges(self._tuning)
+        self._last_s = self._reported_s = -math.inf
+        self._peers = PeerGauges(self._parameters)
         self._loss = ProbeLoss()
         self._copies = 1
-        self._first_wait_s = self._tuning.first_wait_s
-        self._trains = TrainLog(self._tuning.train_memory_s)
-        self._local = LocalQueue(self._tuning.local_window_s)
-        self._foreign = ForeignTraffic()
-        self._hearing = Hearing()
+        self._first_wait_s = self._parameters.first_wait_s
+        self._trains = TrainLog(self._parameters.train_memory_s)
+        self._local = LocalQueue(self._parameters.local_window_s)
+        self._foreign = CrossTraffic()
+        self._silence = Silence()
         self._foreign_rate = 0.0
         self._burst_s = 0.0  # link time of the largest message, which is no queue
         self._burst_bytes = 0.0
@@ -102,7 +104,7 @@ class Estimator:
         self._last_s = now_s
         self._expect_bursts(observation)
         # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
-        self._first_wait_s = self._tuning.peer_lost_s if observation.peers else self._tuning.first_wait_s
+        self._first_wait_s = self._parameters.peer_lost_s if observation.peers else self._parameters.first_wait_s
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         self._foreign_rate = self._foreign.update(observation)
         self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
@@ -110,11 +112,11 @@ class Estimator:
             self._digest(report)
         self._measure_queue(now_s)
         silence_s = now_s - self._reported_s
-        self._hearing.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
+        self._silence.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
         if silence_s <= self._outage_s:
             self._state = self._judge(now_s, elapsed_s)
-        elif self._hearing.is_cut or (
-            silence_s <= self._tuning.peer_lost_s and observation.peers != 0 and not self._hearing.is_answered
+        elif self._silence.is_cut or (
+            silence_s <= self._parameters.peer_lost_s and observation.peers != 0 and not self._silence.is_answered
         ):
             self._state = LinkState.OUTAGE
         else:
@@ -135,7 +137,7 @@ class Estimator:
                 is_measured=self._belief.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
-                is_urgent=self._before_down is not None and now_s - self._down_at_s < self._tuning.undo_window_s,
+                is_urgent=self._before_down is not None and now_s - self._down_at_s < self._parameters.undo_window_s,
                 surprise_bytes_per_second=self._surprise(now_s),
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
@@ -164,13 +166,13 @@ class Estimator:
             for publisher in observation.publishers
             if publisher.payload_bytes > 0
         ]
-        train_bytes = self._train[1] if observation.now_s - self._train[0] < self._tuning.train_is_near_s else 0.0
+        train_bytes = self._train[1] if observation.now_s - self._train[0] < self._parameters.train_is_near_s else 0.0
         largest = max(sizes, default=0.0)
-        self._burst_bytes = max(self._tuning.burst_bytes, self._tuning.burst_share * largest) + train_bytes
-        self._burst_s = min(self._tuning.burst_cap_s, largest / self._capacity)
+        self._burst_bytes = max(self._parameters.burst_bytes, self._parameters.burst_share * largest) + train_bytes
+        self._burst_s = min(self._parameters.burst_cap_s, largest / self._capacity)
 
     def _digest(self, report: PeerReport) -> None:
-        t, now_s = self._tuning, report.received_at_s
+        t, now_s = self._parameters, report.received_at_s
         silent_s = now_s - self._reported_s
         if t.outage_forget_s < silent_s < math.inf:
             self._resume(now_s, silent_s)
@@ -205,11 +207,11 @@ class Estimator:
         self._forget_queue()
         self._trains.clear()
         # Reports that waited tell of the outage, and the first of what is delivered then is what the gate let pass.
-        self._onset_s = now_s + self._tuning.resume_patience_s
+        self._onset_s = now_s + self._parameters.resume_patience_s
         self._foreign.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
             self._before_down, self._down_at_s = self._capacity, now_s
-            resumed = self._tuning.resume_ratio * self._capacity
+            resumed = self._parameters.resume_ratio * self._capacity
             why = f"reports resumed after {silent_s:.1f} s of silence"
             self._belief.change(EstimatorEvent.RESUME, now_s, resumed, why)
 
@@ -217,7 +219,7 @@ class Estimator:
 
     def _judge(self, now_s: float, elapsed_s: float) -> LinkState:
         """With a peer that reports: the rules down, first, undo, agree and follow."""
-        t = self._tuning
+        t = self._parameters
         if self._is_certain():
             return self._queue_stands(now_s)
         if self._queue_delay_s > self._queue_low_s:
@@ -244,12 +246,12 @@ class Estimator:
         return self._high_reports == 1 or self._local.stands or self._peers.is_steady(self._onset_s)
 
     def _congested(self, now_s: float) -> LinkState:
-        is_draining = now_s - self._down_at_s < self._tuning.undo_window_s
+        is_draining = now_s - self._down_at_s < self._parameters.undo_window_s
         return LinkState.DRAINING if is_draining else LinkState.CONGESTED
 
     def _queue_stands(self, now_s: float) -> LinkState:
         """Believe what is delivered while the link is never idle, the time its packets cost taken out."""
-        t = self._tuning
+        t = self._parameters
         rate, packet_rate = self._peers.delivery(self._onset_s)
         rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)
         if rate > 0 and now_s - self._down_at_s >= t.down_interval_s:
@@ -268,7 +270,7 @@ class Estimator:
 
     def _undo(self, now_s: float) -> bool:
         """Return to what was before the last fall when two trains since then saw nearly as much."""
-        t = self._tuning
+        t = self._parameters
         if self._before_down is None or now_s - self._down_at_s > t.undo_window_s:
             return False
         later = self._capacities(self._down_at_s)[-2:]
@@ -280,7 +282,7 @@ class Estimator:
 
     def _agree(self, now_s: float) -> bool:
         """Go at once to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
-        t = self._tuning
+        t = self._parameters
         last = self._capacities(now_s - t.agree_window_s)[-2:]
         if len(last) < 2 or t.caution * min(last) <= t.clearly_more * self._capacity:
             return False
@@ -292,7 +294,7 @@ class Estimator:
 
     def _carried(self, now_s: float) -> bool:
         """Believe at least what was sent and arrived; what a peer receives from others is no evidence."""
-        t = self._tuning
+        t = self._parameters
         rate = t.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
         if rate <= t.clearly_more * self._capacity:
             return False
@@ -305,11 +307,11 @@ class Estimator:
         A sample that lands inside a train makes it read low, never high: one low train is no evidence of a fall, so
         the estimate follows downwards only what the best of the last three still sees.
         """
-        step = self._tuning.climb_per_second * elapsed_s
+        step = self._parameters.climb_per_second * elapsed_s
         middle, best = median(trains), max(trains[-_ENOUGH_TRAINS:])
         if middle > self._capacity:
             seen, moved = middle, min(middle, self._capacity * (1 + step))
-        elif best < self._tuning.fall_ratio * self._capacity:
+        elif best < self._parameters.fall_ratio * self._capacity:
             seen, moved = best, max(best, self._capacity * (1 - step))
         else:
             return
@@ -330,7 +332,7 @@ class Estimator:
         if self._belief.kind is not CapacityKind.CONFIGURED:
             self._belief.kind = CapacityKind.LOCAL
             ceiling = max(self._settings.initial_capacity_bytes_per_second, self._capacity)
-            grown = self._capacity * (1 + self._tuning.alone_climb_per_second * self._tuning.local_window_s)
+            grown = self._capacity * (1 + self._parameters.alone_climb_per_second * self._parameters.local_window_s)
             self._belief.change(
                 EstimatorEvent.LOCAL, now_s, min(ceiling, grown), "no peer reports; probing upwards slowly"
             )
@@ -339,15 +341,15 @@ class Estimator:
     @property
     def _outage_s(self) -> float:
         """Silence that is an outage: more than a report that is lost (s)."""
-        return max(self._tuning.outage_s, 1.6 * self._schedule.quiet_s)
+        return max(self._parameters.outage_s, 1.6 * self._schedule.quiet_s)
 
     @property
     def _queue_low_s(self) -> float:
-        return self._tuning.queue_low_s + self._burst_s
+        return self._parameters.queue_low_s + self._burst_s
 
     @property
     def _queue_high_s(self) -> float:
-        return self._tuning.queue_high_s + self._burst_s
+        return self._parameters.queue_high_s + self._burst_s
 
     # -- results
 
@@ -365,8 +367,8 @@ class Estimator:
 
     def _surprise(self, now_s: float) -> float | None:
         """Return what the last train saw, if that is far from what is believed (bytes/s)."""
-        last = self._capacities(now_s - self._tuning.agree_window_s)[-1:]
-        return last[0] if last and abs(last[0] / self._capacity - 1) > self._tuning.surprise else None
+        last = self._capacities(now_s - self._parameters.agree_window_s)[-1:]
+        return last[0] if last and abs(last[0] / self._capacity - 1) > self._parameters.surprise else None
 
     def _estimate(self, observation: Observation) -> LinkEstimate:
         assert self._started_at_s is not None
@@ -377,7 +379,7 @@ class Estimator:
             since_s=since_s,
             pinned=self._settings.capacity_bytes_per_second,
             radio=observation.radio_bytes_per_second,
-            radio_share=self._tuning.radio_share,
+            radio_share=self._parameters.radio_share,
         )
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
@@ -389,7 +391,7 @@ class Estimator:
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,
-            foreign_bytes_per_second=self._foreign_rate,
+            cross_traffic_bytes_per_second=self._foreign_rate,
             packet_overhead_s=self._overhead_s,
             # What is not answered in an outage is not known to be lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),

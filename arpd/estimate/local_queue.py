@@ -38,7 +38,7 @@ class LocalQueue:
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
-        self._backlog = StandingBacklog()
+        self._backlog = StandingQueue()
         self._since: _Look | None = None
         self._sent: deque[tuple[float, int]] = deque()  # when s, sent bytes
         self.handed_bytes: float | None = None
@@ -128,7 +128,7 @@ class _Waiting:
     left_bytes: float
 
 
-class StandingBacklog:
+class StandingQueue:
     """Looks at what waits before a link; what stands is the least of what was seen lately.
 
     Messages of many topics that meet come and go within a look or two.

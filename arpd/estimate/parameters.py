@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EstimatorTuning:
+class EstimatorParameters:
     """Where they came from: a simulation study, then scripts/bench/estimate.py and the real link.
 
     Parameters

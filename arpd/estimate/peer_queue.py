@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
-from arpd.estimate.local_queue import StandingBacklog
+from arpd.estimate.local_queue import StandingQueue
 from arpd.observe.receiver import PROMPT_S
 
 if TYPE_CHECKING:
-    from arpd.estimate.parameters import EstimatorTuning
+    from arpd.estimate.parameters import EstimatorParameters
     from arpd.model.probing import PeerReport
 
 _BYTES_ARE_FRESH_S = 0.3
@@ -56,11 +56,11 @@ class QueueGauge:
 
     Parameters
     ----------
-    tuning : the windows
+    parameters : the windows
     """
 
-    def __init__(self, tuning: EstimatorTuning) -> None:
-        self._tuning = tuning
+    def __init__(self, parameters: EstimatorParameters) -> None:
+        self._parameters = parameters
         self.reported_s = -math.inf
         self.delay_s = 0.0
         self.return_delay_s: float | None = None
@@ -75,7 +75,7 @@ class QueueGauge:
         self._good_s = -math.inf  # when the last ping came that waited for nothing
         self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # what was on the way when it did (bytes)
         self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # parts of what was handed over
-        self._backlog = StandingBacklog(fresh_s=_BYTES_ARE_FRESH_S)
+        self._backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S)
 
     def note_sent(self, probe: SentProbe) -> None:
         """Note a probe that leaves."""
@@ -109,7 +109,7 @@ class QueueGauge:
             self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
         while (
             len(self._deliveries) > 1
-            and now_s - self._deliveries[0][0] > self._tuning.delivery_window_s - report.interval_s / 2
+            and now_s - self._deliveries[0][0] > self._parameters.delivery_window_s - report.interval_s / 2
         ):
             self._deliveries.popleft()
         if self._since_ping is not None:
@@ -124,7 +124,7 @@ class QueueGauge:
             self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
                 self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
-        is_good = bool(report.delays_s) and self.delay_s < self._tuning.queue_low_s
+        is_good = bool(report.delays_s) and self.delay_s < self._parameters.queue_low_s
         if is_good:
             self._good_s = now_s
         if handed_bytes is None or self._since_ping is None:
@@ -153,7 +153,7 @@ class QueueGauge:
     def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
         """Note a one-way delay, offset as it is, and return by how much it exceeds the least of late (s)."""
         delays.append((now_s, delay_s))
-        while now_s - delays[0][0] > self._tuning.delay_window_s:
+        while now_s - delays[0][0] > self._parameters.delay_window_s:
             delays.popleft()
         return delay_s - min(delay for _, delay in delays)
 
@@ -169,7 +169,7 @@ class QueueGauge:
             if probe.number == last_probe:
                 self._note_missing(probe)
                 self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, 0.0)
-        while self._round_trips and now_s - self._round_trips[0][0] > self._tuning.delay_window_s:
+        while self._round_trips and now_s - self._round_trips[0][0] > self._parameters.delay_window_s:
             self._round_trips.popleft()
         return round_trip_s
 
@@ -178,7 +178,7 @@ class QueueGauge:
         if self._since_ping is None or probe.handed_bytes is None:
             return
         handed, received = self._since_ping
-        if (sent := probe.handed_bytes - handed) > self._tuning.burst_bytes:
+        if (sent := probe.handed_bytes - handed) > self._parameters.burst_bytes:
             self._missing.append(1.0 - received / sent)
 
     def overdue_s(self, now_s: float) -> float:
@@ -232,11 +232,11 @@ class PeerGauges:
 
     Parameters
     ----------
-    tuning : the windows, and the silence after which a peer is forgotten
+    parameters : the windows, and the silence after which a peer is forgotten
     """
 
-    def __init__(self, tuning: EstimatorTuning) -> None:
-        self._tuning = tuning
+    def __init__(self, parameters: EstimatorParameters) -> None:
+        self._parameters = parameters
         self._gauges: dict[str, QueueGauge] = {}  # by name, the one heard for the longest first
 
     def __len__(self) -> int:
@@ -252,9 +252,9 @@ class PeerGauges:
         self._gauges = {
             name: gauge
             for name, gauge in self._gauges.items()
-            if report.received_at_s - gauge.reported_s <= self._tuning.outage_forget_s or name == report.peer
+            if report.received_at_s - gauge.reported_s <= self._parameters.outage_forget_s or name == report.peer
         }
-        gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge(self._tuning))
+        gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge(self._parameters))
         # With several, the bytes that one did not receive may be another's.
         gauge.digest(report, handed_bytes=handed_bytes if len(self._gauges) == 1 else None)
         return gauge

@@ -17,7 +17,7 @@ _QUIET_PINGS = 1.2  # a peer that hears a ping in time says nothing in between
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ProbeTuning:
+class ProbeParameters:
     """How probing divides its share of the link.
 
     Parameters
@@ -74,11 +74,11 @@ class ProbeSchedule:
 
     Parameters
     ----------
-    tuning : the budget and its division
+    parameters : the budget and its division
     """
 
-    def __init__(self, tuning: ProbeTuning | None = None) -> None:
-        self._tuning = tuning or ProbeTuning()
+    def __init__(self, parameters: ProbeParameters | None = None) -> None:
+        self._parameters = parameters or ProbeParameters()
         self._last_s = -math.inf
         self._saved_bytes = 0.0
         self._ping_at_s = -math.inf
@@ -114,7 +114,7 @@ class ProbeSchedule:
         needs_pair : whether the overhead of a packet is not known yet
         copies : times each probe crosses the link: one for each peer
         """
-        t = self._tuning
+        t = self._parameters
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(t.ping_bytes) + copies * t.report_bytes
         ping_s = min(t.ping_most_s, max(t.ping_s, ping_bytes / (t.pings_share * capacity_bytes_per_second)))
@@ -157,7 +157,7 @@ class ProbeSchedule:
 
     def _pause_s(self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool) -> float:
         """Return how long to wait between two trains (s)."""
-        t = self._tuning
+        t = self._parameters
         if not is_measured:
             return t.first_s
         can_pay = self._saved_bytes >= cost

@@ -33,7 +33,7 @@ class _Departures:
     waits: bool
 
 
-class Hearing:
+class Silence:
     """Tells a peer that has died from a link that carries nothing: over one that works, readers go on to acknowledge.
 
     What counts is packets that the interface receives, beside how many it received while the peer was heard. Too few
@@ -81,10 +81,10 @@ class Hearing:
     @property
     def is_cut(self) -> bool:
         """Whether next to nothing passes, be it one way only: then there is no link, or nobody behind it."""
-        return self.is_deaf or self.is_stuck
+        return self.has_received_nothing or self.has_sent_nothing
 
     @property
-    def is_deaf(self) -> bool:
+    def has_received_nothing(self) -> bool:
         """Whether next to nothing has arrived since a peer was heard."""
         if self._quiet is None or not self._looks:
             return False
@@ -92,7 +92,7 @@ class Hearing:
         return now_s - since_s >= _LONG_S and packets - before < _BROADCAST_HZ * (now_s - since_s)
 
     @property
-    def is_stuck(self) -> bool:
+    def has_sent_nothing(self) -> bool:
         """Whether next to nothing leaves although more waits: a trickle of packets is no link, and no capacity."""
         if self._quiet is None or not self._departures:
             return False

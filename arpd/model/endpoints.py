@@ -98,7 +98,7 @@ class SwapResult(StrEnum):
     FAILED = "failed"  # the middleware refused the new writer; the old one stays
 
 
-class HandoverResult(StrEnum):
+class ReaderSwapResult(StrEnum):
     """How a handover ended."""
 
     OK = "ok"
@@ -250,7 +250,7 @@ class ReaderState:
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     keeps_all : whether its history is KEEP_ALL, so that a depth means nothing
     refusal, refusal_reason : why the last request was refused, or any would be, in words and by name
-    handovers_by_result : handovers since start, by result
+    swaps_by_result : handovers since start, by result
     requests_ns : periods its node's readers of the topic request in the graph; two while one replaces the other
     offers_ns : periods the topic's writers offer in the graph, 0 = infinite
     deadlines_missed : requested deadlines the middleware counted as missed, over all readers so far
@@ -268,7 +268,7 @@ class ReaderState:
     keeps_all: bool = False
     refusal: str = ""
     refusal_reason: RefusalReason = RefusalReason.NONE
-    handovers_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     requests_ns: tuple[int, ...] = ()
     offers_ns: tuple[int, ...] = ()
     deadlines_missed: int = 0

@@ -49,7 +49,7 @@ class LinkEstimate:
     age_s : time since the evidence behind the capacity (s)
     evidence : the last change, in words
     packet_overhead_s : t_ovh, link time each packet costs beyond its bytes (s)
-    foreign_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
+    cross_traffic_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
     loss_ratio : share of the probe packets of late that never arrived, None while too few were sent to tell
     return_delay_s : one-way delay of the peer's reports above its minimum of late: what a command to the robot waits,
         None without a peer (s)
@@ -64,7 +64,7 @@ class LinkEstimate:
     age_s: float
     evidence: str
     queue_allowance_s: float = 0.05
-    foreign_bytes_per_second: float = 0.0
+    cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
     loss_ratio: float | None = None
     return_delay_s: float | None = None
@@ -74,7 +74,7 @@ class LinkEstimate:
     def available_bytes_per_second(self) -> float:
         """What is left of the capacity for arpd's topics (bytes/s)."""
         capacity = self.capacity_bytes_per_second
-        return capacity - min(self.foreign_bytes_per_second, MOST_YIELDED * capacity)
+        return capacity - min(self.cross_traffic_bytes_per_second, MOST_YIELDED * capacity)
 
     @property
     def available_packet_overhead_s(self) -> float:

@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
 
 
-class Kind(StrEnum):
+class MessageKind(StrEnum):
     """What a message that arrives is about."""
 
     PUBLISHERS = "publishers"
     READERS = "readers"
     REPORTS = "reports"
-    CLAIMS = "claims"
+    HEARTBEATS = "claims"
 
 
-class Reason(StrEnum):
+class MessageRefusal(StrEnum):
     """Why a message, or a part of one, is not believed."""
 
     SIZE = "size"  # longer than any honest one
@@ -45,7 +45,7 @@ class Taken:
     pending : publishers and readers that announce themselves, but that the graph does not show (yet)
     """
 
-    refused: Mapping[tuple[Kind, Reason], int] = field(default_factory=lambda: MappingProxyType({}))
+    refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
     pending: int = 0
 
 
@@ -74,7 +74,7 @@ class Observation:
     rmw : the middleware ROS runs on, empty where there is none
     rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
     other_daemons : hosts of the other daemons in the ROS domain
-    superior : host of the one that drives the robot in this one's place, empty when this one does
+    active_daemon : host of the one that drives the robot in this one's place, empty when this one does
     radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
     peer_ages_s : peers heard in the last minute, with the time since the last report of each (s)
     taken : what became of what arrived from the network
@@ -92,7 +92,7 @@ class Observation:
     rmw: str = ""
     rmw_refusal: str = ""
     other_daemons: tuple[str, ...] = ()
-    superior: str = ""
+    active_daemon: str = ""
     radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     taken: Taken = field(default_factory=Taken)

@@ -12,7 +12,7 @@ _MOST = 32  # daemons remembered, so that a liar on the network cannot take our 
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, order=True)
-class Claim:
+class DaemonHeartbeat:
     """What a daemon says of itself, twice a second.
 
     Parameters
@@ -28,7 +28,7 @@ class Claim:
     host: str
 
 
-class Incumbency:
+class Leader:
     """Who is in charge, by what was heard lately; pure, in seconds of one monotonic clock.
 
     Parameters
@@ -36,11 +36,11 @@ class Incumbency:
     own : this daemon's claim
     """
 
-    def __init__(self, own: Claim) -> None:
+    def __init__(self, own: DaemonHeartbeat) -> None:
         self._own = own
-        self._heard_s: dict[Claim, tuple[float, float]] = {}  # first and last
+        self._heard_s: dict[DaemonHeartbeat, tuple[float, float]] = {}  # first and last
 
-    def note(self, claim: Claim, now_s: float) -> bool:
+    def note(self, claim: DaemonHeartbeat, now_s: float) -> bool:
         """Note that another daemon, or this one itself, was heard; return False where there are too many."""
         if claim.token == self._own.token:
             return True
@@ -52,7 +52,7 @@ class Incumbency:
         self._heard_s[claim] = first_s, now_s
         return True
 
-    def others(self, now_s: float, *, most: int = _MOST) -> tuple[Claim, ...]:
+    def others(self, now_s: float, *, most: int = _MOST) -> tuple[DaemonHeartbeat, ...]:
         """Return the other daemons that are there, the one that started first at the front.
 
         Parameters
@@ -64,7 +64,7 @@ class Incumbency:
         lasting.sort(key=lambda claim: (self._heard_s[claim][0], claim))
         return tuple(sorted(lasting[: max(0, most)]))
 
-    def superior(self, now_s: float, *, most: int = _MOST) -> Claim | None:
+    def active_daemon(self, now_s: float, *, most: int = _MOST) -> DaemonHeartbeat | None:
         """Return who is in charge, None when this daemon is."""
         return next((claim for claim in self.others(now_s, most=most) if claim < self._own), None)
 

@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model.observation import Reason
-from arpd.observe.rate_limits import Turnstile
+from arpd.model.observation import MessageRefusal
+from arpd.observe.rate_limits import SourceRateLimiter
 
 if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
@@ -65,7 +65,7 @@ class PeerAdmission:
         self._newest = 0
         self._heard_s: dict[str, float] = {}
         self._peers: int | None = None
-        self._turnstile = Turnstile(
+        self._turnstile = SourceRateLimiter(
             rate_hz=_REPORTS_HZ, burst=_REPORTS_BURST, strangers_hz=_REPORTS_HZ, strangers_burst=_REPORTS_BURST
         )
 
@@ -78,7 +78,7 @@ class PeerAdmission:
         """Take in how many peers the graph shows: so many names are believed, those first that are heard already."""
         self._peers = peers
 
-    def check(self, report: PeerReport, now_s: float, *, ceiling: float) -> PeerReport | Reason:
+    def check(self, report: PeerReport, now_s: float, *, ceiling: float) -> PeerReport | MessageRefusal:
         """Return what is believed of a report, its probe by our own number; or why nothing is.
 
         Parameters
@@ -88,11 +88,11 @@ class PeerAdmission:
         answered = (report.last_probe - self._base) % _NUMBERS
         is_answer = 0 < answered <= self._newest and self._newest - answered <= _LATELY
         if self._newest and not (is_answer and report.last_probe):
-            return Reason.UNANSWERED
+            return MessageRefusal.UNANSWERED
         if not self._turnstile.lets_pass(report.peer, now_s):
-            return Reason.RATE
+            return MessageRefusal.RATE
         if not self._has_place(report.peer, now_s):
-            return Reason.QUOTA
+            return MessageRefusal.QUOTA
         return replace(
             report,
             last_probe=answered if is_answer else 0,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.observation import Kind, Reason
+    from arpd.model.observation import MessageKind, MessageRefusal
 
 _SAY_AGAIN_S = 60.0
 _MOST_SAID = 32  # sources in that time: a source of invented names must not fill the log either
@@ -35,7 +35,7 @@ class TokenBucket:
         return True
 
 
-class Turnstile:
+class SourceRateLimiter:
     """Lets messages pass, each known source at a rate of its own, and all others together at one rate more.
 
     So whoever speaks under a thousand invented names takes nothing from those that are known.
@@ -64,24 +64,24 @@ class Turnstile:
         return self._known.get(source, self._strangers).take(now_s)
 
 
-class Refusals:
+class RefusalCounts:
     """Counts what was refused, and tells which refusals are worth a line in the log."""
 
     def __init__(self) -> None:
-        self._counts: Counter[tuple[Kind, Reason]] = Counter()
-        self._said_s: dict[tuple[Kind, Reason, str], float] = {}
+        self._counts: Counter[tuple[MessageKind, MessageRefusal]] = Counter()
+        self._said_s: dict[tuple[MessageKind, MessageRefusal, str], float] = {}
 
     @property
-    def counts(self) -> dict[tuple[Kind, Reason], int]:
+    def counts(self) -> dict[tuple[MessageKind, MessageRefusal], int]:
         """Refusals so far."""
         return dict(self._counts)
 
-    def note(self, kind: Kind, reason: Reason, source: str, now_s: float) -> bool:
+    def note(self, kind: MessageKind, reason: MessageRefusal, source: str, now_s: float) -> bool:
         """Count one; return whether to say it: once a minute for each source and reason, and for so many sources."""
         self._counts[kind, reason] += 1
         return self._is_news((kind, reason, source), now_s)
 
-    def _is_news(self, what: tuple[Kind, Reason, str], now_s: float) -> bool:
+    def _is_news(self, what: tuple[MessageKind, MessageRefusal, str], now_s: float) -> bool:
         if now_s - self._said_s.get(what, -math.inf) < _SAY_AGAIN_S:
             return False
         if what not in self._said_s and len(self._said_s) >= _MOST_SAID:

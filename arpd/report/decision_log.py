@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.report.events import Event, EventKind, Severity
-from arpd.report.log_endpoints import EndpointStory
-from arpd.report.log_link import ChargeStory, InterfaceStory, LinkStory, PeerStory
-from arpd.report.log_plan import FittingStory, PlanStory, WaitingStory
+from arpd.report.log_endpoints import EndpointLog
+from arpd.report.log_link import InterfaceLog, LeaderLog, LinkLog, PeerLog
+from arpd.report.log_plan import FittingLog, PlanLog, WaitingLog
 from arpd.report.snapshot import Totals
 from arpd.report.wording import Quota, Said, count, one_line
 
@@ -23,7 +23,7 @@ MOST_A_MINUTE = 12  # of each kind; beyond that they are counted, and a minute o
 _MOST_DETAIL = 200  # characters
 
 
-class Chronicle:
+class DecisionLog:
     """Finds the events between successive snapshots, and keeps the last of them."""
 
     def __init__(self) -> None:
@@ -34,13 +34,13 @@ class Chronicle:
         self._before: Snapshot | None = None
         self._told = 0
         self._charge, self._interface, self._link, self._peers = (
-            ChargeStory(),
-            InterfaceStory(),
-            LinkStory(),
-            PeerStory(),
+            LeaderLog(),
+            InterfaceLog(),
+            LinkLog(),
+            PeerLog(),
         )
-        self._plan, self._waiting, self._fitting = PlanStory(), WaitingStory(), FittingStory()
-        self._endpoints = EndpointStory()
+        self._plan, self._waiting, self._fitting = PlanLog(), WaitingLog(), FittingLog()
+        self._endpoints = EndpointLog()
         self._kept: tuple[Event, ...] = ()
         self._counted: Mapping[str, int] = MappingProxyType(dict(self._counts))
 

@@ -90,7 +90,7 @@ def _link(name: str, snapshot: Snapshot) -> Status:
             ("known from", f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind)),
             ("known for", duration(link.age_s)),
             ("left for topics", rate(link.available_bytes_per_second)),
-            ("other traffic", rate(link.foreign_bytes_per_second)),
+            ("other traffic", rate(link.cross_traffic_bytes_per_second)),
             ("delivered", rate(link.delivery_rate_bytes_per_second)),
             ("queue delay", duration(link.queue_delay_s)),
             ("loss", "unknown" if link.loss_ratio is None else f"{digits(100 * link.loss_ratio)} %"),
@@ -103,8 +103,11 @@ def _link(name: str, snapshot: Snapshot) -> Status:
 def _plan(name: str, snapshot: Snapshot) -> Status:
     decision, allocation, observation = snapshot.decision, snapshot.allocation, snapshot.observation
     plan = decision.plan
-    if observation.superior:
-        level, message = Level.WARN, f"standing by: another arpd daemon, on {observation.superior}, drives this robot"
+    if observation.active_daemon:
+        level, message = (
+            Level.WARN,
+            f"standing by: another arpd daemon, on {observation.active_daemon}, drives this robot",
+        )
     elif plan.generation == 0:
         level, message = Level.OK, "no plan yet" if observation.publishers else "no topic to plan for"
     elif allocation.status is AllocationStatus.DEGRADED:

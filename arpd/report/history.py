@@ -167,7 +167,7 @@ def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
         available_bytes_per_second=_short(link.available_bytes_per_second),
         level_bytes_per_second=_short(snapshot.decision.plan.level_bytes_per_second),
         delivery_rate_bytes_per_second=_short(link.delivery_rate_bytes_per_second),
-        foreign_bytes_per_second=_short(link.foreign_bytes_per_second),
+        foreign_bytes_per_second=_short(link.cross_traffic_bytes_per_second),
         queue_delay_seconds=_short(link.queue_delay_s),
         loss_ratio=math.nan if link.loss_ratio is None else _short(link.loss_ratio),
         gate=_short(snapshot.decision.gate),

@@ -37,7 +37,7 @@ _KEPT = {
 _OF_SWAPS = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, RefusalReason.FAILED})
 
 
-class EndpointStory:
+class EndpointLog:
     """Follows publishers and readers; costs little while none of them has anything new to tell."""
 
     def __init__(self) -> None:

@@ -21,7 +21,7 @@ _PEER_LOST_S = 10.0  # a peer with nothing to do reports every second or two
 _REPORTED_S = 3.0  # an outage of its own ends with a report
 
 
-class LinkStory:
+class LinkLog:
     """Outages: a bad radio may go out every second, and still writes a few lines a minute."""
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ def _untold(turn: Turn) -> str:
     return f"{count(turn.untold, 'more outage')} in the last minute; " if turn.untold else ""
 
 
-class InterfaceStory:
+class InterfaceLog:
     """The state of the link interface, and the name it is found under."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class InterfaceStory:
             yield Said(EventKind.INTERFACE, Severity.ERROR, f"{name} {state.fault}", details=details)
 
 
-class PeerStory:
+class PeerLog:
     """Peers that come and go. While the link is out nobody can be told from the link, so nobody is lost."""
 
     def __init__(self) -> None:
@@ -146,7 +146,7 @@ def _is(names: list[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-class ChargeStory:
+class LeaderLog:
     """Which of several daemons drives the robot; two of them are rarely meant."""
 
     def __init__(self) -> None:
@@ -155,14 +155,14 @@ class ChargeStory:
     def follow(self, snapshot: Snapshot) -> Iterator[Said]:
         """Return what happened since the snapshot before."""
         observation = snapshot.observation
-        if (others := (observation.other_daemons, observation.superior)) == self._others:
+        if (others := (observation.other_daemons, observation.active_daemon)) == self._others:
             return
-        _, superior_before = self._others
+        _, active_before = self._others
         self._others = others
         details = {"other_daemons": " ".join(observation.other_daemons)}
-        if observation.superior:
-            if observation.superior != superior_before:
-                text = f"another arpd daemon, on {observation.superior}, has run for longer: standing by"
+        if observation.active_daemon:
+            if observation.active_daemon != active_before:
+                text = f"another arpd daemon, on {observation.active_daemon}, has run for longer: standing by"
                 yield Said(EventKind.STANDING_BY, Severity.WARNING, text, details=details)
         elif observation.other_daemons:
             text = f"in charge; another arpd daemon stands by, on {listed(observation.other_daemons)}"

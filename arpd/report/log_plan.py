@@ -25,7 +25,7 @@ _WAITS_FOR = {
 }
 
 
-class PlanStory:
+class PlanLog:
     """New plans, and when every publisher and reader runs them; one that is overtaken before is not told of."""
 
     def __init__(self) -> None:
@@ -132,7 +132,7 @@ def _who_came(plan: QosPlan, before: QosPlan | None) -> str:
 def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, *, fell: bool) -> str:
     carries = rate(link.capacity_bytes_per_second)
     if _is_others_doing(link, then):
-        foreign = link.foreign_bytes_per_second
+        foreign = link.cross_traffic_bytes_per_second
         if foreign < _GONE * link.capacity_bytes_per_second:
             return f"other traffic is gone, the link's {carries} are free"
         takes = f"{'takes' if fell else 'takes only'} {rate(foreign)}"
@@ -182,7 +182,7 @@ def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[
     return list(found.values())
 
 
-class WaitingStory:
+class WaitingLog:
     """Plans that are wanted and have to wait: told once for each plan that stays in force."""
 
     def __init__(self) -> None:
@@ -215,7 +215,7 @@ class WaitingStory:
             )
 
 
-class FittingStory:
+class FittingLog:
     """Whether all that is asked for fits the link; nothing is said of it during an outage."""
 
     def __init__(self) -> None:

@@ -49,8 +49,8 @@ def verdict(snapshot: Snapshot, rows: Sequence[TopicRow]) -> Verdict:
     rows : its live publishers, with what the plan and the program say of each
     """
     planned = [row for row in rows if row.planned is not None]
-    if superior := snapshot.observation.superior:
-        return _said(Severity.WARNING, "Standing by", f"another arpd daemon, on {superior}, drives this robot")
+    if active_daemon := snapshot.observation.active_daemon:
+        return _said(Severity.WARNING, "Standing by", f"another arpd daemon, on {active_daemon}, drives this robot")
     return _down(snapshot) or (_planned(snapshot, planned) if planned else _without_plan(snapshot))
 
 
@@ -169,12 +169,12 @@ def status_line(snapshot: Snapshot | None) -> str:
     """One line a human can read, for ``systemctl status``."""
     if snapshot is None:
         return "starting"
-    if superior := snapshot.observation.superior:
-        return f"standing by: another arpd daemon, on {superior}, drives this robot"
+    if active_daemon := snapshot.observation.active_daemon:
+        return f"standing by: another arpd daemon, on {active_daemon}, drives this robot"
     link, decision = snapshot.link, snapshot.decision
     line = (
         f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
-        f"{link.foreign_bytes_per_second * 8e-6:.1f} foreign), "
+        f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} foreign), "
         f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
         f"{snapshot.confirmed} of {snapshot.managed} publishers confirmed"
     )

@@ -91,7 +91,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "rmw": _rmw(snapshot.observation),
         "daemons": {
             "others": list(snapshot.observation.other_daemons),
-            "standing_by_for": snapshot.observation.superior,
+            "standing_by_for": snapshot.observation.active_daemon,
         },
         "gate": _finite(decision.gate),
         "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
@@ -147,7 +147,7 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
     link, radio = snapshot.link, snapshot.observation.radio_bytes_per_second
     return {
         "capacity_bytes_per_second": _finite(link.capacity_bytes_per_second),
-        "foreign_bytes_per_second": _finite(link.foreign_bytes_per_second),
+        "foreign_bytes_per_second": _finite(link.cross_traffic_bytes_per_second),
         "available_bytes_per_second": _finite(link.available_bytes_per_second),
         "kind": str(link.kind),
         "state": str(link.state),
@@ -201,7 +201,7 @@ def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
             "generation": reader.generation,
         },
         "baseline": {"depth": reader.baseline_depth, "deadline_ns": reader.baseline_deadline_ns or None},
-        "handovers": _sorted(reader.handovers_by_result),
+        "handovers": _sorted(reader.swaps_by_result),
         "deadlines_missed": reader.deadlines_missed,
         "refusal": reader.refusal,
         "refusal_reason": str(reader.refusal_reason),

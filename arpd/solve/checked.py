@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from arpd.model.settings import Backend
-from arpd.solve.exact import ExactSolver, Filling, Stand, water_fill
+from arpd.solve.exact import ExactSolver, WaterFill, water_fill
 from arpd.solve.problem import (
     Infeasible,
     Outcome,
@@ -27,20 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 log = logging.getLogger(__name__)
-
-__all__ = [
-    "CheckedSolver",
-    "Filling",
-    "Infeasible",
-    "Outcome",
-    "ShareProblem",
-    "Solved",
-    "Solver",
-    "SolverFailed",
-    "Stand",
-    "load",
-    "water_fill",
-]
 
 
 def load(backend: Backend) -> Solver:
@@ -92,7 +78,7 @@ class CheckedSolver:
         """Count a problem that analysis found infeasible before any back end was called."""
         self._outcomes[self.name, Infeasible.kind] += 1
 
-    def solve(self, problem: ShareProblem) -> tuple[Filling, Backend]:
+    def solve(self, problem: ShareProblem) -> tuple[WaterFill, Backend]:
         """Return the exact shares of a feasible ``problem``, and the back end that found them."""
         if verdict := infeasibility(problem):
             raise ValueError(f"the problem must be feasible: {verdict.reason}")

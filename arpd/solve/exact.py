@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from arpd.solve.problem import ShareProblem
 
 
-class Stand(Enum):
+class ActiveBound(Enum):
     """Where a share stands."""
 
     LOW = "at its floor"
@@ -22,7 +22,7 @@ class Stand(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Filling:
+class WaterFill:
     """The exact solution of a share problem: e_i = lo_i, ν·w_i or hi_i, according to where i stands.
 
     Parameters
@@ -34,13 +34,15 @@ class Filling:
 
     problem: ShareProblem
     level: tuple[int, int]
-    stands: tuple[Stand, ...]
+    stands: tuple[ActiveBound, ...]
 
     def ratios(self) -> list[tuple[int, int]]:
         """Return every share exactly, as numerator and denominator (1/whole)."""
         p, (numerator, denominator) = self.problem, self.level
         return [
-            (numerator * weight, denominator) if stand is Stand.LEVEL else (low if stand is Stand.LOW else high, 1)
+            (numerator * weight, denominator)
+            if stand is ActiveBound.LEVEL
+            else (low if stand is ActiveBound.LOW else high, 1)
             for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
         ]
 
@@ -49,7 +51,7 @@ class Filling:
         p, level = self.problem, self.level[0] / (self.level[1] * self.problem.whole)
         return tuple(
             [
-                level * weight if stand is Stand.LEVEL else (low if stand is Stand.LOW else high) / p.whole
+                level * weight if stand is ActiveBound.LEVEL else (low if stand is ActiveBound.LOW else high) / p.whole
                 for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
             ]
         )
@@ -65,7 +67,7 @@ class ExactSolver:
         return infeasibility(problem) or Solved(values=water_fill(problem).shares())
 
 
-def water_fill(problem: ShareProblem) -> Filling:
+def water_fill(problem: ShareProblem) -> WaterFill:
     """Return e_i = clip(ν·w_i, lo_i, hi_i) with the largest ν that keeps Σ e_i ≤ B.
 
     Variable fixing (Bitran & Hax 1981; Kiwiel 2008): pour what is left evenly over the undecided. If the ceilings cut
@@ -79,7 +81,7 @@ def water_fill(problem: ShareProblem) -> Filling:
     problem : a feasible one, Σ lo_i ≤ B
     """
     weights, lo, hi = problem.weights, problem.lo, problem.hi
-    stands = [Stand.LEVEL] * len(weights)
+    stands = [ActiveBound.LEVEL] * len(weights)
     undecided, left, weight = list(range(len(weights))), problem.budget, sum(weights)
     while undecided:  # invariant: left and weight are what the undecided share, weight > 0
         above, below, between = [], [], []
@@ -96,15 +98,15 @@ def water_fill(problem: ShareProblem) -> Filling:
                 between.append(i)
         if surplus >= 0:
             for i in above:
-                stands[i] = Stand.HIGH
+                stands[i] = ActiveBound.HIGH
                 left -= hi[i]
                 weight -= weights[i]
         if surplus <= 0:
             for i in below:
-                stands[i] = Stand.LOW
+                stands[i] = ActiveBound.LOW
                 left -= lo[i]
                 weight -= weights[i]
         if surplus == 0:
             break
         undecided = between + (below if surplus > 0 else above)
-    return Filling(problem=problem, level=(left, max(1, weight)), stands=tuple(stands))
+    return WaterFill(problem=problem, level=(left, max(1, weight)), stands=tuple(stands))

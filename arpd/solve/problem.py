@@ -103,7 +103,7 @@ def checked(problem: ShareProblem, values: Sequence[float], *, solver: str, part
         return SolverFailed(reason=f"{solver}: not one number per topic")
     if (violation := infeasible_by(problem, values)) > TOLERANCE / parts:
         return SolverFailed(reason=f"{solver}: constraints are violated by {violation:.3g}")
-    if disagreement(values, levelled(problem, values), parts=parts):
+    if disagreement(values, at_level(problem, values), parts=parts):
         return SolverFailed(reason=f"{solver}: the shares are not at one level")
     if (unspent := min(problem.budget, sum(problem.hi)) / problem.whole - math.fsum(values)) > TOLERANCE / parts:
         return SolverFailed(reason=f"{solver}: {unspent:.3g} of the budget is not handed out")
@@ -120,7 +120,7 @@ def infeasible_by(problem: ShareProblem, values: Sequence[float]) -> float:
     )
 
 
-def levelled(problem: ShareProblem, values: Sequence[float]) -> list[float]:
+def at_level(problem: ShareProblem, values: Sequence[float]) -> list[float]:
     """Return clip(ν·w_i, lo_i, hi_i) at the level ν these shares stand at: of an optimum, the shares themselves.
 
     ν is taken from the share that is farthest from both its bounds: on that one the solver's noise tells least. Where

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
 from arpd.model.settings import Backend
 from arpd.solve.checked import CheckedSolver, load
-from arpd.solve.exact import Stand
+from arpd.solve.exact import ActiveBound
 from arpd.solve.problem import ShareProblem
 from arpd.solve.rows import SAMPLE, Ratio, Row, decimal, give_up, period_ns, rate_of, refuse_nonsense, rows_of, whole
 
@@ -196,8 +196,8 @@ class Program:
         filling, backend = self._solver.solve(problem)
         bindings = [
             r.ceiling
-            if stand is Stand.HIGH or r.lo == r.hi
-            else (Binding.FLOOR if stand is Stand.LOW and r.lo else Binding.LINK)
+            if stand is ActiveBound.HIGH or r.lo == r.hi
+            else (Binding.FLOOR if stand is ActiveBound.LOW and r.lo else Binding.LINK)
             for r, stand in zip(rows, filling.stands, strict=True)
         ]
         return _Division(values=filling.ratios(), bindings=bindings, backend=backend)
@@ -225,12 +225,12 @@ class Program:
         values: list[Ratio] = []
         bindings: list[Binding] = []
         for i, (r, (taken, parts), stand) in enumerate(zip(rows, filling.ratios(), filling.stands, strict=True)):
-            if stand is Stand.HIGH or problem.lo[i] == problem.hi[i]:
+            if stand is ActiveBound.HIGH or problem.lo[i] == problem.hi[i]:
                 values.append((caps[i], SAMPLE))
                 bindings.append(r.depth_binding(justified[i]))
             else:
                 values.append((taken, parts * slots[i] * SAMPLE))
-                bindings.append(Binding.FLOOR if stand is Stand.LOW else Binding.MEMORY)
+                bindings.append(Binding.FLOOR if stand is ActiveBound.LOW else Binding.MEMORY)
         return _Division(values=values, bindings=bindings, backend=backend)
 
     def _published(self, rows: list[Row], link: _Division, memory: _Division, level: float) -> Allocation:

@@ -16,11 +16,11 @@ def http() -> Fuzzable:
     from prometheus_client import CollectorRegistry
 
     from arpd.adapters.http.answers import Answers
+    from arpd.adapters.http.connection_limit import ConnectionLimit
     from arpd.adapters.http.exchange import Exchange
     from arpd.adapters.http.exposition import Exposition
     from arpd.adapters.http.http_metrics import HttpCounts
     from arpd.adapters.http.passwords import Passwords
-    from arpd.adapters.http.places import Places
     from arpd.adapters.http.web_config import Protection
 
     failures: list[logging.LogRecord] = []
@@ -45,7 +45,7 @@ def http() -> Fuzzable:
         clock=clock,
         started_at_s=0.0,
     )
-    places = Places()
+    places = ConnectionLimit()
 
     def feed(data: bytes) -> None:
         nonlocal now_s

@@ -89,11 +89,11 @@ def reader() -> Fuzzable:
         except ValueError:
             return
         insist(state.depth >= 1 and state.lease_s < math.inf, f"possible numbers: {state}")
-        if _is_text(state.refusal, *state.handovers_by_result):
+        if _is_text(state.refusal, *state.swaps_by_result):
             reader_from_status(reader_to_status(state))
 
     state = ReaderState(
-        node="/base", topic="/cmd_vel", depth=10, baseline_depth=10, handovers_by_result={"done": 2}, lease_s=3.0
+        node="/base", topic="/cmd_vel", depth=10, baseline_depth=10, swaps_by_result={"done": 2}, lease_s=3.0
     )
     return Fuzzable(feed=feed, seeds=(_lines(reader_to_status(state)),), words=_numbers())
 
@@ -127,9 +127,9 @@ def wire() -> Fuzzable:
 def claim() -> Fuzzable:
     """Feed a daemon's claim: it is refused, or can be weighed against one's own and claimed again."""
     from arpd.adapters.ros.daemons import from_status, to_status
-    from arpd.observe.leader import Claim, Incumbency
+    from arpd.observe.leader import DaemonHeartbeat, Leader
 
-    own = Claim(started_ns=5, token="0" * 32, host="robot")
+    own = DaemonHeartbeat(started_ns=5, token="0" * 32, host="robot")
 
     def feed(data: bytes) -> None:
         head, _, rest = data.partition(b"\n\n")
@@ -139,7 +139,7 @@ def claim() -> Fuzzable:
         except ValueError:
             return
         insist(found.host.isprintable() and found.started_ns >= 0, f"a possible claim: {found}")
-        incumbency = Incumbency(own)
+        incumbency = Leader(own)
         for now_s in (1.0, 1.5):  # one claim is not believed
             incumbency.note(found, now_s)
         insist(len(incumbency.others(1.5)) <= 1, "one claim is one daemon")

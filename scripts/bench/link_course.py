@@ -67,8 +67,8 @@ class Belief:
 
     Parameters
     ----------
-    estimate_bytes_per_second, foreign_bytes_per_second, level_bytes_per_second : capacity, what others send, what the
-        plan in force was made for (bytes/s)
+    estimate_bytes_per_second, foreign_bytes_per_second, level_bytes_per_second : capacity, what others send,
+        what the plan in force was made for (bytes/s)
     kind, state : of the estimate
     queue_delay_s : the queue as the daemon measures it (s); None where the simulation does not say it
     gate, generation : gate and plan in force
@@ -154,11 +154,11 @@ def virtual_course(moments: Sequence[Moment], scenario: Scenario) -> tuple[Insta
             levels = {**levels, cause: levels.get(cause, 0) + 1}
         belief = None
         if moment.estimate_bytes_per_second is not None:
-            assert moment.foreign_bytes_per_second is not None
+            assert moment.cross_traffic_bytes_per_second is not None
             assert moment.level_bytes_per_second is not None
             belief = Belief(
                 estimate_bytes_per_second=moment.estimate_bytes_per_second,
-                foreign_bytes_per_second=moment.foreign_bytes_per_second,
+                foreign_bytes_per_second=moment.cross_traffic_bytes_per_second,
                 level_bytes_per_second=moment.level_bytes_per_second,
                 kind="",
                 state=str(moment.state),

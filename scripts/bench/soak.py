@@ -95,8 +95,8 @@ class Writers:
         for k, publisher in enumerate(self.publishers):
             swaps = publisher.state(generation=0).swaps_by_result
             ended = sum(count for key, count in swaps.items() if key != "undelivered")
-            is_stuck = now_s - self._asked_s[k] > STUCK_S
-            if (ended >= self._asked[k] or is_stuck) and sum(self._asked) < most:
+            has_sent_nothing = now_s - self._asked_s[k] > STUCK_S
+            if (ended >= self._asked[k] or has_sent_nothing) and sum(self._asked) < most:
                 self._asked[k] = max(ended, self._asked[k]) + 1
                 self._asked_s[k] = now_s
                 depth = DEPTH + self._asked[k] % 2

@@ -9,7 +9,7 @@ from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAl
 from arpd.model.endpoints import Direction, RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
-from arpd.model.observation import Kind, MemoryState, Observation, Reason, Taken
+from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
 from arpd.model.probing import PeerReport
 from arpd.report.durations import Durations
@@ -100,7 +100,7 @@ _PLANNER = reader(
     deadline_ns=150_000_000,
     baseline_deadline_ns=100_000_000,
     generation=3,
-    handovers_by_result=MappingProxyType({"ok": 1}),
+    swaps_by_result=MappingProxyType({"ok": 1}),
     deadlines_missed=6,
     age_s=0.25,
 )
@@ -197,7 +197,13 @@ def make_snapshot() -> Snapshot:
             rmw="rmw_fastrtps_cpp",
             radio_bytes_per_second=8_125_000.0,
             peer_ages_s=MappingProxyType({"ceddp-3f2a": 0.0625, "edge-c001": 12.5}),
-            taken=Taken(refused={(Kind.REPORTS, Reason.UNANSWERED): 7, (Kind.PUBLISHERS, Reason.SOURCE): 2}, pending=3),
+            taken=Taken(
+                refused={
+                    (MessageKind.REPORTS, MessageRefusal.UNANSWERED): 7,
+                    (MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 2,
+                },
+                pending=3,
+            ),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=500_000.0,
@@ -207,7 +213,7 @@ def make_snapshot() -> Snapshot:
             delivery_rate_bytes_per_second=300_000.0,
             age_s=1.5,
             evidence="3 trains, median 500 kB/s",
-            foreign_bytes_per_second=62_500.0,
+            cross_traffic_bytes_per_second=62_500.0,
             packet_overhead_s=0.00025,
             loss_ratio=0.015625,
             return_delay_s=0.0078125,

@@ -34,7 +34,7 @@ print(
             "incompatible": incompatible,
             "depth": state.depth,
             "deadline_ns": state.deadline_ns,
-            "handovers": state.handovers_by_result,
+            "handovers": state.swaps_by_result,
         }
     )
 )

@@ -15,7 +15,7 @@ from arpd.adapters.ros.daemons import to_status as claim_to_status
 from arpd.adapters.ros.names import DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.probe_messages import encode_report
 from arpd.model.probing import PeerReport, Train
-from arpd.observe.leader import LEAST_STARTED_NS, Claim
+from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
 from tests.sample_publishers import publisher, reader
 
 BATCHES_HZ = 50.0
@@ -58,7 +58,7 @@ own += [spoilt(own[0]) for _ in range(20)]
 long = announcement(DiagnosticStatus(name="/rogue: /t", message="x" * 600_000))
 reports = [report("ceddp", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
-claim = announcement(claim_to_status(Claim(started_ns=LEAST_STARTED_NS, token="0" * 32, host="liar")))
+claim = announcement(claim_to_status(DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="liar")))
 claims = [claim, spoilt(claim), announcement(DiagnosticStatus(name="arpd on " + "x" * 4000))]
 reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))
 

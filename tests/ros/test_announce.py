@@ -52,14 +52,14 @@ DRIVEN = reader(
     baseline_deadline_ns=70_000,
     generation=3,
     lease_s=30.0,
-    handovers_by_result={"ok": 2},
+    swaps_by_result={"ok": 2},
 )
 REFUSING = replace(
     DRIVEN,
     refusal="not in time",
     refusal_reason=RefusalReason.UNMATCHED,
     keeps_all=True,
-    handovers_by_result={},
+    swaps_by_result={},
     deadlines_missed=12,
 )
 

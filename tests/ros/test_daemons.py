@@ -9,10 +9,10 @@ from std_msgs.msg import Float64
 
 from arpd.adapters.ros.daemons import Daemons, from_status, to_status
 from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
-from arpd.observe.leader import LEAST_STARTED_NS, Claim
+from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
 
 pytestmark = pytest.mark.ros
-OWN = Claim(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")
+OWN = DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")
 
 
 def test_the_elder_drives_and_is_succeeded(ros, eventually):
@@ -22,11 +22,11 @@ def test_the_elder_drives_and_is_succeeded(ros, eventually):
         node.create_publisher(Float64, GATE_TOPIC, 1)
     elder = Daemons(first, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
     younger = Daemons(second, wall_clock_ns=lambda: LEAST_STARTED_NS + 2)
-    eventually(lambda: elder.others() and younger.superior())
-    assert elder.superior() == ""
+    eventually(lambda: elder.others() and younger.active_daemon())
+    assert elder.active_daemon() == ""
     first.destroy_node()
     eventually(lambda: not younger.others())
-    assert younger.superior() == ""
+    assert younger.active_daemon() == ""
 
 
 def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
@@ -35,8 +35,8 @@ def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
     driver.create_publisher(Float64, GATE_TOPIC, 1)
     heard = []
     daemons = Daemons(driver, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
-    note = daemons._incumbency.note
-    daemons._incumbency.note = lambda claim, now_s: heard.append(claim) or note(claim, now_s)
+    note = daemons._leader.note
+    daemons._leader.note = lambda claim, now_s: heard.append(claim) or note(claim, now_s)
     liar = ros.node("liar")
     claims = liar.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
 
@@ -46,9 +46,9 @@ def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
 
     background(claim)
     eventually(lambda: heard.count(OWN) > 5)
-    assert (daemons.superior(), daemons.others()) == ("", ())
+    assert (daemons.active_daemon(), daemons.others()) == ("", ())
     liar.create_publisher(Float64, GATE_TOPIC, 1)
-    eventually(lambda: daemons.superior() == "robot")
+    eventually(lambda: daemons.active_daemon() == "robot")
 
 
 def test_a_claim_survives_the_wire():

@@ -17,7 +17,7 @@ from arpd.adapters.ros.graph import read_crossings
 from arpd.adapters.ros.names import GATE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
-from arpd.report.decision_log import Chronicle
+from arpd.report.decision_log import DecisionLog
 from tests.golden.sample import make_snapshot
 
 pytestmark = pytest.mark.ros
@@ -29,7 +29,7 @@ class Daemon:
     """A daemon whose pictures the test makes."""
 
     def __init__(self):
-        self._chronicle = Chronicle()
+        self._chronicle = DecisionLog()
         self.snapshot = None
 
     def tick(self, **changed):

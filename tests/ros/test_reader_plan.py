@@ -24,7 +24,7 @@ from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.ros.announcement import reader_from_status
-from arpd.adapters.ros.node_subscriptions import NodeListening
+from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.ordering import Ordering
 from arpd.apply.readers import plan_readers, restore_readers
@@ -213,7 +213,7 @@ def test_a_reader_that_changes_nothing_says_little(ros, monkeypatch):
     """News goes out at every look; where there are none, one look in three, so that the link is spared."""
     node = rclpy.create_node("quiet", context=ros.context)  # nobody spins it: the looks are the test's own
     subscription = AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)
-    listening, said = NodeListening.of(node), []
+    listening, said = NodeSubscriptions.of(node), []
     monkeypatch.setattr(listening, "_announcer", SimpleNamespace(publish=said.append))
 
     def looks(count):

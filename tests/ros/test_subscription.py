@@ -87,7 +87,7 @@ def numbers(received):
 
 
 def done(subscription):
-    return sum(subscription.state().handovers_by_result.values())
+    return sum(subscription.state().swaps_by_result.values())
 
 
 @pytest.mark.parametrize("executor", EXECUTORS)
@@ -106,7 +106,7 @@ def test_handovers_lose_double_and_reorder_nothing(ros, hear, background, eventu
     eventually(lambda: numbers(received)[-1] >= so_far)
     got = numbers(received)
     assert got == list(range(got[0], got[0] + len(got)))
-    assert set(subscription.state().handovers_by_result) <= {"ok", "incomplete"}
+    assert set(subscription.state().swaps_by_result) <= {"ok", "incomplete"}
     assert done(subscription) == 8
 
 
@@ -214,7 +214,7 @@ def test_nonsense_is_refused_with_a_reason(ros, hear, values, reason):
     result = Setter(ros.node("tuner"), "/listener")(**values)
     assert not result.successful
     assert reason in result.reason
-    assert not subscription.state().handovers_by_result
+    assert not subscription.state().swaps_by_result
     assert subscription.state().depth == 10
 
 

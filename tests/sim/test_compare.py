@@ -10,7 +10,7 @@ from arpd.adapters.sim.foreign import ForeignFlow
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic, configured_topics
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.daemon.compare import Event, between, compare, estimate_error, events, summarize
+from arpd.daemon.compare import LinkEvent, between, compare, estimate_error, events, summarize
 from arpd.daemon.scenario import Moment, ScenarioResult, run
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
@@ -104,7 +104,7 @@ def test_an_oracle_knows_what_else_is_on_the_link():
     """Foreign traffic is told while it flows, and only then."""
     flow = ForeignFlow(start_s=3.0, end_s=5.0, rate_bytes_per_second=1.0 * MBIT)
     result = played(foreign=(flow,), make_estimator=Oracle)
-    told = {m.t_s: m.foreign_bytes_per_second for m in result.moments}
+    told = {m.t_s: m.cross_traffic_bytes_per_second for m in result.moments}
     assert (told[2.5], told[4.0], told[6.0]) == (0.0, 1.0 * MBIT, 0.0)
 
 
@@ -225,10 +225,10 @@ def test_events_are_plans_and_outages():
         )
     )
     assert found == (
-        Event(t_s=1.0, what="start", before_bytes_per_second=None, after_bytes_per_second=900.0),
-        Event(t_s=2.0, what="outage"),
-        Event(t_s=4.0, what="outage over"),
-        Event(t_s=4.0, what="down", before_bytes_per_second=900.0, after_bytes_per_second=400.0),
+        LinkEvent(t_s=1.0, what="start", before_bytes_per_second=None, after_bytes_per_second=900.0),
+        LinkEvent(t_s=2.0, what="outage"),
+        LinkEvent(t_s=4.0, what="outage over"),
+        LinkEvent(t_s=4.0, what="down", before_bytes_per_second=900.0, after_bytes_per_second=400.0),
     )
 
 

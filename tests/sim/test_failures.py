@@ -114,7 +114,7 @@ def test_a_reload_while_standing_by_is_in_force_when_it_is_called_to_drive(play)
     result, daemon = play(
         do={10.0: reload(SLACK)},
         see=lambda t_s, seen: (
-            replace(seen, superior="robot-2", other_daemons=("robot-2",)) if 6.0 <= t_s < 14.0 else seen
+            replace(seen, active_daemon="robot-2", other_daemons=("robot-2",)) if 6.0 <= t_s < 14.0 else seen
         ),
     )
     assert plans(daemon, 6.0, 14.0) == []

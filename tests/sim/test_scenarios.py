@@ -221,7 +221,7 @@ UPLOAD = (flow(UPLOAD_S, UPLOAD_END_S, 2.0),)
 def test_what_is_arpds_own_is_not_called_foreign(schedule, duration_s, more):
     """Alone on the link next to nothing is foreign, resends after an overload, a fall or an outage included."""
     moments = play(schedule, duration_s, **more).moments
-    assert max(moment.foreign_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05
+    assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -229,12 +229,12 @@ def test_an_upload_gets_room_and_gives_it_back(seed):
     """Five seconds after 2 Mbit/s appear on a link of 5 the gate makes room for them, then the plan; and it returns."""
     result = play("0:5mbit", 50.0, seed=seed, foreign=UPLOAD)
     beside = between(result, UPLOAD_S + 5.0, UPLOAD_END_S)
-    assert all(1.5 * MBIT < moment.foreign_bytes_per_second < 2.4 * MBIT for moment in beside)
+    assert all(1.5 * MBIT < moment.cross_traffic_bytes_per_second < 2.4 * MBIT for moment in beside)
     assert max(moment.gate * moment.level_bytes_per_second for moment in beside) + 2.0 * MBIT < 5.0 * MBIT
     assert beside[-1].level_bytes_per_second + 2.0 * MBIT < 5.0 * MBIT
     assert max(moment.queue_delay_s for moment in beside) < 0.1
     after = between(result, UPLOAD_END_S + 6.0, 50.0)
-    assert max(moment.foreign_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
+    assert max(moment.cross_traffic_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
     assert after[-1].level_bytes_per_second > 0.75 * 5.0 * MBIT
     assert [moment.cause for moment in result.plans if moment.t_s > 10.0] == ["down", "up"]
 
@@ -253,7 +253,7 @@ def test_foreign_noise_swaps_nothing(seed):
     """Bursts that come and go every few seconds move the gate, not the plan."""
     bursts = tuple(flow(start_s, start_s + 1.5, 1.0) for start_s in range(12, 45, 3))
     result = play("0:5mbit", 50.0, seed=seed, foreign=bursts)
-    seen = [moment.foreign_bytes_per_second for moment in between(result, 15.0, 45.0)]
+    seen = [moment.cross_traffic_bytes_per_second for moment in between(result, 15.0, 45.0)]
     assert max(seen) > 0.25 * MBIT
     assert not [moment for moment in result.plans if moment.t_s > 10.0]
 
@@ -262,7 +262,7 @@ def test_half_of_the_link_stays_the_robots():
     """A flow that would take everything is yielded half of the capacity and no more."""
     result = play("0:5mbit", 35.0, foreign=(flow(12.0, 35.0, 4.5),))
     yielded = between(result, 19.0, 35.0)
-    assert max(moment.foreign_bytes_per_second for moment in yielded) > 2.7 * MBIT
+    assert max(moment.cross_traffic_bytes_per_second for moment in yielded) > 2.7 * MBIT
     assert min(moment.level_bytes_per_second for moment in yielded) > 0.95 * 0.85 * 0.5 * 5.0 * MBIT
 
 

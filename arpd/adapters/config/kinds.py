@@ -29,7 +29,7 @@ LONGEST_TOPIC = 247  # RMW_TOPIC_MAX_NAME_LENGTH: what DDS allows (255) less roo
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
 
 
-class Kind(Protocol):
+class ValueKind(Protocol):
     """How one key's value is read and written; an annotation of a pydantic field.
 
     ``read`` raises ValueError with ``what is wrong; what would be right``; ``suffix`` completes the key to the name of

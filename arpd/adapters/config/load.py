@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-    from arpd.adapters.config.yaml_source import Location, Source
+    from arpd.adapters.config.yaml_source import Location, YamlSource
     from arpd.model.settings import Settings
 
 _RESTART_ONLY = ("link.interface", "http.", "relay.")
@@ -79,7 +79,7 @@ def _changed(old: Settings, new: Settings) -> Iterator[str]:
     return (key for key in before | after if before.get(key) != after.get(key))
 
 
-def _reworded(details: ErrorDetails, source: Source) -> Fault:
+def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
     """Say in plain words, and at its place, what pydantic found."""
     location: Location = details["loc"]
     match details["type"]:

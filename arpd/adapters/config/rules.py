@@ -9,18 +9,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.kinds import LONGEST_TOPIC
-from arpd.adapters.config.schema import Governor, Link, Relay, RelayTopic, Section, TopicEntry, Wishes
+from arpd.adapters.config.schema import Governor, Link, Relay, RelayTopic, Section, TopicEntry, TopicPreferences
 from arpd.adapters.config.yaml_source import Fault, Location, Place, dotted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from arpd.adapters.config.yaml_source import Source
+    from arpd.adapters.config.yaml_source import YamlSource
 
-_WISHES_PAIRS = (("min_rate_hz", "max_rate_hz"), ("min_depth", "max_depth"))
+_PREFERENCE_PAIRS = (("min_rate_hz", "max_rate_hz"), ("min_depth", "max_depth"))
 
 
-def broken_rules(source: Source, *, interfaces: Collection[str] | None) -> Iterator[Fault]:
+def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> Iterator[Fault]:
     """Find what each value alone cannot show.
 
     Parameters
@@ -31,8 +31,8 @@ def broken_rules(source: Source, *, interfaces: Collection[str] | None) -> Itera
     if interfaces is not None:
         yield from _missing_interface(source, interfaces)
     yield from _unordered(source, ("governor",), Governor, "dwell", "dwell_max")
-    for low, high in _WISHES_PAIRS:
-        yield from _unordered(source, ("defaults",), Wishes, low, high)
+    for low, high in _PREFERENCE_PAIRS:
+        yield from _unordered(source, ("defaults",), TopicPreferences, low, high)
         for location in _items(source, ("topics",)):
             yield from _unordered(source, location, TopicEntry, low, high, fallback=_mapping(source, ("defaults",)))
     yield from _repeated_names(source, ("topics",), TopicEntry)
@@ -41,7 +41,7 @@ def broken_rules(source: Source, *, interfaces: Collection[str] | None) -> Itera
     yield from _relayed_outputs(source)
 
 
-def _missing_interface(source: Source, interfaces: Collection[str]) -> Iterator[Fault]:
+def _missing_interface(source: YamlSource, interfaces: Collection[str]) -> Iterator[Fault]:
     name = _value(Link, "interface", _mapping(source, ("link",)))
     if name is None or name == "auto" or name in interfaces:
         return
@@ -52,7 +52,7 @@ def _missing_interface(source: Source, interfaces: Collection[str]) -> Iterator[
 
 
 def _unordered(
-    source: Source,
+    source: YamlSource,
     location: Location,
     section: type[Section],
     low: str,
@@ -78,7 +78,7 @@ def _unordered(
         yield _fault(source, (*location, high), wrong)
 
 
-def _repeated_names(source: Source, path: tuple[str, ...], section: type[Section]) -> Iterator[Fault]:
+def _repeated_names(source: YamlSource, path: tuple[str, ...], section: type[Section]) -> Iterator[Fault]:
     first: dict[str, Place] = {}
     for location in _items(source, path):
         name = _value(section, "name", _mapping(source, location))
@@ -92,7 +92,7 @@ def _repeated_names(source: Source, path: tuple[str, ...], section: type[Section
             first[name] = place
 
 
-def _long_relayed_names(source: Source) -> Iterator[Fault]:
+def _long_relayed_names(source: YamlSource) -> Iterator[Fault]:
     prefix = _value(Relay, "prefix", _mapping(source, ("relay",)))
     for location in _items(source, ("relay", "topics")):
         name = _value(RelayTopic, "name", _mapping(source, location))
@@ -101,7 +101,7 @@ def _long_relayed_names(source: Source) -> Iterator[Fault]:
             yield _fault(source, (*location, "name"), wrong)
 
 
-def _relayed_outputs(source: Source) -> Iterator[Fault]:
+def _relayed_outputs(source: YamlSource) -> Iterator[Fault]:
     """Report a topic that is relayed already, by its name: carried again, it would nest as ``/link/link/…``."""
     prefix = _value(Relay, "prefix", _mapping(source, ("relay",)))
     for location in _items(source, ("relay", "topics")):
@@ -116,19 +116,19 @@ def _relayed_outputs(source: Source) -> Iterator[Fault]:
             yield _fault(source, (*location, "name"), wrong)
 
 
-def _mapping(source: Source, location: Location) -> dict[str, Any]:
+def _mapping(source: YamlSource, location: Location) -> dict[str, Any]:
     """Return the mapping there, empty if there is none."""
     value = _at(source, location)
     return value if isinstance(value, dict) else {}
 
 
-def _items(source: Source, path: tuple[str, ...]) -> list[Location]:
+def _items(source: YamlSource, path: tuple[str, ...]) -> list[Location]:
     """Return the locations of a list's items, none if there is no list."""
     value = _at(source, path)
     return [(*path, index) for index in range(len(value))] if isinstance(value, list) else []
 
 
-def _at(source: Source, location: Location) -> Any:
+def _at(source: YamlSource, location: Location) -> Any:
     value: Any = source.data
     for step in location:
         if isinstance(step, int):
@@ -151,5 +151,5 @@ def _value(section: type[Section], key: str, mapping: dict[str, Any]) -> Any:
         return None
 
 
-def _fault(source: Source, location: Location, text: str) -> Fault:
+def _fault(source: YamlSource, location: Location, text: str) -> Fault:
     return Fault(place=source.values[location], key=dotted(location), text=text)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from arpd.adapters.config.kinds import DURATION, RATE, SIZE, Choice, Count, Kind, Number, Quantity, Text, TopicName
+from arpd.adapters.config.kinds import DURATION, RATE, SIZE, Choice, Count, Number, Quantity, Text, TopicName, ValueKind
 from arpd.model.settings import (
     DEFAULT_RELAY_DEPTH,
     Backend,
@@ -34,15 +34,15 @@ _RELAY_OVERFLOW = Overflow.LATEST  # when not named, see RelaySettings
 
 
 class Section(BaseModel):
-    """A mapping of the file whose keys are fields with one `Kind` each, or further sections."""
+    """A mapping of the file whose keys are fields with one `ValueKind` each, or further sections."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
     @classmethod
-    def kinds(cls) -> dict[str, Kind]:
+    def kinds(cls) -> dict[str, ValueKind]:
         """Keys that hold a value, with what they take."""
         return {
-            key: cast("Kind", kind)
+            key: cast("ValueKind", kind)
             for key, field in cls.model_fields.items()
             for kind in field.metadata
             if hasattr(kind, "write")
@@ -116,7 +116,7 @@ class Graph(Section):
     actuation_topics: Annotated[int | None, Count(low=0, high=10_000, word="auto")] = _DEFAULT.graph.actuation_topics
 
 
-class Wishes(Section):
+class TopicPreferences(Section):
     """``defaults``: the wishes of a topic that has no entry of its own."""
 
     weight: Annotated[float, Number(low=0.001, high=1000)] = _DEFAULT.default_topic.weight
@@ -131,7 +131,7 @@ class Wishes(Section):
     )
 
 
-class TopicWishes(Wishes):
+class NamedTopicPreferences(TopicPreferences):
     """The wishes of one topic, and what it is assumed to bring where nothing measures it; ``defaults`` has no such."""
 
     payload: Annotated[float | None, Quantity(unit=SIZE, low="1B", high="1GB", word="measured")] = (
@@ -142,7 +142,7 @@ class TopicWishes(Wishes):
     )
 
 
-class TopicEntry(TopicWishes):
+class TopicEntry(NamedTopicPreferences):
     """One item of ``topics``; what it leaves out, ``defaults`` says."""
 
     name: Annotated[str, TopicName()]
@@ -151,7 +151,7 @@ class TopicEntry(TopicWishes):
         """Return the topic's wishes over those of ``defaults``."""
         given = {
             key + kind.suffix: getattr(self, key)
-            for key, kind in TopicWishes.kinds().items()
+            for key, kind in NamedTopicPreferences.kinds().items()
             if key in self.model_fields_set
         }
         return replace(default, **given)
@@ -189,7 +189,7 @@ class Document(Section):
     governor: Governor = Governor()
     http: Http = Http()
     graph: Graph = Graph()
-    defaults: Wishes = Wishes()
+    defaults: TopicPreferences = TopicPreferences()
     topics: Annotated[tuple[TopicEntry, ...], Field(strict=False)] = ()
     relay: Relay = Relay()
     on_stop: Annotated[OnStop, Choice(OnStop)] = _DEFAULT.on_stop
@@ -220,7 +220,7 @@ SECTIONS: Mapping[tuple[str, ...], type[Section]] = {
     ("governor",): Governor,
     ("http",): Http,
     ("graph",): Graph,
-    ("defaults",): Wishes,
+    ("defaults",): TopicPreferences,
     ("topics",): TopicEntry,
     ("relay",): Relay,
     ("relay", "topics"): RelayTopic,
@@ -238,9 +238,9 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     yield from _written("governor", Governor, settings.governor)
     yield from _written("http", Http, settings.http)
     yield from _written("graph", Graph, settings.graph)
-    yield from _written("defaults", Wishes, settings.default_topic)
+    yield from _written("defaults", TopicPreferences, settings.default_topic)
     for name, wishes in settings.topics.items():
-        yield from _written(f"topics[{name}]", TopicWishes, wishes)
+        yield from _written(f"topics[{name}]", NamedTopicPreferences, wishes)
     yield from _written("relay", Relay, settings.relay)
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))

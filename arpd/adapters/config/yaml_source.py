@@ -48,7 +48,7 @@ class Fault:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Source:
+class YamlSource:
     """A configuration file, read but not yet understood.
 
     Parameters
@@ -72,7 +72,7 @@ class Source:
         return Place()
 
 
-def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> Source:
+def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
     """Read a file.
 
     Parameters
@@ -190,14 +190,14 @@ for _tag, _pattern, _first in (
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), _first)
 
 
-def _compose(text: str, minimal: str) -> Source:
+def _compose(text: str, minimal: str) -> YamlSource:
     root = _root(text)
     if root is None or (isinstance(root, yaml.ScalarNode) and not root.value):
         raise _RefusedError("file", f"is empty; {minimal}")
     if not isinstance(root, yaml.MappingNode):
         place = _place(root.start_mark)
         raise _RefusedError("file", f"is {_kind(root)}, not a mapping of keys; {minimal}", place)
-    source = Source(data={})
+    source = YamlSource(data={})
     source.data.update(_plain_mapping(root, (), source))
     return source
 
@@ -224,7 +224,7 @@ def _root(text: str) -> yaml.Node | None:
         raise _RefusedError("yaml", "a number is out of range; correct the YAML here", _place(mark)) from None
 
 
-def _plain(node: yaml.Node, location: Location, source: Source) -> Any:
+def _plain(node: yaml.Node, location: Location, source: YamlSource) -> Any:
     source.values[location] = _place(node.start_mark)
     if isinstance(node, yaml.MappingNode):
         return _plain_mapping(node, location, source)
@@ -233,7 +233,7 @@ def _plain(node: yaml.Node, location: Location, source: Source) -> Any:
     return _scalar(node)
 
 
-def _plain_mapping(node: yaml.MappingNode, location: Location, source: Source) -> dict[str, Any]:
+def _plain_mapping(node: yaml.MappingNode, location: Location, source: YamlSource) -> dict[str, Any]:
     data: dict[str, Any] = {}
     for key_node, value_node in node.value:
         place = _place(key_node.start_mark)

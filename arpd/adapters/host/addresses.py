@@ -15,7 +15,7 @@ _LOOK_S = 1.0
 _SETTLED_S = 3.0  # an interface that comes gets its addresses one by one
 
 
-class Locators:
+class Addresses:
     """Notices that the link interface has an address that ROS in this process does not tell anybody.
 
     Fast DDS 2.14 reads the addresses of its host once in a process. Measured: a node older than the address of the link

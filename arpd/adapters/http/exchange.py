@@ -12,8 +12,8 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from arpd.adapters.http.answers import bare, compressed, label
-from arpd.adapters.http.http_metrics import Refusal
-from arpd.adapters.http.passwords import Verdict
+from arpd.adapters.http.http_metrics import HttpRefusal
+from arpd.adapters.http.passwords import PasswordVerdict
 from arpd.adapters.http.request import RequestRefusedError, read_request
 from arpd.adapters.http.stream import Stream
 from arpd.adapters.http.tls import has_allowed_name
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from arpd.adapters.http.access import Access
     from arpd.adapters.http.answers import Answer, Answers
+    from arpd.adapters.http.connection_limit import Connection
     from arpd.adapters.http.http_metrics import HttpCounts
     from arpd.adapters.http.passwords import Passwords
-    from arpd.adapters.http.places import Visit
     from arpd.adapters.http.request import Request
     from arpd.adapters.http.web_config import Protection
 
@@ -53,10 +53,10 @@ _OF_STATUS = {
     HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
 }
 _OF_VERDICT = {
-    Verdict.MISSING: HTTPStatus.UNAUTHORIZED,
-    Verdict.WRONG: HTTPStatus.UNAUTHORIZED,
-    Verdict.THROTTLED: HTTPStatus.TOO_MANY_REQUESTS,
-    Verdict.BUSY: HTTPStatus.SERVICE_UNAVAILABLE,
+    PasswordVerdict.MISSING: HTTPStatus.UNAUTHORIZED,
+    PasswordVerdict.WRONG: HTTPStatus.UNAUTHORIZED,
+    PasswordVerdict.THROTTLED: HTTPStatus.TOO_MANY_REQUESTS,
+    PasswordVerdict.BUSY: HTTPStatus.SERVICE_UNAVAILABLE,
 }
 
 
@@ -79,27 +79,27 @@ class Exchange:
     counts: HttpCounts
     clock: Callable[[], float]
 
-    def run(self, visit: Visit) -> None:
+    def run(self, visit: Connection) -> None:
         """Take one request, answer it, and close the connection."""
         try:
             self._serve(visit)
         except TimeoutError:
-            self._refuse(visit, Refusal.TIMEOUT)
+            self._refuse(visit, HttpRefusal.TIMEOUT)
         except ssl.SSLError:
-            self._refuse(visit, Refusal.TLS)
+            self._refuse(visit, HttpRefusal.TLS)
         except OSError:
-            self._refuse(visit, Refusal.GONE)
+            self._refuse(visit, HttpRefusal.GONE)
         except Exception:
             log.exception("a connection from %s failed", visit.client)
         finally:
             with suppress(OSError):
                 visit.connection.close()
 
-    def _refuse(self, visit: Visit, reason: Refusal) -> None:
+    def _refuse(self, visit: Connection, reason: HttpRefusal) -> None:
         if not visit.is_evicted:  # which has been counted, and ends in any of these ways
             self.counts.count_refused(reason)
 
-    def _serve(self, visit: Visit) -> None:
+    def _serve(self, visit: Connection) -> None:
         protection = self.access.current()
         stream = Stream(visit.connection, clock=self.clock)
         stream.allow(REQUEST_S)
@@ -123,7 +123,7 @@ class Exchange:
         if not is_understood:
             _linger(visit.connection, stream)
 
-    def _shake_hands(self, visit: Visit, protection: Protection, context: ssl.SSLContext) -> Stream:
+    def _shake_hands(self, visit: Connection, protection: Protection, context: ssl.SSLContext) -> Stream:
         wrapped = context.wrap_socket(visit.connection, server_side=True, do_handshake_on_connect=False)
         visit.become(wrapped)
         wrapped.settimeout(REQUEST_S)

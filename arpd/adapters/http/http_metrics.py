@@ -11,7 +11,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from arpd.adapters.http.families import counter_by
-from arpd.adapters.http.passwords import Verdict
+from arpd.adapters.http.passwords import PasswordVerdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from prometheus_client.metrics_core import Metric
 
 
-class Refusal(StrEnum):
+class HttpRefusal(StrEnum):
     """Why a connection got no answer."""
 
     BUSY = "busy"  # no place, and none to be had
@@ -45,12 +45,12 @@ class HttpCounts(Collector):
         with self._lock:
             self._requests[path, str(code)] += 1
 
-    def count_refused(self, reason: Refusal) -> None:
+    def count_refused(self, reason: HttpRefusal) -> None:
         """Count a connection without an answer."""
         with self._lock:
             self._refused[reason] += 1
 
-    def count_authentication(self, verdict: Verdict) -> None:
+    def count_authentication(self, verdict: PasswordVerdict) -> None:
         """Count credentials."""
         with self._lock:
             self._authentications[verdict] += 1
@@ -72,12 +72,12 @@ class HttpCounts(Collector):
             answered.add_metric(labels, count)
         yield answered
         for name, text, label, known, counts in (
-            ("arpd_http_connections_refused", "Connections without an answer.", "reason", Refusal, refused),
+            ("arpd_http_connections_refused", "Connections without an answer.", "reason", HttpRefusal, refused),
             (
                 "arpd_http_authentications",
                 "Credentials of requests; cached is right and remembered.",
                 "result",
-                Verdict,
+                PasswordVerdict,
                 authentications,
             ),
             (

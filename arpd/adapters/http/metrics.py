@@ -22,7 +22,7 @@ from arpd.adapters.http.total_metrics import total_metrics
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.endpoints import RefusalReason
 from arpd.model.link import CapacityKind, LinkState
-from arpd.model.observation import Kind, Reason
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.settings import Backend
 from arpd.report.topic_rows import topic_rows
 
@@ -43,7 +43,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     (
         "arpd_link_foreign_bytes_per_second",
         "What the link carries that arpd's topics and probes do not explain; at most half of the capacity is yielded.",
-        lambda s: s.link.foreign_bytes_per_second,
+        lambda s: s.link.cross_traffic_bytes_per_second,
     ),
     (
         "arpd_link_queue_delay_seconds",
@@ -76,7 +76,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     (
         "arpd_standing_by",
         "1 while another daemon drives the robot in this one's place.",
-        lambda s: bool(s.observation.superior),
+        lambda s: bool(s.observation.active_daemon),
     ),
     ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
     (
@@ -177,7 +177,7 @@ class SnapshotCollector(Collector):
         yield from link_metrics(snapshot)
         yield from topic_metrics(topic_rows(snapshot))
         yield from reader_metrics(snapshot)
-        yield from intake_metrics(snapshot)
+        yield from refusal_metrics(snapshot)
 
 
 def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:
@@ -217,7 +217,7 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
         yield InfoMetricFamily("arpd_rmw", "Middleware of ROS; without swaps, topics are paced and gated only.", labels)
 
 
-def intake_metrics(snapshot: Snapshot) -> Iterator[Metric]:
+def refusal_metrics(snapshot: Snapshot) -> Iterator[Metric]:
     """Yield the families in a fixed order; every label has few values, whoever speaks."""
     taken = snapshot.observation.taken
     refused = CounterMetricFamily(
@@ -225,7 +225,7 @@ def intake_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         "Messages from the network, or parts of them, that were not believed.",
         labels=("kind", "reason"),
     )
-    for kind, reason in product(Kind, Reason):
+    for kind, reason in product(MessageKind, MessageRefusal):
         refused.add_metric((kind, reason), taken.refused.get((kind, reason), 0))
     yield refused
     yield GaugeMetricFamily(

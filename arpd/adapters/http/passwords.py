@@ -25,7 +25,7 @@ REFILL_HZ = 1.0  # … and then one a second
 _BCRYPT_BYTES = 72  # bcrypt reads no more of a password; the library before 5.0 cuts it, the later one raises
 
 
-class Verdict(StrEnum):
+class PasswordVerdict(StrEnum):
     """What became of a request's credentials."""
 
     OK = "ok"
@@ -58,7 +58,7 @@ class Passwords:
         self._good: dict[bytes, bytes] = {}
         self._budgets: OrderedDict[str, tuple[float, float]] = OrderedDict()  # client → (wrong ones left, when)
 
-    def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> Verdict:
+    def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> PasswordVerdict:
         """Say whether a request may pass.
 
         Parameters
@@ -69,7 +69,7 @@ class Passwords:
         """
         credentials = parse_basic(authorization)
         if credentials is None:
-            return Verdict.MISSING
+            return PasswordVerdict.MISSING
         name, password = credentials
         known = users.get(name)
         # An unknown name costs what a known one does, so that time tells nothing.
@@ -77,25 +77,25 @@ class Passwords:
         digest = self._digest(hashed, password)
         with self._lock:
             if known is not None and hmac.compare_digest(self._good.get(name, b""), digest):
-                return Verdict.CACHED
+                return PasswordVerdict.CACHED
             if not self._take(client):
-                return Verdict.THROTTLED
+                return PasswordVerdict.THROTTLED
         if not self._waiting.acquire(blocking=False):
             self._give_back(client)
-            return Verdict.BUSY
+            return PasswordVerdict.BUSY
         try:
             with self._bcrypt:
                 is_right = self._check(password, hashed)
         finally:
             self._waiting.release()
         if not is_right or known is None:
-            return Verdict.WRONG
+            return PasswordVerdict.WRONG
         self._give_back(client)
         with self._lock:
             if len(self._good) > 2 * len(users):  # names that are users no more
                 self._good.clear()
             self._good[name] = digest
-        return Verdict.OK
+        return PasswordVerdict.OK
 
     def _digest(self, hashed: bytes, password: bytes) -> bytes:
         return hmac.digest(self._secret, hashed + b"\0" + password, hashlib.sha256)

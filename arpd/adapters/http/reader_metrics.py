@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_of
-from arpd.model.endpoints import HandoverResult
+from arpd.model.endpoints import ReaderSwapResult
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -49,6 +49,6 @@ def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         "arpd_reader_handovers",
         "Handovers of the reader.",
         "result",
-        HandoverResult,
-        ((labels, reader.handovers_by_result) for labels, reader in readers),
+        ReaderSwapResult,
+        ((labels, reader.swaps_by_result) for labels, reader in readers),
     )

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.http.access import Access, exposure
 from arpd.adapters.http.answers import Answers, bare
+from arpd.adapters.http.connection_limit import ConnectionLimit, client_of
 from arpd.adapters.http.exchange import Exchange, encode
 from arpd.adapters.http.exposition import Exposition
-from arpd.adapters.http.http_metrics import HttpCounts, Refusal
+from arpd.adapters.http.http_metrics import HttpCounts, HttpRefusal
 from arpd.adapters.http.passwords import Passwords
-from arpd.adapters.http.places import Places, client_of
 from arpd.adapters.http.web_config import Protection
 from arpd.model.errors import ArpdError
 from arpd.report.history import History
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from prometheus_client import CollectorRegistry
 
-    from arpd.adapters.http.places import Visit
+    from arpd.adapters.http.connection_limit import Connection
     from arpd.report.snapshot import Snapshot
 
 log = logging.getLogger(__name__)
@@ -92,7 +92,7 @@ class HttpServer:
             counts=self._counts,
             clock=time.monotonic,
         )
-        self._places = Places()
+        self._connections = ConnectionLimit()
         self._listener: socket.socket | None = None
 
     @property
@@ -149,26 +149,26 @@ class HttpServer:
             self._admit(connection, client_of(str(address[0])))
 
     def _admit(self, connection: socket.socket, client: str) -> None:
-        visit, evicted = self._places.enter(connection, client)
+        visit, evicted = self._connections.enter(connection, client)
         if evicted is not None:
-            self._counts.count_refused(Refusal.EVICTED)
+            self._counts.count_refused(HttpRefusal.EVICTED)
         if visit is None:
             self._turn_away(connection)
             return
         try:
             threading.Thread(target=self._attend, args=(visit,), name="arpd-http-request", daemon=True).start()
         except RuntimeError:  # the process may have no more threads
-            self._places.leave(visit)
+            self._connections.leave(visit)
             self._turn_away(connection)
 
-    def _attend(self, visit: Visit) -> None:
+    def _attend(self, visit: Connection) -> None:
         try:
             self._exchange.run(visit)
         finally:
-            self._places.leave(visit)
+            self._connections.leave(visit)
 
     def _turn_away(self, connection: socket.socket) -> None:
-        self._counts.count_refused(Refusal.BUSY)
+        self._counts.count_refused(HttpRefusal.BUSY)
         with connection, suppress(OSError):
             if self._access.current().tls is None:
                 connection.setblocking(False)  # noqa: FBT003 - the socket module's own signature

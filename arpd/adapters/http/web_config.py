@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-    from arpd.adapters.config.yaml_source import Location, Source
+    from arpd.adapters.config.yaml_source import Location, YamlSource
     from arpd.model.settings import HttpSettings
 
 _TLS = ("tls_server_config",)
@@ -117,7 +117,7 @@ def load_protection(path: Path) -> Protection:
     )
 
 
-def _broken_rules(document: WebDocument, source: Source) -> Iterator[Fault]:
+def _broken_rules(document: WebDocument, source: YamlSource) -> Iterator[Fault]:
     """Find what each value alone cannot show."""
     for name in document.basic_auth_users:
         if not name or ":" in name:
@@ -129,7 +129,7 @@ def _broken_rules(document: WebDocument, source: Source) -> Iterator[Fault]:
         yield from _broken_tls_rules(document.tls_server_config, source)
 
 
-def _broken_tls_rules(tls: TlsServer, source: Source) -> Iterator[Fault]:
+def _broken_tls_rules(tls: TlsServer, source: YamlSource) -> Iterator[Fault]:
     if (tls.min_version, tls.max_version) == (TlsVersion.TLS13, TlsVersion.TLS12):
         yield _fault(source, (*_TLS, "min_version"), "is above max_version TLS12; lower it or raise max_version")
     asks = tls.client_auth_type is not ClientAuth.NONE
@@ -144,7 +144,7 @@ def _broken_tls_rules(tls: TlsServer, source: Source) -> Iterator[Fault]:
         yield _fault(source, (*_TLS, "client_allowed_sans"), wrong)
 
 
-def _reworded(details: ErrorDetails, source: Source) -> Fault:
+def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
     """Say in plain words, and at its place, what pydantic found."""
     location: Location = details["loc"]
     match details["type"]:
@@ -174,11 +174,11 @@ def _unknown(location: Location) -> str:
     return f"is not a key of a web-config; known here: {', '.join(known)}"
 
 
-def _fault(source: Source, location: Location, text: str) -> Fault:
+def _fault(source: YamlSource, location: Location, text: str) -> Fault:
     return Fault(place=source.place(location), key=dotted(location), text=text)
 
 
-def _at(source: Source, location: Location) -> object:
+def _at(source: YamlSource, location: Location) -> object:
     value: object = source.data
     for step in location:
         value = value[step] if isinstance(value, dict) else None

@@ -78,7 +78,7 @@ def reader_to_status(state: ReaderState) -> Any:
     values += [("refusal", state.refusal)] if state.refusal else []
     values += _remarks(state)
     values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
-    values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.handovers_by_result.items())]
+    values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
     # What never changes is no fault of the moment.
     return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
@@ -118,7 +118,7 @@ def reader_from_status(status: Any) -> ReaderState:
     # A writer offers what its readers request; of a liar it would be asked for a nanosecond.
     if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
         raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
-    return ReaderState(handovers_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
+    return ReaderState(swaps_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
 
 
 def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:

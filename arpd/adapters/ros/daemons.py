@@ -18,9 +18,9 @@ from rclpy.serialization import deserialize_message
 
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
-from arpd.adapters.ros.raw_subscription import Intake, Refused, peek
-from arpd.model.observation import Kind, Reason
-from arpd.observe.leader import LEAST_STARTED_NS, Claim, Incumbency
+from arpd.adapters.ros.raw_subscription import RawSubscription, RefusedMessages, peek
+from arpd.model.observation import MessageKind, MessageRefusal
+from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat, Leader
 from arpd.observe.rate_limits import TokenBucket
 
 if TYPE_CHECKING:
@@ -54,19 +54,19 @@ class Daemons:
         self,
         node: Any,
         *,
-        refused: Refused | None = None,
+        refused: RefusedMessages | None = None,
         pause: Pause | None = None,
         clock: Callable[[], float] = time.monotonic,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         # A clock that was never set reads less than others believe.
         started_ns = max(LEAST_STARTED_NS, wall_clock_ns())
-        own = Claim(started_ns=started_ns, token=uuid.uuid4().hex, host=platform.node())
+        own = DaemonHeartbeat(started_ns=started_ns, token=uuid.uuid4().hex, host=platform.node())
         self._node = node
         self._message = DiagnosticArray(status=[to_status(own)])
-        self._refused = Refused() if refused is None else refused
+        self._refused = RefusedMessages() if refused is None else refused
         self._clock = clock
-        self._incumbency = Incumbency(own)
+        self._leader = Leader(own)
         self._bucket = TokenBucket(_HZ, _BURST)
         self._rivals = 0
         self._lock = threading.Lock()
@@ -74,14 +74,14 @@ class Daemons:
         self._publisher = node.create_publisher(
             DiagnosticArray, DAEMONS_TOPIC, QoSProfile(depth=10), event_callbacks=no_publisher_events()
         )
-        self._intake = Intake(
+        self._subscription = RawSubscription(
             node,
             DiagnosticArray,
             DAEMONS_TOPIC,
             qos,
             most_bytes=_MOST_BYTES,
             take=self._on_claim,
-            refuse=lambda: self._refuse(Reason.SIZE, "a message is longer than any claim"),
+            refuse=lambda: self._refuse(MessageRefusal.SIZE, "a message is longer than any claim"),
             pause=pause,
         )
         group = ReentrantCallbackGroup()
@@ -91,13 +91,13 @@ class Daemons:
     def others(self) -> tuple[str, ...]:
         """Name the hosts of the other daemons that are there."""
         with self._lock:
-            return tuple(claim.host for claim in self._incumbency.others(self._clock(), most=self._rivals))
+            return tuple(claim.host for claim in self._leader.others(self._clock(), most=self._rivals))
 
-    def superior(self) -> str:
+    def active_daemon(self) -> str:
         """Name the host of the daemon in charge; empty when that is this one."""
         with self._lock:
-            superior = self._incumbency.superior(self._clock(), most=self._rivals)
-        return "" if superior is None else superior.host
+            active_daemon = self._leader.active_daemon(self._clock(), most=self._rivals)
+        return "" if active_daemon is None else active_daemon.host
 
     def _claim(self) -> None:
         self._publisher.publish(self._message)
@@ -108,30 +108,30 @@ class Daemons:
     def _on_claim(self, data: bytes, _info: Any) -> None:
         now_s = self._clock()
         if not self._bucket.take(now_s):
-            self._refuse(Reason.RATE, "there are more claims than all daemons together make")
+            self._refuse(MessageRefusal.RATE, "there are more claims than all daemons together make")
             return
         try:
             peek(data)  # it has a status, or this raises
             claim = from_status(deserialize_message(data, DiagnosticArray).status[0])
         except (RuntimeError, ValueError) as fault:  # the first is what rclpy makes of bytes it cannot decode
-            self._refuse(Reason.MALFORMED, str(fault))
+            self._refuse(MessageRefusal.MALFORMED, str(fault))
             return
         with self._lock:
-            has_place = self._incumbency.note(claim, now_s)
+            has_place = self._leader.note(claim, now_s)
         if not has_place:
-            self._refuse(Reason.QUOTA, "more daemons claim to be there than any robot has")
+            self._refuse(MessageRefusal.QUOTA, "more daemons claim to be there than any robot has")
 
-    def _refuse(self, reason: Reason, words: str) -> None:
-        self._refused.note(Kind.CLAIMS, reason, words)
+    def _refuse(self, reason: MessageRefusal, words: str) -> None:
+        self._refused.note(MessageKind.HEARTBEATS, reason, words)
 
 
-def to_status(claim: Claim) -> Any:
+def to_status(claim: DaemonHeartbeat) -> Any:
     """Encode a claim."""
     values = [KeyValue(key="started_ns", value=str(claim.started_ns))]
     return DiagnosticStatus(name=f"{_HEAD}{claim.host}", message="runs", hardware_id=claim.token, values=values)
 
 
-def from_status(status: Any) -> Claim:
+def from_status(status: Any) -> DaemonHeartbeat:
     """Decode a claim.
 
     Raises
@@ -148,4 +148,4 @@ def from_status(status: Any) -> Claim:
     started_ns = int(values.get("started_ns", "")[:40])
     if not LEAST_STARTED_NS <= started_ns <= _MOST_NS:
         raise ValueError(f"claim with started_ns = {started_ns}; a time from 2020 on is needed, below 2^63")
-    return Claim(started_ns=started_ns, token=status.hardware_id, host=host)
+    return DaemonHeartbeat(started_ns=started_ns, token=status.hardware_id, host=host)

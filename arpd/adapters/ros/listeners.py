@@ -10,17 +10,17 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from arpd.adapters.ros.names import is_full_name
-from arpd.adapters.ros.raw_subscription import Intake, Pause, peek
+from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, peek
 from arpd.model.endpoints import PublisherState, ReaderState
-from arpd.model.observation import Reason
-from arpd.observe.rate_limits import Turnstile
+from arpd.model.observation import MessageRefusal
+from arpd.observe.rate_limits import SourceRateLimiter
 from arpd.observe.registry import MOST_OF_NODE, Endpoints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from arpd.adapters.ros.raw_subscription import Refused
-    from arpd.model.observation import Kind
+    from arpd.adapters.ros.raw_subscription import RefusedMessages
+    from arpd.model.observation import MessageKind
 
 _DEPTH = 1000  # messages that may wait while the executor is elsewhere
 _MOST_BYTES = 512 * 1024  # of a message: twice what MOST_OF_NODE publishers take
@@ -53,11 +53,11 @@ class Announcements(Generic[S]):
         self,
         node: Any,
         topic: str,
-        kind: Kind,
+        kind: MessageKind,
         decode: Callable[[Any], S],
         *,
         stale_s: float,
-        refused: Refused,
+        refused: RefusedMessages,
         pause: Pause,
         clock: Callable[[], float],
     ) -> None:
@@ -67,17 +67,17 @@ class Announcements(Generic[S]):
         self._clock = clock
         self._lock = threading.Lock()
         self._endpoints: Endpoints[S] = Endpoints(stale_s)
-        self._turnstile = Turnstile(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
+        self._turnstile = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
         self._has_unnamed = False
         self._strangers: dict[str, bytes] = {}  # by node, what it said last
-        self._intake = Intake(
+        self._subscription = RawSubscription(
             node,
             DiagnosticArray,
             topic,
             QoSProfile(depth=_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT),
             most_bytes=_MOST_BYTES,
             take=self._on_message,
-            refuse=lambda: self._refuse(Reason.SIZE, "", "a message is longer than any announcement"),
+            refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any announcement"),
             pause=pause,
         )
 
@@ -100,7 +100,7 @@ class Announcements(Generic[S]):
         ----------
         known_of : what the graph knows of a state besides, by field
         """
-        is_flooded = self._intake.is_flooded
+        is_flooded = self._subscription.is_flooded
         with self._lock:
             return self._endpoints.live(now_s, is_flooded=is_flooded, known_of=known_of)
 
@@ -122,24 +122,26 @@ class Announcements(Generic[S]):
             if node in announcers:
                 self._listen(node, data, now_s)
             else:
-                self._refuse(Reason.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
+                self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
 
     def _on_message(self, data: bytes, _info: Any) -> None:
         try:
             name, count = peek(data)
         except ValueError as fault:
-            self._refuse(Reason.MALFORMED, "", str(fault))
+            self._refuse(MessageRefusal.MALFORMED, "", str(fault))
             return
         node = name.partition(":")[0]
         with self._lock:
             is_heard = self._turnstile.knows(node) or self._has_unnamed
             passes = is_heard and self._turnstile.lets_pass(node, self._clock())
         if is_heard and not passes:
-            self._refuse(Reason.RATE, node, f"{node} announces {self._kind} more than {_HZ:g} times a second")
+            self._refuse(MessageRefusal.RATE, node, f"{node} announces {self._kind} more than {_HZ:g} times a second")
         elif not is_full_name(node):
-            self._refuse(Reason.MALFORMED, "", "an announcement names no node")
+            self._refuse(MessageRefusal.MALFORMED, "", "an announcement names no node")
         elif count > MOST_OF_NODE:
-            self._refuse(Reason.QUOTA, node, f"{node} announces {count} {self._kind}; at most {MOST_OF_NODE} are heard")
+            self._refuse(
+                MessageRefusal.QUOTA, node, f"{node} announces {count} {self._kind}; at most {MOST_OF_NODE} are heard"
+            )
         elif is_heard:
             self._listen(node, data, self._clock())
         else:
@@ -151,7 +153,7 @@ class Announcements(Generic[S]):
             if is_kept := has_room and len(data) <= _MOST_STRANGE_BYTES:
                 self._strangers[node] = data
         if not is_kept:
-            self._refuse(Reason.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
+            self._refuse(MessageRefusal.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
 
     def _listen(self, node: str, data: bytes, now_s: float) -> None:
         try:
@@ -160,23 +162,23 @@ class Announcements(Generic[S]):
             RuntimeError,
             ValueError,
         ):  # of rclpy's, neither of them documented; the second is of bytes that are no text
-            self._refuse(Reason.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
+            self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
             return
         for status in statuses:
             try:
                 state = self._decode(status)
             except ValueError as fault:
-                self._refuse(Reason.MALFORMED, node, str(fault))
+                self._refuse(MessageRefusal.MALFORMED, node, str(fault))
                 continue
             if state.node != node:
-                self._refuse(Reason.MALFORMED, node, f"{node} speaks for {state.node}")
+                self._refuse(MessageRefusal.MALFORMED, node, f"{node} speaks for {state.node}")
                 continue
             with self._lock:
                 has_place = self._endpoints.note(state, now_s)
             if not has_place:
                 self._refuse(
-                    Reason.QUOTA, node, f"no place for {state.topic} of {node}: there are too many {self._kind}"
+                    MessageRefusal.QUOTA, node, f"no place for {state.topic} of {node}: there are too many {self._kind}"
                 )
 
-    def _refuse(self, reason: Reason, source: str, words: str) -> None:
+    def _refuse(self, reason: MessageRefusal, source: str, words: str) -> None:
         self._refused.note(self._kind, reason, words, source=source)

@@ -88,7 +88,7 @@ class Paced(Protocol):
         """Return what to announce."""
 
 
-class NodeTuning:
+class NodePublishers:
     """The shared half of all AdaptivePublishers in one node; made by the first of them.
 
     One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and
@@ -101,7 +101,7 @@ class NodeTuning:
         self._clock = clock
         self._publishers: dict[str, Paced] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
-        self._visits: Visits[Paced] = Visits()
+        self._wakeups: Wakeups[Paced] = Wakeups()
         self._suspect_until_s = -math.inf
         self.finished_s = clock()  # when the pacing thread last finished a round
         self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
@@ -127,10 +127,10 @@ class NodeTuning:
         node.context.on_shutdown(self.stop)
 
     @classmethod
-    def of(cls, node: Node) -> NodeTuning:
+    def of(cls, node: Node) -> NodePublishers:
         """Return the node's tuning, made on first use and kept on the node itself."""
         tuning = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(tuning, NodeTuning):
+        if not isinstance(tuning, NodePublishers):
             tuning = cls(node)
             setattr(node, _ATTRIBUTE, tuning)
         return tuning
@@ -166,7 +166,7 @@ class NodeTuning:
 
     def wake(self, publisher: Paced) -> None:
         """Let the pacing thread visit a publisher at once."""
-        self._visits.wake(publisher)
+        self._wakeups.wake(publisher)
 
     def shun_writing(self, took_s: float) -> None:
         """Have callers who must not block hand over for a while: writes take long, and all share the link's queue."""
@@ -179,7 +179,7 @@ class NodeTuning:
     def stop(self) -> None:
         """End the pacing thread; its publishers stay as they are."""
         self._stopping = True
-        self._visits.end()
+        self._wakeups.end()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=1.0)
 
@@ -195,11 +195,11 @@ class NodeTuning:
                     self._announce()
             except InvalidHandle:
                 return  # the application destroyed the node: nothing is left to pace
-            self._visits.wait(min(announce_s, self._visits.next_s()) - self._clock())
+            self._wakeups.wait(min(announce_s, self._wakeups.next_s()) - self._clock())
 
     def _service(self, now_s: float) -> None:
         """Serve every publisher that is due, whatever happens to another."""
-        for publisher in self._visits.take_due(now_s):
+        for publisher in self._wakeups.take_due(now_s):
             if self._publishers.get(publisher.topic_name) is not publisher:
                 continue  # destroyed meanwhile
             try:
@@ -211,7 +211,7 @@ class NodeTuning:
                     f"{publisher.topic_name}: {error}", throttle_duration_sec=_COMPLAIN_S, skip_first=False
                 )
                 due_s = now_s + _RETRY_S
-            self._visits.set(publisher, due_s)
+            self._wakeups.set(publisher, due_s)
 
     def _announce(self) -> None:
         message = DiagnosticArray()
@@ -301,7 +301,7 @@ def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: in
 T = TypeVar("T")
 
 
-class Visits(Generic[T]):
+class Wakeups(Generic[T]):
     """Due times of those who gave one, and a queue of those who want to be visited at once.
 
     Only `wake` and `end` may be called from other threads. Whoever is woken is due at once, and stays so until it is

@@ -50,7 +50,7 @@ class Announced(Protocol):
         """Go back to the application's QoS; return why that is refused, None if it is not."""
 
 
-class NodeListening:
+class NodeSubscriptions:
     """The shared half of all AdaptiveSubscriptions in one node; made by the first of them, and kept on the node.
 
     It does all its work in the node's executor, which the subscriptions need anyway.
@@ -80,10 +80,10 @@ class NodeListening:
         node.create_timer(_ANNOUNCE_S, self._serve, self._group, Clock(clock_type=ClockType.STEADY_TIME))
 
     @classmethod
-    def of(cls, node: Node) -> NodeListening:
+    def of(cls, node: Node) -> NodeSubscriptions:
         """Return the node's listening, made on first use."""
         listening = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(listening, NodeListening):
+        if not isinstance(listening, NodeSubscriptions):
             listening = cls(node)
             setattr(node, _ATTRIBUTE, listening)
         return listening

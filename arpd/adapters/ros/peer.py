@@ -9,12 +9,12 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.host.addresses import Locators
+from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import InterfaceReader, hardware_address
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.runtime import control_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
-from arpd.adapters.systemd.notify import Heartbeat, Notifier
+from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.model.probing import PeerReport
 from arpd.observe.receiver import BUSY_S, Receiver, ReportSchedule
 
@@ -65,7 +65,7 @@ class Peer:
         self._reports = node.create_publisher(
             UInt8MultiArray, REPORT_TOPIC, best_effort, event_callbacks=events.no_publisher_events()
         )
-        self._intake = raw_subscription.Intake(
+        self._subscription = raw_subscription.RawSubscription(
             node,
             UInt8MultiArray,
             PROBE_TOPIC,
@@ -207,7 +207,7 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     reader = InterfaceReader(interface)
     reader.read()  # finds what ``auto`` stands for
     name = name or default_name(reader.name)
-    locators = Locators(lambda: reader.name)
+    addresses = Addresses(lambda: reader.name)
     with control_node("arpd_peer") as node:
         # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
@@ -221,8 +221,8 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
         serve_until(
             executor,
             stopping,
-            heartbeat=Heartbeat(notifier),
-            locators=locators,
+            heartbeat=Watchdog(notifier),
+            addresses=addresses,
             on_turn=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
         )
         notifier.stopping()

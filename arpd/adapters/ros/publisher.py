@@ -15,7 +15,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
-from arpd.adapters.ros.node_publishers import QUICK_S, NodeTuning
+from arpd.adapters.ros.node_publishers import QUICK_S, NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.adapters.ros.writer import RosWriter, without_ours
 from arpd.apply.endpoint.flow import Flow
@@ -122,9 +122,9 @@ class AdaptivePublisher:
         self._resolved = str(self._writer.publisher.topic_name)
         self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
-        self._tuning = NodeTuning.of(node)
+        self._shared = NodePublishers.of(node)
         try:
-            self._tuning.adopt(self)
+            self._shared.adopt(self)
         except Exception:
             self._flow.close()  # a refused publisher must not leave a live writer behind
             raise
@@ -182,14 +182,14 @@ class AdaptivePublisher:
         msg : as in `publish`
         """
         sample = self._serialized(msg)
-        if self._clock() >= self._tuning.quick_from_s and self._writing.acquire(blocking=False):
+        if self._clock() >= self._shared.quick_from_s and self._writing.acquire(blocking=False):
             try:
                 with self._lock:
                     is_next = self._flow.admit(sample)
                 if not is_next:
                     self._drain()
                 elif (took_s := self._flow.write(sample)) > QUICK_S:
-                    self._tuning.shun_writing(took_s)
+                    self._shared.shun_writing(took_s)
             finally:
                 self._writing.release()
         else:
@@ -213,7 +213,7 @@ class AdaptivePublisher:
 
     def destroy(self) -> None:
         """Destroy the publisher and everything a swap may have in flight."""
-        self._tuning.release(self)
+        self._shared.release(self)
         with self._writing, self._lock:
             self._flow.close()
 
@@ -250,7 +250,7 @@ class AdaptivePublisher:
             elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
                 self._refusal, qos = refusal, self._flow.qos
             self._flow.retune(plan, qos=qos)
-        self._tuning.wake(self)
+        self._shared.wake(self)
 
     def set_gate(self, gate: float | None) -> None:
         """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
@@ -329,7 +329,7 @@ class AdaptivePublisher:
             if is_waiting:
                 self._leave_rest()
             if (took_s := self._clock() - before_s) > QUICK_S:
-                self._tuning.shun_writing(took_s)
+                self._shared.shun_writing(took_s)
 
     def _leave_rest(self) -> None:
         """Let the pacing thread come for what still waits, unless it comes in time anyway."""
@@ -338,7 +338,7 @@ class AdaptivePublisher:
             if due_s >= self._visit_s:
                 return
             self._visit_s = due_s
-        self._tuning.wake(self)
+        self._shared.wake(self)
 
     @property
     def _writer(self) -> RosWriter:

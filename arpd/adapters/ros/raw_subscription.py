@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from arpd.adapters.ros.events import no_subscription_events
-from arpd.observe.rate_limits import Refusals, TokenBucket
+from arpd.observe.rate_limits import RefusalCounts, TokenBucket
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rclpy.qos import QoSProfile
 
-    from arpd.model.observation import Kind, Reason
+    from arpd.model.observation import MessageKind, MessageRefusal
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
 _MOST_AT_ONCE = 1000
@@ -53,7 +53,7 @@ class Pause:
             self._ended_s = self._clock()
 
 
-class Intake:
+class RawSubscription:
     """Receives one topic serialized, so that what is refused is never decoded.
 
     An executor takes up to a millisecond for each message, so that 500 a second would leave it time for nothing else.
@@ -180,8 +180,8 @@ def _aligned(offset: int) -> int:
 log = logging.getLogger(__name__)
 
 
-class Refused:
-    """`Refusals` for callbacks in any number of threads.
+class RefusedMessages:
+    """`RefusalCounts` for callbacks in any number of threads.
 
     Parameters
     ----------
@@ -191,15 +191,15 @@ class Refused:
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._refusals = Refusals()
+        self._refusals = RefusalCounts()
 
     @property
-    def counts(self) -> Mapping[tuple[Kind, Reason], int]:
+    def counts(self) -> Mapping[tuple[MessageKind, MessageRefusal], int]:
         """Refusals so far."""
         with self._lock:
             return MappingProxyType(self._refusals.counts)
 
-    def note(self, kind: Kind, reason: Reason, words: str, *, source: str = "") -> None:
+    def note(self, kind: MessageKind, reason: MessageRefusal, words: str, *, source: str = "") -> None:
         """Count a refusal, and say it if it is news.
 
         Parameters

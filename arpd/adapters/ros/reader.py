@@ -40,14 +40,14 @@ class SubscriptionState:
     Parameters
     ----------
     depth, deadline_ns : of the reader in force; ``deadline_ns`` 0 = infinite
-    handovers_by_result : handovers so far
+    swaps_by_result : handovers so far
     deadlines_missed : requested deadlines the middleware counted as missed, over all readers so far
     refusal, refusal_reason : why the last one was refused, or any would be; empty and ``none`` if it was not
     """
 
     depth: int
     deadline_ns: int
-    handovers_by_result: Mapping[str, int]
+    swaps_by_result: Mapping[str, int]
     deadlines_missed: int
     refusal: str
     refusal_reason: RefusalReason

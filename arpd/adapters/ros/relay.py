@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.load import load_settings
-from arpd.adapters.host.addresses import Locators
+from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.runtime import ros_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
-from arpd.adapters.systemd.notify import Heartbeat, Notifier
-from arpd.apply.relay_routes import Refusal, Route, Source, choose_route, own_output
+from arpd.adapters.systemd.notify import Notifier, Watchdog
+from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class Relay:
             self._rest(topic)
             return
         self._silent.pop(topic, None)
-        if isinstance(route, Refusal):
+        if isinstance(route, RouteRefusal):
             self._drop(topic)
             self._refuse(topic, route.reason)
         elif self._failed.get(topic) != route.type_name:
@@ -278,10 +278,10 @@ def _policies(route: Route) -> tuple[Any, Any]:
     )
 
 
-def _source(info: Any) -> Source:
+def _source(info: Any) -> TopicWriter:
     from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
 
-    return Source(
+    return TopicWriter(
         node=node_name_of(info),
         type_name=info.topic_type,
         is_reliable=info.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
@@ -349,16 +349,16 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     stop_on_signals(stopping)
     notifier = Notifier()
     link = settings.link.interface
-    locators = Locators(lambda: link if link != AUTO else likeliest_interface() or "")
+    addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
     with ros_node(node_name or default_node_name(platform.node())) as node:
         executor = best_executor()
         executor.add_node(node)
         Relay(node, settings.relay, on_change=notifier.status)
-        from arpd.adapters.ros.node_publishers import NodeTuning  # noqa: PLC0415 - ROS is checked in ros_node
+        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415 - ROS is checked in ros_node
 
-        tuning = NodeTuning.of(node)
-        heartbeat = Heartbeat(notifier, parts=[lambda: tuning.finished_s])
+        tuning = NodePublishers.of(node)
+        heartbeat = Watchdog(notifier, parts=[lambda: tuning.finished_s])
         notifier.ready()
-        serve_until(executor, stopping, heartbeat=heartbeat, locators=locators)
+        serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
         notifier.stopping()
     return 0

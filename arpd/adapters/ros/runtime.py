@@ -15,8 +15,8 @@ from arpd.model.errors import RosUnavailableError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, MutableMapping
 
-    from arpd.adapters.host.addresses import Locators
-    from arpd.adapters.systemd.notify import Heartbeat
+    from arpd.adapters.host.addresses import Addresses
+    from arpd.adapters.systemd.notify import Watchdog
 
 log = logging.getLogger(__name__)
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
@@ -116,8 +116,8 @@ def serve_until(
     executor: Any,
     stopping: threading.Event,
     *,
-    heartbeat: Heartbeat,
-    locators: Locators,
+    heartbeat: Watchdog,
+    addresses: Addresses,
     on_turn: Callable[[], None] = lambda: None,
 ) -> None:
     """Spin a service in this thread until ``stopping`` is set: watched, and no longer than it can be heard.
@@ -131,12 +131,12 @@ def serve_until(
     def look() -> None:
         on_turn()
         heartbeat.beat()
-        if locators.are_outdated():
+        if addresses.are_outdated():
             stopping.set()
 
     spin_until(executor, stopping, on_turn=look)
-    if locators.are_outdated():
-        raise locators.error()
+    if addresses.are_outdated():
+        raise addresses.error()
 
 
 def stop_on_signals(stopping: threading.Event) -> None:

@@ -20,12 +20,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
 from arpd.adapters.ros.graph import deadline_ns_of, node_name_of
 from arpd.adapters.ros.names import reader_parameter_name
-from arpd.adapters.ros.node_subscriptions import NodeListening
+from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
 from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, SubscriptionState, arguments_of, key_of
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.apply.endpoint.meters import DeadlineCount
-from arpd.apply.endpoint.reader_swap import Handover
-from arpd.model.endpoints import NO_REFUSAL, HandoverResult, ReaderState, Refusal, RefusalReason
+from arpd.apply.endpoint.reader_swap import ReaderSwap
+from arpd.model.endpoints import NO_REFUSAL, ReaderState, ReaderSwapResult, Refusal, RefusalReason
 from arpd.model.plan import is_kept
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class AdaptiveSubscription:
         self._event_callbacks = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
         self._clock = clock
         self._lock = threading.Lock()
-        self._handover: Handover[ReaderQos, Sample] | None = None
+        self._swap: ReaderSwap[ReaderQos, Sample] | None = None
         self._timer: Any = None
         self._results: Counter[str] = Counter()
         self._refusal = NO_REFUSAL
@@ -104,15 +104,15 @@ class AdaptiveSubscription:
         )
         qos = self._declare()
         try:
-            self._handover = Handover(create=self._create_reader, on_result=self._on_result, qos=qos)
+            self._swap = ReaderSwap(create=self._create_reader, on_result=self._on_result, qos=qos)
         except Exception:
             self._undeclare()
             raise
         self._deadlines = DeadlineCount(self._reader)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
-        self._listening = NodeListening.of(node)
-        self._listening.adopt(self)
+        self._shared = NodeSubscriptions.of(node)
+        self._shared.adopt(self)
 
     # -- what rclpy.subscription.Subscription offers
 
@@ -153,29 +153,29 @@ class AdaptiveSubscription:
 
     def destroy(self) -> None:
         """Destroy the subscription and everything a handover may have in flight."""
-        self._listening.release(self)
+        self._shared.release(self)
         self._node.remove_on_set_parameters_callback(self._validate)
         self._node.remove_post_set_parameters_callback(self._apply)
         self._undeclare()
         with self._lock:
             self._stop_timer()
-            assert self._handover is not None
-            self._handover.close()
+            assert self._swap is not None
+            self._swap.close()
 
     # -- what makes it adaptive
 
     @property
     def qos(self) -> ReaderQos:
         """QoS of the reader in force."""
-        assert self._handover is not None
-        return self._handover.qos
+        assert self._swap is not None
+        return self._swap.qos
 
     def renew(self, qos: ReaderQos) -> None:
         """Replace the reader by one with this QoS, without losing or doubling a sample; returns at once."""
         with self._lock:
-            assert self._handover is not None
-            self._handover.request(qos)
-            if self._handover.is_busy and self._timer is None:
+            assert self._swap is not None
+            self._swap.request(qos)
+            if self._swap.is_busy and self._timer is None:
                 # Steady time, so that a paused simulation does not stop a handover; the callbacks' own group, so that
                 # what the switch delivers never overtakes what they are delivering.
                 self._timer = self._node.create_timer(
@@ -189,7 +189,7 @@ class AdaptiveSubscription:
             return SubscriptionState(
                 depth=qos.depth,
                 deadline_ns=qos.deadline_ns,
-                handovers_by_result=dict(self._results),
+                swaps_by_result=dict(self._results),
                 deadlines_missed=self._deadlines.missed,
                 refusal=refusal.words,
                 refusal_reason=refusal.reason,
@@ -220,8 +220,8 @@ class AdaptiveSubscription:
 
     @property
     def _reader(self) -> RosReader:
-        assert self._handover is not None
-        current = self._handover.current
+        assert self._swap is not None
+        current = self._swap.current
         assert isinstance(current, RosReader)
         return current
 
@@ -250,7 +250,7 @@ class AdaptiveSubscription:
         sifted = self._deliverer(lambda *taken: self._sift(reader, taken))
 
         def direct(*taken: Any) -> None:
-            if self._handover is None or self._handover.is_tracking:
+            if self._swap is None or self._swap.is_tracking:
                 sifted(*taken)
             else:  # nearly always, so this is what a sample costs
                 self._callback(*(taken if len(taken) == 2 else taken[0])[: self._arguments])
@@ -275,7 +275,7 @@ class AdaptiveSubscription:
     def _sift(self, reader: RosReader, taken: tuple[Any, ...]) -> Sequence[Sample]:
         # EventsExecutor of rclpy 7.1 passes message and info as one tuple where the others pass two arguments.
         sample: Sample = taken if len(taken) == 2 else taken[0]
-        handover = self._handover
+        handover = self._swap
         if handover is None or not handover.is_tracking:
             return (sample,)
         with self._lock:
@@ -283,10 +283,10 @@ class AdaptiveSubscription:
 
     def _step(self) -> Sequence[Sample]:
         with self._lock:
-            assert self._handover is not None
-            samples = self._handover.step(self._clock())
+            assert self._swap is not None
+            samples = self._swap.step(self._clock())
             self._deadlines.follow(self._reader)
-            if not self._handover.is_busy:
+            if not self._swap.is_busy:
                 self._stop_timer()
         return samples
 
@@ -371,14 +371,14 @@ class AdaptiveSubscription:
                 f"({', '.join(lost)}); tighten them first"
             )
 
-    def _on_result(self, result: HandoverResult) -> None:
+    def _on_result(self, result: ReaderSwapResult) -> None:
         self._results[result] += 1
-        self._listening.note_news()
+        self._shared.note_news()
         self._refusal = NO_REFUSAL
-        if result is HandoverResult.UNMATCHED:
+        if result is ReaderSwapResult.UNMATCHED:
             words = f"handover of {self._resolved}: not all publishers matched the new reader in time"
             self._refusal = Refusal(RefusalReason.UNMATCHED, words)
-        elif result is HandoverResult.FAILED:
+        elif result is ReaderSwapResult.FAILED:
             words = f"handover of {self._resolved}: the new reader was refused, or ran ahead of the old one"
             self._refusal = Refusal(RefusalReason.FAILED, words)
         if self._refusal.words:

@@ -25,10 +25,10 @@ from arpd.adapters.ros.listeners import Announcements
 from arpd.adapters.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.parameters import ParameterApplier
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.adapters.ros.raw_subscription import Intake, Pause, Refused, octets
+from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
 from arpd.adapters.ros.rmw import Rmw, current_rmw
 from arpd.model.endpoints import Direction, PublisherState, ReaderState
-from arpd.model.observation import Kind, Observation, Reason, Taken
+from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
@@ -46,9 +46,9 @@ _READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three
 _PEER_FORGOTTEN_S = 60.0  # long enough for a scrape or two to see its age grow
 _MOST_REPORTS = 200  # that wait for a tick
 _WHY = {
-    Reason.UNANSWERED: "they answer no probe of this daemon",
-    Reason.RATE: "there are more of them than any peer sends",
-    Reason.QUOTA: "the graph shows fewer peers than there are names",
+    MessageRefusal.UNANSWERED: "they answer no probe of this daemon",
+    MessageRefusal.RATE: "there are more of them than any peer sends",
+    MessageRefusal.QUOTA: "the graph shows fewer peers than there are names",
 }
 
 
@@ -89,7 +89,7 @@ class RosControl:
         self._on_report_arrived = on_report
         self._clock = clock
         self._lock = threading.Lock()
-        self._refused = Refused(clock=clock)
+        self._refused = RefusedMessages(clock=clock)
         self._peer_admission = PeerAdmission(randomness(2**32))
         self._ceiling = Ceiling()
         self._reports: list[PeerReport] = []
@@ -108,7 +108,7 @@ class RosControl:
         self._announced = Announcements(
             node,
             PUBLISHERS_TOPIC,
-            Kind.PUBLISHERS,
+            MessageKind.PUBLISHERS,
             from_status,
             stale_s=_STALE_S,
             refused=self._refused,
@@ -118,27 +118,27 @@ class RosControl:
         self._readers = Announcements(
             node,
             READERS_TOPIC,
-            Kind.READERS,
+            MessageKind.READERS,
             reader_from_status,
             stale_s=_READER_STALE_S,
             refused=self._refused,
             pause=pause,
             clock=clock,
         )
-        self._report_intake = Intake(
+        self._report_subscription = RawSubscription(
             node,
             UInt8MultiArray,
             REPORT_TOPIC,
             best_effort,
             most_bytes=MOST_REPORT_BYTES,
             take=self._on_report,
-            refuse=lambda: self._refuse_report(Reason.SIZE, "", "a message is longer than any report"),
+            refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
             pause=pause,
         )
         self._applier = ParameterApplier(node)
         self._daemons = Daemons(node, refused=self._refused, pause=pause, clock=clock)
         # Neither is done in the tick, which is short, nor in the executor, where reports wait.
-        Rounds(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
+        PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
     def reconfigure(self, graph: GraphSettings) -> None:
         """Take new pinned topic counts."""
@@ -177,7 +177,7 @@ class RosControl:
             rmw=self._rmw.name,
             rmw_refusal=self._rmw.refusal,
             other_daemons=self._daemons.others(),
-            superior=self._daemons.superior(),
+            active_daemon=self._daemons.active_daemon(),
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             taken=Taken(refused=self._refused.counts, pending=self._announced.pending + self._readers.pending),
@@ -225,7 +225,7 @@ class RosControl:
         try:
             report = decode_report(octets(data), received_at_s=now_s, return_delay_s=return_delay_s)
         except ValueError as fault:
-            self._refuse_report(Reason.MALFORMED, "", str(fault))
+            self._refuse_report(MessageRefusal.MALFORMED, "", str(fault))
             return
         with self._lock:
             believed = self._peer_admission.check(report, now_s, ceiling=self._ceiling.bytes_per_second)
@@ -233,13 +233,13 @@ class RosControl:
                 self._reports.append(believed)
                 del self._reports[:-_MOST_REPORTS]
                 self._peers_heard[report.peer] = now_s
-        if isinstance(believed, Reason):
+        if isinstance(believed, MessageRefusal):
             self._refuse_report(believed, report.peer, f"reports of {report.peer!r}: {_WHY[believed]}")
         else:
             self._on_report_arrived()
 
-    def _refuse_report(self, reason: Reason, peer: str, words: str) -> None:
-        self._refused.note(Kind.REPORTS, reason, words, source=peer)
+    def _refuse_report(self, reason: MessageRefusal, peer: str, words: str) -> None:
+        self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
         graph = read_graph(self._node, self._rmw, first=self._announced.topics | self._readers.topics)
@@ -285,7 +285,7 @@ _HASTY_ROUNDS = 30  # at the start everything is news
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node raises
 
 
-class Rounds:
+class PeriodicThread:
     """Does all of its work, waits, and does it again, until the node is destroyed or its context ends.
 
     A thread, and not a timer in a MultiThreadedExecutor: that one asks again and again whether a task that it gave to

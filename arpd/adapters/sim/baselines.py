@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.parameters import EstimatorParameters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import wire_size
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from arpd.model.settings import LinkSettings
 
 _FIRST_S = 1.0  # of reports, before the first plan is made
-_ARPD = EstimatorTuning()  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate
+_ARPD = (
+    EstimatorParameters()
+)  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,14 +32,14 @@ class Truth:
     ----------
     capacity_bytes_per_second : rate of the link, whatever it loses (bytes/s)
     queue_delay_s : what a packet sent now would wait on the robot's side (s)
-    foreign_bytes_per_second : what else is sent over the link (bytes/s)
+    cross_traffic_bytes_per_second : what else is sent over the link (bytes/s)
     packet_overhead_s : link time a packet costs beyond its bytes when the link is busy (s)
     is_out : whether nothing arrives at all
     """
 
     capacity_bytes_per_second: float
     queue_delay_s: float
-    foreign_bytes_per_second: float = 0.0
+    cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
     is_out: bool = False
 
@@ -75,7 +77,7 @@ class Oracle:
             delivery_rate_bytes_per_second=0.0,
             age_s=0.0,
             evidence="the truth",
-            foreign_bytes_per_second=truth.foreign_bytes_per_second,
+            cross_traffic_bytes_per_second=truth.cross_traffic_bytes_per_second,
             packet_overhead_s=truth.packet_overhead_s,
         )
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from arpd.adapters.sim.arrivals import Arrivals
 from arpd.adapters.sim.result import TopicResult
 from arpd.adapters.sim.timeline import Alarm
-from arpd.adapters.sim.writer import SAMPLE, Route, SimulatedWriter
+from arpd.adapters.sim.writer import SAMPLE, LinkPath, SimulatedWriter
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.settings import Overflow
@@ -83,7 +83,7 @@ class SimulatedPublisher:
     """
 
     def __init__(
-        self, route: Route, topic: SimTopic, *, name: str, node: str, heartbeat_s: float, ingress_s: float = 0.0
+        self, route: LinkPath, topic: SimTopic, *, name: str, node: str, heartbeat_s: float, ingress_s: float = 0.0
     ) -> None:
         self.topic = topic
         self.arrivals = Arrivals()
@@ -151,7 +151,7 @@ class SimulatedPublisher:
             **asdict(self.arrivals.reception()),
         )
 
-    def _create(self, route: Route, payload_bytes: int, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
+    def _create(self, route: LinkPath, payload_bytes: int, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
         self._writers += 1
         return SimulatedWriter(route, self.arrivals, payload_bytes=payload_bytes, qos=qos, heartbeat_s=heartbeat_s)
 
@@ -161,7 +161,7 @@ class SimulatedPublisher:
             self._alarm.set(due_s)
 
 
-class Source:
+class SampleSource:
     """A timer that publishes, with the jitter of an executor; from ``start_s`` to ``end_s``.
 
     Parameters

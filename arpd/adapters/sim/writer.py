@@ -24,7 +24,7 @@ _MOST_ASKED = 256  # numbers that one ACKNACK can name (RTPS 2.3, §9.4.2.6)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Route:
+class LinkPath:
     """The way from a writer to its reader, and the way back for acknowledgements."""
 
     timeline: Timeline
@@ -95,7 +95,7 @@ class SimulatedWriter:
     """
 
     def __init__(
-        self, route: Route, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
+        self, route: LinkPath, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
     ) -> None:
         self._timeline, self._there, self._back = route.timeline, route.there, route.back
         self._depth = qos.depth

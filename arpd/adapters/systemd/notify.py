@@ -81,7 +81,7 @@ class Notifier:
             log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
 
 
-class Heartbeat:
+class Watchdog:
     """Feeds the watchdog, at most once a second, while every part of the process finishes its rounds.
 
     Parameters

@@ -55,7 +55,7 @@ class SampleRate:
         return samples / span_s if span_s > 0 and now_s - since_s >= _SETTLE_S else 0.0
 
 
-class Endpoint(Protocol):
+class DeadlineSource(Protocol):
     """A writer, or a reader."""
 
     def deadlines_missed(self) -> int:
@@ -72,7 +72,7 @@ class DeadlineCount:
     endpoint : the one in force
     """
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: DeadlineSource) -> None:
         self._endpoint = endpoint
         self._before = -endpoint.deadlines_missed()  # missed by others, less what this one missed before its time
 
@@ -81,7 +81,7 @@ class DeadlineCount:
         """Deadlines missed so far."""
         return self._before + self._endpoint.deadlines_missed()
 
-    def follow(self, endpoint: Endpoint) -> None:
+    def follow(self, endpoint: DeadlineSource) -> None:
         """Count what this endpoint misses from now on."""
         if endpoint is not self._endpoint:
             self._before = self.missed - endpoint.deadlines_missed()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from arpd.model.endpoints import HandoverResult
+from arpd.model.endpoints import ReaderSwapResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,8 +34,8 @@ class Reader(Protocol[S_co]):
         """Destroy the reader."""
 
 
-class HandoverState(StrEnum):
-    """Where a handover stands; see `Handover` for the transitions."""
+class ReaderSwapState(StrEnum):
+    """Where a handover stands; see `ReaderSwap` for the transitions."""
 
     IDLE = "idle"
     MATCHING = "matching"
@@ -43,7 +43,7 @@ class HandoverState(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HandoverTiming:
+class ReaderSwapTiming:
     """Timeouts of the state machine (s).
 
     Parameters
@@ -60,7 +60,7 @@ class HandoverTiming:
     remember_s: float = 10.0
 
 
-class Handover(Generic[Q, S]):
+class ReaderSwap(Generic[Q, S]):
     """Owns the readers of one subscription and replaces them without losing or doubling a sample.
 
     IDLE → MATCHING: a request that differs from what is in force creates a new reader.
@@ -90,13 +90,13 @@ class Handover(Generic[Q, S]):
         self,
         *,
         create: Callable[[Q], Reader[S]],
-        on_result: Callable[[HandoverResult], None],
+        on_result: Callable[[ReaderSwapResult], None],
         qos: Q,
-        timing: HandoverTiming | None = None,
+        timing: ReaderSwapTiming | None = None,
     ) -> None:
         self._create = create
         self._on_result = on_result
-        self._timing = timing or HandoverTiming()
+        self._timing = timing or ReaderSwapTiming()
         self._qos = self._next_qos = qos
         self._wanted: Q | None = None
         self._next: Reader[S] | None = None
@@ -107,7 +107,7 @@ class Handover(Generic[Q, S]):
         self._since_s = 0.0
         self._remember_until_s = 0.0
         self.is_tracking = False
-        self.state = HandoverState.IDLE
+        self.state = ReaderSwapState.IDLE
         self._current = create(qos)
 
     @property
@@ -123,7 +123,7 @@ class Handover(Generic[Q, S]):
     @property
     def is_busy(self) -> bool:
         """Whether `step` has anything to do."""
-        return self.state is not HandoverState.IDLE or self._wanted is not None
+        return self.state is not ReaderSwapState.IDLE or self._wanted is not None
 
     def request(self, qos: Q) -> None:
         """Ask for new QoS; the newest request wins, one that changes nothing is no handover."""
@@ -135,7 +135,7 @@ class Handover(Generic[Q, S]):
 
         Only needed while ``is_tracking``; without a handover under way every sample is delivered as it comes.
         """
-        if self.is_tracking and self.state is HandoverState.IDLE and now_s >= self._remember_until_s:
+        if self.is_tracking and self.state is ReaderSwapState.IDLE and now_s >= self._remember_until_s:
             self._forget()
         if not self.is_tracking:
             return [sample]
@@ -151,10 +151,10 @@ class Handover(Generic[Q, S]):
         if self._wanted is not None:
             self._begin(self._wanted, now_s)
         if len(self._held) > _MOST_HELD:
-            self._abandon(HandoverResult.FAILED, now_s)
-        if self.state is HandoverState.MATCHING:
+            self._abandon(ReaderSwapResult.FAILED, now_s)
+        if self.state is ReaderSwapState.MATCHING:
             self._match(now_s)
-        if self.state is HandoverState.CATCHING_UP:
+        if self.state is ReaderSwapState.CATCHING_UP:
             return self._catch_up(now_s)
         return []
 
@@ -163,14 +163,14 @@ class Handover(Generic[Q, S]):
         if self._next is not None:
             self._next.destroy()
             self._next = None
-        self.state, self._wanted = HandoverState.IDLE, None
+        self.state, self._wanted = ReaderSwapState.IDLE, None
         self._forget()
         self._current.destroy()
 
     def _begin(self, qos: Q, now_s: float) -> None:
         self._wanted = None
         if self._next is not None:
-            self._abandon(HandoverResult.SUPERSEDED, now_s)
+            self._abandon(ReaderSwapResult.SUPERSEDED, now_s)
         if qos == self._qos:
             return
         self.is_tracking = True  # before the new reader exists: what it will have too must be known from now on
@@ -178,9 +178,9 @@ class Handover(Generic[Q, S]):
             self._next = self._create(qos)
         except Exception:  # noqa: BLE001 - whatever the middleware raises, the old reader stays
             self._remember_until_s = now_s
-            self._on_result(HandoverResult.FAILED)
+            self._on_result(ReaderSwapResult.FAILED)
             return
-        self._next_qos, self._since_s, self.state = qos, now_s, HandoverState.MATCHING
+        self._next_qos, self._since_s, self.state = qos, now_s, ReaderSwapState.MATCHING
 
     def _match(self, now_s: float) -> None:
         assert self._next is not None
@@ -188,20 +188,20 @@ class Handover(Generic[Q, S]):
             while (taken := self._next.take()) is not None:
                 self._hold(*taken)
             self._awaited = frozenset(self._held)
-            self._since_s, self.state = now_s, HandoverState.CATCHING_UP
+            self._since_s, self.state = now_s, ReaderSwapState.CATCHING_UP
         elif now_s - self._since_s > self._timing.match_timeout_s:
-            self._abandon(HandoverResult.UNMATCHED, now_s)
+            self._abandon(ReaderSwapResult.UNMATCHED, now_s)
 
     def _catch_up(self, now_s: float) -> list[S]:
         if not self._is_matched():  # a writer came that only the old reader knows as yet
-            self._since_s, self.state = now_s, HandoverState.MATCHING
+            self._since_s, self.state = now_s, ReaderSwapState.MATCHING
             return []
         is_complete = self._held.keys().isdisjoint(self._awaited)
         if not is_complete and now_s - self._since_s < self._timing.catch_up_s:
             return []
-        return self._switch(now_s, HandoverResult.OK if is_complete else HandoverResult.INCOMPLETE)
+        return self._switch(now_s, ReaderSwapResult.OK if is_complete else ReaderSwapResult.INCOMPLETE)
 
-    def _switch(self, now_s: float, result: HandoverResult) -> list[S]:
+    def _switch(self, now_s: float, result: ReaderSwapResult) -> list[S]:
         assert self._next is not None
         out: list[S] = []
         while (taken := self._current.take()) is not None:
@@ -215,7 +215,7 @@ class Handover(Generic[Q, S]):
         self._on_result(result)
         return out
 
-    def _abandon(self, result: HandoverResult, now_s: float) -> None:
+    def _abandon(self, result: ReaderSwapResult, now_s: float) -> None:
         assert self._next is not None
         self._next.destroy()
         self._end(now_s)
@@ -224,7 +224,7 @@ class Handover(Generic[Q, S]):
     def _end(self, now_s: float) -> None:
         self._held.clear()
         self._awaited = frozenset()
-        self._next, self.state = None, HandoverState.IDLE
+        self._next, self.state = None, ReaderSwapState.IDLE
         self._remember_until_s = now_s + self._timing.remember_s
 
     def _is_matched(self) -> bool:

@@ -1,12 +1,12 @@
 """How a topic is relayed, decided from who publishes it."""
 
-from arpd.apply.relay_routes import Refusal, Route, Source, choose_route, own_output
+from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
 
 CARRIER, OUTPUT = "/relay", "/link/x"
 
 
 def source(node="/a", type_name="std_msgs/msg/String", *, is_reliable=True, is_latched=False):
-    return Source(node=node, type_name=type_name, is_reliable=is_reliable, is_latched=is_latched)
+    return TopicWriter(node=node, type_name=type_name, is_reliable=is_reliable, is_latched=is_latched)
 
 
 def route(*sources, in_force=None, readers=()):
@@ -40,7 +40,7 @@ def test_reliability_returns_and_durability_does_not():
 def test_two_types_are_refused_and_named():
     """Two types on a topic that is not carried yet are refused, with who publishes which."""
     refusal = route(source("/b"), source("/a", "std_msgs/msg/Empty"))
-    assert refusal == Refusal(
+    assert refusal == RouteRefusal(
         reason="it has more than one type: std_msgs/msg/Empty from /a, std_msgs/msg/String from /b"
     )
 
@@ -63,9 +63,9 @@ def test_a_carried_type_that_left_makes_room_for_the_next():
 def test_circles_are_refused_and_named():
     """The carrier's own writer, and a node that reads the output, make a circle."""
     own = route(source(), source(CARRIER))
-    assert own == Refusal(reason="/relay publishes it itself, so its output would be its own input")
+    assert own == RouteRefusal(reason="/relay publishes it itself, so its output would be its own input")
     echo = route(source(), source("/echo"), readers=("/echo", "/far"))
-    assert echo == Refusal(reason="/echo reads /link/x and publishes it, so messages would go round in circles")
+    assert echo == RouteRefusal(reason="/echo reads /link/x and publishes it, so messages would go round in circles")
 
 
 def test_output_names_are_no_input():

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from arpd.adapters.host.addresses import Locators
-from arpd.adapters.http.patient import PatientServer
+from arpd.adapters.host.addresses import Addresses
+from arpd.adapters.http.retrying_server import RetryingServer
 from arpd.adapters.http.server import HttpAddressError
 from arpd.daemon.run import stop
 from arpd.daemon.supervisor import Signals, Supervisor
@@ -314,18 +314,18 @@ class Host:
 
     def __init__(self, **addresses):
         self.now_s = 100.0
-        self.addresses = addresses
+        self.by_interface = addresses
         self.link = "wlan0"
-        self.locators = Locators(lambda: self.link, addresses=self.known, clock=lambda: self.now_s)
+        self.addresses = Addresses(lambda: self.link, addresses=self.known, clock=lambda: self.now_s)
 
     def known(self):
-        return {name: frozenset([address]) for name, address in self.addresses.items()}
+        return {name: frozenset([address]) for name, address in self.by_interface.items()}
 
     def are_outdated(self, after_s):
         until_s = self.now_s + after_s
         while self.now_s < until_s:
             self.now_s += 0.1
-            if self.locators.are_outdated():
+            if self.addresses.are_outdated():
                 return True
         return False
 
@@ -334,20 +334,20 @@ def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
     """A radio that is late, or that gets another address, after a few seconds in which it may get more."""
     late = Host(lo="127.0.0.1")
     assert not late.are_outdated(60.0)
-    late.addresses["wlan0"] = "10.0.0.5"
+    late.by_interface["wlan0"] = "10.0.0.5"
     assert not late.are_outdated(2.5)
     assert late.are_outdated(3.0)
     renumbered = Host(wlan0="10.0.0.5")
-    renumbered.addresses["wlan0"] = "10.0.0.77"
+    renumbered.by_interface["wlan0"] = "10.0.0.77"
     assert renumbered.are_outdated(6.0)
 
 
 def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
     """Not the link's own that goes and returns, not another interface, and not a link that is chosen late."""
     host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
-    del host.addresses["wlan0"]
+    del host.by_interface["wlan0"]
     assert not host.are_outdated(30.0)
-    host.addresses |= {"wlan0": "10.0.0.5", "docker0": "172.17.0.1"}
+    host.by_interface |= {"wlan0": "10.0.0.5", "docker0": "172.17.0.1"}
     assert not host.are_outdated(30.0)
     host.link = "eth0"
     assert not host.are_outdated(30.0)
@@ -356,9 +356,9 @@ def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
 def test_an_address_that_is_passed_through_calls_for_nothing():
     """A link-local address that is gone after two seconds was none to be found under."""
     host = Host(wlan0="10.0.0.5")
-    host.addresses["wlan0"] = "169.254.3.4"
+    host.by_interface["wlan0"] = "169.254.3.4"
     assert not host.are_outdated(2.0)
-    host.addresses["wlan0"] = "10.0.0.5"
+    host.by_interface["wlan0"] = "10.0.0.5"
     assert not host.are_outdated(30.0)
 
 
@@ -377,7 +377,7 @@ def test_a_port_that_is_taken_is_tried_again(caplog):
     caplog.set_level("INFO")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        server = PatientServer(lambda: listening(port), again_s=0.02)
+        server = RetryingServer(lambda: listening(port), again_s=0.02)
         with server.up():
             assert server.fault.startswith(
                 f"no metrics: http: cannot listen on 127.0.0.1:{port}: Address already in use"
@@ -393,5 +393,5 @@ def test_a_port_that_is_taken_is_tried_again(caplog):
 
 def test_what_else_keeps_it_from_serving_at_the_start_is_raised():
     """A web configuration that is wrong does not get better by trying again."""
-    with pytest.raises(ValueError, match="a bug"), PatientServer(fail).up():
+    with pytest.raises(ValueError, match="a bug"), RetryingServer(fail).up():
         raise AssertionError("must not be entered")

@@ -24,7 +24,7 @@ class World:
     def __init__(self, *, deaf=()):
         self.now_s = 0.0
         self.told = []
-        self.superior = ""
+        self.active_daemon = ""
         self.gates = []
         self.probes = []
         self._deaf = deaf
@@ -46,8 +46,8 @@ class World:
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
             sensing_topics=1,
             actuation_topics=0,
-            other_daemons=(self.superior,) if self.superior else (),
-            superior=self.superior,
+            other_daemons=(self.active_daemon,) if self.active_daemon else (),
+            active_daemon=self.active_daemon,
         )
 
     def apply(self, transitions, *, now_s):
@@ -142,7 +142,7 @@ def test_a_daemon_that_stands_by_only_watches():
     world = World()
     told: list[Any] = []
     daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=told.append)
-    world.superior = "robot-2"
+    world.active_daemon = "robot-2"
     for _ in range(100):
         world.now_s += 0.1
         daemon.tick(world.now_s)
@@ -153,7 +153,7 @@ def test_a_daemon_that_stands_by_only_watches():
     assert [event.text for event in told if event.kind == "standing_by"] == [
         "another arpd daemon, on robot-2, has run for longer: standing by"
     ]
-    world.superior = ""
+    world.active_daemon = ""
     world.now_s += 0.1
     daemon.tick(world.now_s)
     assert world.gates
@@ -164,12 +164,12 @@ def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
     """Before it restores anything a daemon hears who is there: publishers with a plan, or another daemon in charge."""
     world = World()
     late: Any = World()
-    late.superior = "robot-2"
+    late.active_daemon = "robot-2"
     seen = late.observe
 
     def observe(now_s):
         observation = seen(now_s)
-        return observation if now_s > 1.0 else replace(observation, superior="", other_daemons=())
+        return observation if now_s > 1.0 else replace(observation, active_daemon="", other_daemons=())
 
     late.observe = observe
     assert (restored(world), restored(late)) == (0, 0)
@@ -181,10 +181,10 @@ def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
 def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     """Nothing is told to anybody in such a tick, and the next one that works goes on where the last one stood."""
     world: Any = World()
-    world.superior = "robot-2"
+    world.active_daemon = "robot-2"
     daemon: Any = Daemon(world, Settings(link=LinkSettings(capacity_bytes_per_second=1e6)), interface="lo")
     daemon.tick(0.0)
-    world.superior = ""
+    world.active_daemon = ""
     world.writer = replace(world.writer, direction=Direction.SENSING, remote_readers=1)
     for tick in range(30):
         daemon.tick(0.1 * tick)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.cross_traffic import ForeignTraffic
+from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState, Observation
@@ -65,7 +65,7 @@ class Robot:
 
     def __init__(self, *sources):
         self.sources = list(sources)
-        self.traffic = ForeignTraffic()
+        self.traffic = CrossTraffic()
         self.now_s = START_S
         self.carried = 5e6
         self.is_readable = True

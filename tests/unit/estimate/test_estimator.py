@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimate.estimator import Estimator
-from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.parameters import EstimatorParameters
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import MOST_YIELDED, CapacityKind, EstimatorEvent, LinkState
 from arpd.model.observation import MemoryState, Observation
@@ -16,7 +16,7 @@ from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
 from arpd.model.wire import probe_wire_bytes
 
-TUNING = EstimatorTuning()
+TUNING = EstimatorParameters()
 FIRST = 2.0e6
 UP = LinkCounters(
     interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
@@ -406,8 +406,8 @@ def test_foreign_traffic_is_taken_from_what_is_available_only():
     for step in range(60):
         estimate = link.tick(counters=replace(UP, tx_bytes=round(step * 0.1 * 5e5)))
     assert estimate.capacity_bytes_per_second == FIRST
-    assert 4.2e5 < estimate.foreign_bytes_per_second < 5e5
-    assert estimate.available_bytes_per_second == FIRST - estimate.foreign_bytes_per_second
+    assert 4.2e5 < estimate.cross_traffic_bytes_per_second < 5e5
+    assert estimate.available_bytes_per_second == FIRST - estimate.cross_traffic_bytes_per_second
 
 
 def test_a_pinned_capacity_is_shared_with_foreign_traffic():
@@ -415,13 +415,13 @@ def test_a_pinned_capacity_is_shared_with_foreign_traffic():
     link = Link(capacity_bytes_per_second=3e6)
     for step in range(60):
         estimate = link.tick(counters=replace(UP, tx_bytes=round(step * 0.1 * 5e5)))
-    assert estimate.available_bytes_per_second == 3e6 - estimate.foreign_bytes_per_second < 3e6 - 4.2e5
+    assert estimate.available_bytes_per_second == 3e6 - estimate.cross_traffic_bytes_per_second < 3e6 - 4.2e5
 
 
 @given(st.floats(0.0, 1e9), st.floats(0.0, 1e9))
 def test_at_most_half_is_yielded(capacity, foreign):
     """However much others carry, half of the capacity stays available."""
-    estimate = replace(Link().tick(), capacity_bytes_per_second=capacity, foreign_bytes_per_second=foreign)
+    estimate = replace(Link().tick(), capacity_bytes_per_second=capacity, cross_traffic_bytes_per_second=foreign)
     assert MOST_YIELDED * capacity <= estimate.available_bytes_per_second <= capacity
 
 
@@ -431,7 +431,7 @@ def test_its_own_probes_are_not_foreign():
     for _ in range(60):
         sent = sum(probe.packets * probe_wire_bytes(probe.packet_bytes) for _, probe in link.probes)
         estimate = link.tick(counters=replace(UP, tx_bytes=sent), peers=1)
-        assert estimate.foreign_bytes_per_second == 0.0
+        assert estimate.cross_traffic_bytes_per_second == 0.0
     assert sent > 6 * 40_000
 
 

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.parameters import EstimatorTuning
+from arpd.estimate.parameters import EstimatorParameters
 from arpd.estimate.peer_queue import QueueGauge, SentProbe
 from arpd.model.probing import PeerReport
 
-TUNING = EstimatorTuning()
+TUNING = EstimatorParameters()
 RATE = 500_000.0  # bytes/s, of the link
 IDLE_S = 0.004  # one way with nothing in front
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeSchedule, ProbeTuning
+from arpd.estimate.probes import ProbeParameters, ProbeSchedule
 from arpd.model.wire import probe_wire_bytes
 
-TUNING = ProbeTuning()
+TUNING = ProbeParameters()
 MBIT = 125_000.0  # bytes/s
 CALM = {
     "is_measured": True,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.estimate.silence import Hearing
+from arpd.estimate.silence import Silence
 from arpd.model.interface import InterfaceState, LinkCounters
 
 TICK_S = 0.1
@@ -16,7 +16,7 @@ class Interface:
         self.packets = 1000.0
         self.sent = 5e6
         self.dropped = 0
-        self.hearing = Hearing()
+        self.hearing = Silence()
 
     def receive(self, rate_hz, duration_s, *, is_usual=True, state=InterfaceState.UP, sends=1e5, backlog=None, drops=0):
         for _ in range(round(duration_s / TICK_S)):
@@ -74,32 +74,32 @@ def test_an_interface_that_is_down_or_gone_answers_nothing():
     assert not interface.receive(200, 0.1, is_usual=False, state=InterfaceState.DOWN)
 
 
-@pytest.mark.parametrize(("lately_hz", "is_deaf"), [(0.0, True), (0.3, True), (0.8, False), (40.0, False)])
-def test_a_link_is_deaf_where_nobody_sends_anything(lately_hz, is_deaf):
+@pytest.mark.parametrize(("lately_hz", "has_received_nothing"), [(0.0, True), (0.3, True), (0.8, False), (40.0, False)])
+def test_a_link_is_silent_where_nobody_sends_anything(lately_hz, has_received_nothing):
     """A broadcast now and then is nobody; whoever reads sends more."""
     interface = Interface()
     interface.receive(200, 20.0)
-    assert not interface.hearing.is_deaf
+    assert not interface.hearing.has_received_nothing
     interface.receive(200, 0.6, is_usual=False)  # was under way
     interface.receive(lately_hz, 20.0, is_usual=False)
-    assert interface.hearing.is_deaf is is_deaf
+    assert interface.hearing.has_received_nothing is has_received_nothing
 
 
-def test_a_link_is_deaf_until_the_peer_is_heard():
+def test_a_link_is_not_silent_until_the_peer_is_heard():
     """However long the silence, and at once when it ends."""
     interface = Interface()
     interface.receive(200, 20.0)
     interface.receive(0, 300.0, is_usual=False)
-    assert interface.hearing.is_deaf
+    assert interface.hearing.has_received_nothing
     interface.receive(200, 0.1)
-    assert not interface.hearing.is_deaf
+    assert not interface.hearing.has_received_nothing
 
 
 def test_a_robot_that_never_heard_a_peer_is_not_deaf():
     """Without one, silence says nothing."""
     interface = Interface()
     interface.receive(0, 60.0, is_usual=False)
-    assert not interface.hearing.is_deaf
+    assert not interface.hearing.has_received_nothing
 
 
 @pytest.mark.parametrize("how", [{"backlog": 150_000}, {"drops": 40}])
@@ -109,7 +109,7 @@ def test_a_link_that_only_trickles_is_cut(how, rate, is_cut):
     interface = Interface()
     interface.receive(200, 20.0)
     interface.receive(20, 10.0, is_usual=False, sends=rate, **how)
-    assert not interface.hearing.is_deaf
+    assert not interface.hearing.has_received_nothing
     assert interface.hearing.is_cut is is_cut
 
 

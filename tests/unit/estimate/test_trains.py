@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeTuning
+from arpd.estimate.probes import ProbeParameters
 from arpd.estimate.trains import TrainLog
 from arpd.model.probing import Train
 from arpd.model.wire import probe_wire_bytes
 
-PROBES = ProbeTuning()
+PROBES = ProbeParameters()
 LARGE = probe_wire_bytes(PROBES.packet_bytes)
 SMALL = probe_wire_bytes(PROBES.small_packet_bytes)
 MEMORY_S = 30.0

@@ -363,8 +363,8 @@ def test_what_the_capacity_does_is_not_called_demand():
 def test_foreign_traffic_closes_the_gate_at_once_and_lowers_the_level():
     """What others take is not there, for the gate and for the plan."""
     run = Run().planned()
-    assert run.tick(foreign_bytes_per_second=4e5).gate == pytest.approx(0.6, rel=0.02)
-    assert run.until_changed(1e6, foreign_bytes_per_second=4e5)[1] == "down"
+    assert run.tick(cross_traffic_bytes_per_second=4e5).gate == pytest.approx(0.6, rel=0.02)
+    assert run.until_changed(1e6, cross_traffic_bytes_per_second=4e5)[1] == "down"
     assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * 6e5)
 
 
@@ -374,7 +374,7 @@ def test_foreign_noise_leaves_the_level_alone(shares):
     """Foreign traffic that comes and goes within the hysteresis never swaps anything."""
     run = Run().planned()
     for share in shares:
-        assert not changes(run.ticks(0.5, 1e6, foreign_bytes_per_second=share * 1e6))
+        assert not changes(run.ticks(0.5, 1e6, cross_traffic_bytes_per_second=share * 1e6))
 
 
 @pytest.mark.parametrize("known", [{"generation": 41}, {"newest": 41}, {"generation": 41, "newest": 3}])

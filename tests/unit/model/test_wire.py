@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeTuning
+from arpd.estimate.probes import ProbeParameters
 from arpd.model.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
@@ -65,5 +65,5 @@ def test_a_probe_costs_less_than_a_reliable_sample_of_its_size(data_bytes):
 
 def test_a_probe_packet_of_a_train_is_the_captured_frame():
     """Trains are made of packets that need no fragment, so that each is one arrival: 1390 bytes."""
-    assert probe_wire_bytes(ProbeTuning().packet_bytes) == 1390
-    assert ProbeTuning().packet_bytes + 16 <= FRAGMENT_BYTES
+    assert probe_wire_bytes(ProbeParameters().packet_bytes) == 1390
+    assert ProbeParameters().packet_bytes + 16 <= FRAGMENT_BYTES

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.model.observation import Kind, Reason
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import PeerReport, Train
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
-from arpd.observe.rate_limits import Refusals, TokenBucket, Turnstile
+from arpd.observe.rate_limits import RefusalCounts, SourceRateLimiter, TokenBucket
 from arpd.observe.registry import MOST, MOST_OF_NODE, Endpoints
 from tests.sample_publishers import publisher
 
@@ -41,7 +41,7 @@ def test_a_bucket_lets_its_rate_and_its_burst_through(times, rate_hz, burst):
 
 def test_a_flood_of_names_takes_nothing_from_those_that_are_known():
     """A thousand invented names share one rate; the known node keeps its own."""
-    turnstile = Turnstile(rate_hz=2.0, burst=2.0, strangers_hz=5.0, strangers_burst=5.0)
+    turnstile = SourceRateLimiter(rate_hz=2.0, burst=2.0, strangers_hz=5.0, strangers_burst=5.0)
     turnstile.know(["/honest"])
     passed = 0
     for tick in range(100):
@@ -54,7 +54,7 @@ def test_a_flood_of_names_takes_nothing_from_those_that_are_known():
 
 def test_a_known_node_that_floods_is_held_to_its_rate():
     """What it says beyond that is not heard, and being known again gives no fresh start."""
-    turnstile = Turnstile(rate_hz=1.0, burst=4.0, strangers_hz=1.0, strangers_burst=1.0)
+    turnstile = SourceRateLimiter(rate_hz=1.0, burst=4.0, strangers_hz=1.0, strangers_burst=1.0)
     passed = 0
     for k in range(1000):
         turnstile.know(["/loud"])
@@ -64,12 +64,17 @@ def test_a_known_node_that_floods_is_held_to_its_rate():
 
 def test_a_refusal_is_said_once_a_minute_and_always_counted():
     """A source is complained of once a minute; invented ones cannot fill the log."""
-    refusals = Refusals()
-    said = [refusals.note(Kind.CLAIMS, Reason.RATE, "", now_s) for now_s in (0.0, 1.0, 59.0, 61.0, 62.0)]
+    refusals = RefusalCounts()
+    said = [
+        refusals.note(MessageKind.HEARTBEATS, MessageRefusal.RATE, "", now_s) for now_s in (0.0, 1.0, 59.0, 61.0, 62.0)
+    ]
     assert said == [True, False, False, True, False]
-    many = sum(refusals.note(Kind.REPORTS, Reason.QUOTA, f"liar-{k}", 62.0) for k in range(10_000))
+    many = sum(refusals.note(MessageKind.REPORTS, MessageRefusal.QUOTA, f"liar-{k}", 62.0) for k in range(10_000))
     assert many < 50
-    assert refusals.counts == {(Kind.CLAIMS, Reason.RATE): 5, (Kind.REPORTS, Reason.QUOTA): 10_000}
+    assert refusals.counts == {
+        (MessageKind.HEARTBEATS, MessageRefusal.RATE): 5,
+        (MessageKind.REPORTS, MessageRefusal.QUOTA): 10_000,
+    }
 
 
 # -- endpoints
@@ -175,9 +180,9 @@ def test_a_report_must_answer_a_probe_that_was_sent(base):
     assert admission.check(answer, 0.0, ceiling=HIGH).last_probe == 3
     for guess in (0, (base + 4) % 2**32, base, (base - 5) % 2**32, 4711):
         if (guess - base) % 2**32 not in (1, 2, 3) or guess == 0:
-            assert admission.check(replace(REPORT, last_probe=guess), 0.0, ceiling=HIGH) is Reason.UNANSWERED
+            assert admission.check(replace(REPORT, last_probe=guess), 0.0, ceiling=HIGH) is MessageRefusal.UNANSWERED
     admission.number(5000)
-    assert admission.check(answer, 0.0, ceiling=HIGH) is Reason.UNANSWERED  # as old as this none is
+    assert admission.check(answer, 0.0, ceiling=HIGH) is MessageRefusal.UNANSWERED  # as old as this none is
 
 
 def test_while_nothing_is_probed_nothing_is_answered():
@@ -206,7 +211,7 @@ def test_a_peer_that_floods_is_held_to_its_rate():
     admission.see(1)
     results = [admission.check(answering(admission, 1), k / 10_000, ceiling=HIGH) for k in range(10_000)]
     assert 60 <= sum(isinstance(result, PeerReport) for result in results) <= 95
-    assert results[-1] is Reason.RATE
+    assert results[-1] is MessageRefusal.RATE
 
 
 def test_no_report_exceeds_what_the_link_can_do():

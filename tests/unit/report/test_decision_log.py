@@ -16,7 +16,7 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.observation import MemoryState, Observation
 from arpd.model.plan import Decision, QosPlan, TopicPlan
-from arpd.report.decision_log import MOST_EVENTS, Chronicle
+from arpd.report.decision_log import MOST_EVENTS, DecisionLog
 from arpd.report.events import EventKind, Severity
 from arpd.report.snapshot import Snapshot, Totals
 from tests.sample_publishers import publisher, reader
@@ -43,7 +43,7 @@ class Log:
     """A daemon's pictures, told one after the other; each keeps what the last had, but for what is said."""
 
     def __init__(self):
-        self.chronicle = Chronicle()
+        self.chronicle = DecisionLog()
         self.at_s = 1000.0
         self.state = {
             "publishers": (),
@@ -52,7 +52,7 @@ class Log:
             "peer_ages_s": {},
             "peers": None,
             "other_daemons": (),
-            "superior": "",
+            "active_daemon": "",
             "capacity": 20 * MBIT,
             "foreign": 0.0,
             "link_state": LinkState.STEADY,
@@ -92,7 +92,7 @@ class Log:
                 peers=s["peers"],
                 peer_ages_s=MappingProxyType(s["peer_ages_s"]),
                 other_daemons=s["other_daemons"],
-                superior=s["superior"],
+                active_daemon=s["active_daemon"],
             ),
             link=LinkEstimate(
                 capacity_bytes_per_second=s["capacity"],
@@ -102,7 +102,7 @@ class Log:
                 delivery_rate_bytes_per_second=0.0,
                 age_s=0.0,
                 evidence="",
-                foreign_bytes_per_second=s["foreign"],
+                cross_traffic_bytes_per_second=s["foreign"],
             ),
             allocation=Allocation(
                 topics=(),
@@ -499,8 +499,8 @@ def test_a_reload_before_the_first_tick_is_told():
 def test_another_daemon_is_told_of(log):
     """Who drives, who stands by, and when this one is alone again."""
     told = [
-        *log.tick(superior="robot-2", other_daemons=("robot-2",)),
-        *log.tick(superior="", other_daemons=("robot-2",)),
+        *log.tick(active_daemon="robot-2", other_daemons=("robot-2",)),
+        *log.tick(active_daemon="", other_daemons=("robot-2",)),
         *log.tick(other_daemons=()),
     ]
     assert texts(told) == [
@@ -544,7 +544,7 @@ _STEP = st.fixed_dictionaries(
         "interface": st.sampled_from(["wlan0", "wlan1"]),
         "peer_ages_s": st.dictionaries(_NAMES, st.floats(0.0, 60.0), max_size=3),
         "peers": st.sampled_from([None, 0, 2]),
-        "superior": st.sampled_from(["", "a", "b\n"]),
+        "active_daemon": st.sampled_from(["", "a", "b\n"]),
         "refusals": st.sampled_from([(), ("dwell",), ("budget",)]),
         "status": st.sampled_from(list(AllocationStatus)),
         "degradation": _NAMES,

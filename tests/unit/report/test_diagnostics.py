@@ -8,7 +8,7 @@ import pytest
 
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
-from arpd.report.decision_log import Chronicle
+from arpd.report.decision_log import DecisionLog
 from arpd.report.diagnostics import Level, diagnose
 from tests.golden.sample import FINISHED_AT_S, make_snapshot
 
@@ -53,7 +53,7 @@ def test_a_healthy_daemon_is_ok_everywhere():
             Level.WARN,
             "rate reserve 0 % left",
         ),
-        (changed(observation={"superior": "robot-2"}), "plan", Level.WARN, "standing by"),
+        (changed(observation={"active_daemon": "robot-2"}), "plan", Level.WARN, "standing by"),
         (changed(config_error="a.yaml:1:1: x"), "configuration", Level.ERROR, "reload refused: a.yaml:1:1: x"),
         (changed(keys_awaiting_restart=("http.port",)), "configuration", Level.WARN, "restart needed for http.port"),
     ],
@@ -68,7 +68,7 @@ def test_what_is_wrong_has_a_level_and_a_reason(snapshot, part, level, words):
 
 def test_the_last_events_are_values_and_the_worst_of_a_minute_is_the_level():
     """The newest first, each with its time; a minute later a warning is only history."""
-    chronicle, at_s = Chronicle(), 0.0
+    chronicle, at_s = DecisionLog(), 0.0
     for state in [LinkState.STEADY, LinkState.OUTAGE, LinkState.STEADY] * 4:
         at_s += 60.0
         snapshot = changed(link={"state": state}, finished_at_s=FINISHED_AT_S + at_s, unix_time_s=1.7e9 + at_s)

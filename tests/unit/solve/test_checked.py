@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from arpd.model.settings import Backend
 from arpd.solve.checked import CheckedSolver, load
-from arpd.solve.exact import Stand, water_fill
+from arpd.solve.exact import ActiveBound, water_fill
 from arpd.solve.osqp_ import OsqpSolver
 from arpd.solve.problem import Infeasible, ShareProblem, Solved, SolverFailed, checked, disagreement
 
@@ -120,7 +120,11 @@ def test_shares_say_where_they_stand(problem):
     filling = water_fill(problem)
     level = Fraction(*filling.level)
     for i, stand in enumerate(filling.stands):
-        place = {Stand.LOW: problem.lo[i], Stand.HIGH: problem.hi[i], Stand.LEVEL: level * problem.weights[i]}[stand]
+        place = {
+            ActiveBound.LOW: problem.lo[i],
+            ActiveBound.HIGH: problem.hi[i],
+            ActiveBound.LEVEL: level * problem.weights[i],
+        }[stand]
         assert Fraction(*filling.ratios()[i]) == place
 
 

@@ -19,9 +19,9 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from arpd.adapters.http.answers import HEALTHY_S
+from arpd.adapters.http.connection_limit import MAX_PLACES
 from arpd.adapters.http.metrics import SnapshotCollector, make_registry
 from arpd.adapters.http.page import render_page
-from arpd.adapters.http.places import MAX_PLACES
 from arpd.adapters.http.server import HttpAddressError, HttpServer
 from arpd.cli.status import screen
 from arpd.model.allocation import AllocationStatus
@@ -312,7 +312,7 @@ def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):
     assert document["link"]["available_bytes_per_second"] == 437_500.0
     assert "Foreign traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in visible(render_page(document))
     assert "500 kbit/s of it is traffic that is not arpd's, which leaves 3.50 Mbit/s" in screen(document)
-    alone = replace(sample_snapshot, link=replace(sample_snapshot.link, foreign_bytes_per_second=0.0))
+    alone = replace(sample_snapshot, link=replace(sample_snapshot.link, cross_traffic_bytes_per_second=0.0))
     assert "not arpd's" not in screen(status_document(alone, now_s=1000.25))
 
 

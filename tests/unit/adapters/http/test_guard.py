@@ -12,16 +12,24 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from arpd.adapters.http.connection_limit import (
+    MAX_PER_CLIENT,
+    MAX_PLACES,
+    MAX_THREADS,
+    Connection,
+    ConnectionLimit,
+    client_of,
+    contested,
+)
 from arpd.adapters.http.passwords import (
     BURST,
     MAX_CLIENTS,
     MAX_WAITING,
     Passwords,
-    Verdict,
+    PasswordVerdict,
     bcrypt_matches,
     parse_basic,
 )
-from arpd.adapters.http.places import MAX_PER_CLIENT, MAX_PLACES, MAX_THREADS, Places, Visit, client_of, contested
 from arpd.adapters.http.request import MAX_HEAD_BYTES, METHODS, Request, RequestRefusedError, read_request
 from arpd.adapters.http.stream import Stream
 from tests.unit.web_world import HASH, PASSWORD
@@ -125,9 +133,9 @@ def test_when_all_places_are_taken_the_client_with_most_gives_up_its_oldest():
 @given(moves=st.lists(st.tuples(st.sampled_from("abcdef"), st.booleans(), st.integers(0, 30)), max_size=80))
 def test_places_threads_and_shares_are_bounded_and_a_new_client_gets_in(moves):
     """Whoever comes, works and goes: bounds hold, and while somebody waits, a client without a place gets one."""
-    places = Places(patience_s=0.0)
-    inside: list[Visit] = []
-    threads: list[Visit] = []
+    places = ConnectionLimit(patience_s=0.0)
+    inside: list[Connection] = []
+    threads: list[Connection] = []
     for client, works, leaver in moves:
         visit, evicted = places.enter(cast("socket.socket", _NoSocket()), client)
         if visit is None:
@@ -236,17 +244,17 @@ USERS = {b"alice": b"ecila", b"bob": b"bob"}
 
 def test_a_right_password_is_checked_once_and_then_remembered(passwords):
     """A scrape costs bcrypt the first time only; a changed hash is checked anew."""
-    assert passwords.judge(USERS, basic("alice", "alice"), "a") is Verdict.OK
-    assert passwords.judge(USERS, basic("alice", "alice"), "b") is Verdict.CACHED
-    assert passwords.judge(USERS, basic("alice", "wrong"), "b") is Verdict.WRONG
-    assert passwords.judge(USERS | {b"alice": b"other"}, basic("alice", "alice"), "a") is Verdict.WRONG
+    assert passwords.judge(USERS, basic("alice", "alice"), "a") is PasswordVerdict.OK
+    assert passwords.judge(USERS, basic("alice", "alice"), "b") is PasswordVerdict.CACHED
+    assert passwords.judge(USERS, basic("alice", "wrong"), "b") is PasswordVerdict.WRONG
+    assert passwords.judge(USERS | {b"alice": b"other"}, basic("alice", "alice"), "a") is PasswordVerdict.WRONG
     assert len(passwords._check.runs) == 3
 
 
 def test_an_unknown_name_costs_what_a_known_one_does(passwords):
     """One run of bcrypt against a real hash, always the same one for a name, and never right."""
     for password in ("x", "ecila", "bob", "alice"):
-        assert passwords.judge({b"alice": b"ecila"}, basic("mallory", password), "a") is Verdict.WRONG
+        assert passwords.judge({b"alice": b"ecila"}, basic("mallory", password), "a") is PasswordVerdict.WRONG
     assert [hashed for _, hashed in passwords._check.runs] == [b"ecila"] * 4
     assert passwords._good == {}
 
@@ -254,7 +262,7 @@ def test_an_unknown_name_costs_what_a_known_one_does(passwords):
 @pytest.mark.parametrize("header", [b"", b"Basic", b"Basic !", b"Basic YQ==", b"Bearer YTpi", b"Digest YTpi"])
 def test_without_credentials_nothing_is_checked(passwords, header):
     """What is no name and password is asked for them."""
-    assert passwords.judge(USERS, header, "a") is Verdict.MISSING
+    assert passwords.judge(USERS, header, "a") is PasswordVerdict.MISSING
     assert passwords._check.runs == []
 
 
@@ -262,12 +270,12 @@ def test_who_guesses_waits_and_who_is_remembered_does_not(passwords):
     """After a burst a client has one guess a second; others, and passwords known to be right, are not held up."""
     passwords.judge(USERS, basic("alice", "alice"), "a")
     verdicts = [passwords.judge(USERS, basic("alice", str(i)), "a") for i in range(int(BURST) + 3)]
-    assert verdicts == [Verdict.WRONG] * int(BURST) + [Verdict.THROTTLED] * 3
-    assert passwords.judge(USERS, basic("alice", "alice"), "a") is Verdict.CACHED
-    assert passwords.judge(USERS, basic("bob", "bob"), "b") is Verdict.OK
+    assert verdicts == [PasswordVerdict.WRONG] * int(BURST) + [PasswordVerdict.THROTTLED] * 3
+    assert passwords.judge(USERS, basic("alice", "alice"), "a") is PasswordVerdict.CACHED
+    assert passwords.judge(USERS, basic("bob", "bob"), "b") is PasswordVerdict.OK
     passwords._clock.now_s = 1.0
-    assert passwords.judge(USERS, basic("alice", "x"), "a") is Verdict.WRONG
-    assert passwords.judge(USERS, basic("alice", "x"), "a") is Verdict.THROTTLED
+    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.WRONG
+    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.THROTTLED
 
 
 def test_many_clients_take_no_more_memory_than_some(passwords):
@@ -301,13 +309,13 @@ def test_few_wait_for_bcrypt_and_one_runs():
         thread.start()
     assert started.acquire(timeout=10.0)
     for thread in threads:
-        if verdicts.count(Verdict.BUSY) == 3:
+        if verdicts.count(PasswordVerdict.BUSY) == 3:
             break
         thread.join(1.0)
     finish.set()
     for thread in threads:
         thread.join(10.0)
-    assert sorted(verdicts) == [Verdict.BUSY] * 3 + [Verdict.WRONG] * MAX_WAITING
+    assert sorted(verdicts) == [PasswordVerdict.BUSY] * 3 + [PasswordVerdict.WRONG] * MAX_WAITING
     assert max(most) == 1
 
 

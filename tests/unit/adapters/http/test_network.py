@@ -17,8 +17,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from arpd.adapters.http.connection_limit import MAX_PLACES, MAX_THREADS
 from arpd.adapters.http.metrics import SnapshotCollector
-from arpd.adapters.http.places import MAX_PLACES, MAX_THREADS
 from arpd.cli.main import main
 from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
 

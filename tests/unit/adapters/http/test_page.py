@@ -243,7 +243,7 @@ def test_the_verdict_answers_the_four_questions(sample_snapshot):
     [
         ({"link": {"state": LinkState.OUTAGE}}, "error", "The link is down"),
         ({"observation": {"counters": None}}, "error", "The link is down"),
-        ({"observation": {"superior": "other"}}, "warning", "Standing by"),
+        ({"observation": {"active_daemon": "other"}}, "warning", "Standing by"),
         ({"link": {"state": LinkState.DRAINING}}, "warning", "The link is overfull"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, "warning", "The link is overfull"),
         ({"allocation": {"status": AllocationStatus.DEGRADED}}, "warning", "Not everything asked for fits"),

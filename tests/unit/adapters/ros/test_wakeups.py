@@ -7,7 +7,7 @@ import time
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.adapters.ros.node_publishers import Visits
+from arpd.adapters.ros.node_publishers import Wakeups
 
 NAMES = st.sampled_from("abcd")
 
@@ -15,7 +15,7 @@ NAMES = st.sampled_from("abcd")
 @given(st.lists(st.one_of(NAMES, st.tuples(NAMES, st.floats(0.0, 10.0) | st.just(math.inf)), st.floats(0.0, 10.0))))
 def test_who_is_due_is_visited_and_nobody_else(events):
     """Whatever is woken, timed and visited, in whatever order: the due ones come once, the others not."""
-    visits: Visits[str] = Visits()
+    visits: Wakeups[str] = Wakeups()
     due_s = {}
     for event in events:
         if isinstance(event, str):
@@ -34,7 +34,7 @@ def test_who_is_due_is_visited_and_nobody_else(events):
 
 def test_a_wake_during_the_visit_means_another_one():
     """One that is woken while it is visited is visited again, whatever time its visit ends with."""
-    visits: Visits[str] = Visits()
+    visits: Wakeups[str] = Wakeups()
     visits.wake("a")
     visits.wait(0.0)
     assert visits.take_due(0.0) == ["a"]
@@ -46,7 +46,7 @@ def test_a_wake_during_the_visit_means_another_one():
 
 def test_no_wake_is_lost_among_threads():
     """However many threads wake at once, everyone who was woken is visited after its last wake."""
-    visits: Visits[int] = Visits()
+    visits: Wakeups[int] = Wakeups()
     asked = dict.fromkeys(range(8), 0)
     seen: dict[int, int] = {}
 
@@ -68,7 +68,7 @@ def test_no_wake_is_lost_among_threads():
 
 def test_waiting_ends_when_told():
     """`end` lets a wait return at once, with nobody to visit."""
-    visits: Visits[str] = Visits()
+    visits: Wakeups[str] = Wakeups()
     waiter = threading.Thread(target=visits.wait, args=(1000.0,), daemon=True)
     waiter.start()
     visits.end()

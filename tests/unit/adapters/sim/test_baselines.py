@@ -52,7 +52,7 @@ def feed(estimator, rates, start_s=0.0):
 def test_the_oracle_tells_the_truth():
     """Capacity, queue, foreign traffic and overhead are those of the link at that moment."""
     truth = Truth(
-        capacity_bytes_per_second=1e6, queue_delay_s=0.2, foreign_bytes_per_second=3e5, packet_overhead_s=1e-4
+        capacity_bytes_per_second=1e6, queue_delay_s=0.2, cross_traffic_bytes_per_second=3e5, packet_overhead_s=1e-4
     )
     told = Oracle(lambda: truth).update(observation(1.0))
     assert told.capacity_bytes_per_second == 1e6

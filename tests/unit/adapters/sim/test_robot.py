@@ -9,10 +9,10 @@ from random import Random
 import pytest
 
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
-from arpd.adapters.sim.robot import SimTopic, SimulatedPublisher, Source
+from arpd.adapters.sim.robot import SampleSource, SimTopic, SimulatedPublisher
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.adapters.sim.timeline import Timeline
-from arpd.adapters.sim.writer import Route
+from arpd.adapters.sim.writer import LinkPath
 from arpd.model.endpoints import DropCause, SwapPhase, SwapResult
 from arpd.model.plan import TopicPlan
 
@@ -34,9 +34,9 @@ def publisher(timeline):
         for name in ("there", "back")
     )
     topic = SimTopic(name="/scan", payload_bytes=500, rate_hz=50.0)
-    route = Route(timeline=timeline, there=there, back=back)
+    route = LinkPath(timeline=timeline, there=there, back=back)
     publisher = SimulatedPublisher(route, topic, name="/link/scan", node="/relay", heartbeat_s=0.05)
-    Source(timeline, publisher.publish, rate_hz=50.0, start_s=ORIGIN_S, end_s=ORIGIN_S + 20.0, random=Random(1))
+    SampleSource(timeline, publisher.publish, rate_hz=50.0, start_s=ORIGIN_S, end_s=ORIGIN_S + 20.0, random=Random(1))
     timeline.every(1.0, partial(publisher.state, generation=0), first_s=ORIGIN_S)
     return publisher
 

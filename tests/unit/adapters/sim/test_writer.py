@@ -13,7 +13,7 @@ from arpd.adapters.sim.arrivals import Arrivals
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.adapters.sim.timeline import Timeline
-from arpd.adapters.sim.writer import SAMPLE, Route, SimulatedWriter
+from arpd.adapters.sim.writer import SAMPLE, LinkPath, SimulatedWriter
 from arpd.model.endpoints import WriterQos
 from arpd.model.wire import HEARTBEAT_BYTES, wire_size
 
@@ -56,7 +56,7 @@ class World:
         self.reader = Delivered(self.timeline)
         self.published = 0
         self.writer = SimulatedWriter(
-            Route(timeline=self.timeline, there=self.there, back=self.back),
+            LinkPath(timeline=self.timeline, there=self.there, back=self.back),
             self.reader,
             payload_bytes=payload_bytes,
             qos=WriterQos(depth=depth, deadline_ns=0),

@@ -10,7 +10,7 @@ import uuid
 import pytest
 
 from arpd.adapters.ros.peer import ProbeStatus
-from arpd.adapters.systemd.notify import Heartbeat, Notifier
+from arpd.adapters.systemd.notify import Notifier, Watchdog
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -120,7 +120,7 @@ def heart(manager):
         notifier.ready()  # ends what the watchdog heard
         return sum(message == "WATCHDOG=1" for message in iter(heard, "READY=1"))
 
-    return Heartbeat(notifier, parts=[lambda: clock.finished_s], clock=clock), clock, pings
+    return Watchdog(notifier, parts=[lambda: clock.finished_s], clock=clock), clock, pings
 
 
 def test_a_busy_process_pings_once_a_second(heart):

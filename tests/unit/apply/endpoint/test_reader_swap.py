@@ -6,11 +6,11 @@ from typing import Any
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.reader_swap import Handover, HandoverState, HandoverTiming
-from arpd.model.endpoints import HandoverResult
+from arpd.apply.endpoint.reader_swap import ReaderSwap, ReaderSwapState, ReaderSwapTiming
+from arpd.model.endpoints import ReaderSwapResult
 
 WRITERS = 2
-TIMING = HandoverTiming(settle_s=1.0, match_timeout_s=5.0, catch_up_s=100.0, remember_s=10.0)
+TIMING = ReaderSwapTiming(settle_s=1.0, match_timeout_s=5.0, catch_up_s=100.0, remember_s=10.0)
 
 
 class Reader:
@@ -43,10 +43,10 @@ class World:
     def __init__(self):
         self.now_s = 0.0
         self.readers: list[Any] = []
-        self.results: list[HandoverResult] = []
+        self.results: list[ReaderSwapResult] = []
         self.delivered: list[Any] = []
         self.written = [0] * WRITERS
-        self.handover: Any = Handover(create=self.create, on_result=self.results.append, qos=0, timing=TIMING)
+        self.handover: Any = ReaderSwap(create=self.create, on_result=self.results.append, qos=0, timing=TIMING)
         for writer in range(WRITERS):
             self.readers[0].writers.add(writer)
 
@@ -139,7 +139,7 @@ def test_no_interleaving_loses_doubles_or_reorders(script):
     for action in script:
         world.do(*action)
     world.finish()
-    assert world.handover.state is HandoverState.IDLE
+    assert world.handover.state is ReaderSwapState.IDLE
     assert len(world.live) == 1
     assert world.live[0] is world.handover.current
     assert world.live[0].qos == world.handover.qos
@@ -159,7 +159,7 @@ def test_a_reader_that_does_not_match_is_given_up():
     world = World()
     new = begun(world)
     world.step(5.1)
-    assert world.results == [HandoverResult.UNMATCHED]
+    assert world.results == [ReaderSwapResult.UNMATCHED]
     assert new.is_destroyed
     world.write(0)
     world.readers[0].arrive(0)
@@ -176,7 +176,7 @@ def test_the_newest_request_supersedes():
     second.writers |= {0, 1}
     world.step(1.1)
     assert world.handover.qos == 2
-    assert world.results == [HandoverResult.SUPERSEDED, HandoverResult.OK]
+    assert world.results == [ReaderSwapResult.SUPERSEDED, ReaderSwapResult.OK]
 
 
 def test_equal_settings_are_no_handover():
@@ -211,7 +211,7 @@ def test_a_reader_the_middleware_refuses_changes_nothing():
     world.handover._create = refuse
     world.handover.request(1)
     world.step(0.0)
-    assert world.results == [HandoverResult.FAILED]
+    assert world.results == [ReaderSwapResult.FAILED]
     assert not world.handover.is_busy
     assert world.handover.accept(world.readers[0], (1, 1), "x", now_s=world.now_s) == ["x"]
 
@@ -223,9 +223,9 @@ def test_an_old_reader_that_lost_samples_does_not_hold_up_the_switch_for_ever():
     new.writers |= {0, 1}
     world.handover.accept(new, (7, 1), "only here", now_s=world.now_s)
     world.step(1.1)
-    assert world.handover.state is HandoverState.CATCHING_UP
+    assert world.handover.state is ReaderSwapState.CATCHING_UP
     world.step(100.1)
-    assert world.results == [HandoverResult.INCOMPLETE]
+    assert world.results == [ReaderSwapResult.INCOMPLETE]
     assert world.delivered == ["only here"]
 
 
@@ -249,5 +249,5 @@ def test_a_new_reader_that_runs_far_ahead_is_given_up():
     for number in range(1001):
         world.handover.accept(new, (number, number), number, now_s=world.now_s)
     world.step(0.1)
-    assert world.results == [HandoverResult.FAILED]
+    assert world.results == [ReaderSwapResult.FAILED]
     assert not world.handover._held

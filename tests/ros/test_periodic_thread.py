@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.world import InvalidHandle, Rounds
+from arpd.adapters.ros.world import InvalidHandle, PeriodicThread
 
 pytestmark = pytest.mark.ros
 
@@ -31,7 +31,7 @@ def test_a_part_that_fails_does_not_stop_the_others(eventually, caplog):
     def fail():
         raise ValueError("a bug")
 
-    Rounds(node, fail, lambda: done.append(1), every_s=0.01)
+    PeriodicThread(node, fail, lambda: done.append(1), every_s=0.01)
     eventually(lambda: len(done) >= 3)
     assert "a part of a round failed" in caplog.text
     node.is_ok = False
@@ -44,5 +44,5 @@ def test_a_destroyed_node_ends_the_rounds(eventually):
     def ask():
         raise InvalidHandle("gone")
 
-    Rounds(Node(), ask, every_s=0.01)
+    PeriodicThread(Node(), ask, every_s=0.01)
     eventually(lambda: not threads())

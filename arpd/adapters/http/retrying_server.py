@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 _AGAIN_S = 5.0
 
 
-class PatientServer:
+class RetryingServer:
     """Serves as soon as it can listen.
 
     A port that is taken, or an address that is not there yet, keeps nobody from governing: it is tried again.

@@ -18,9 +18,9 @@ from arpd.adapters.ros.announcement import from_status, to_status
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
 from arpd.adapters.ros.graph import Crossing, Graph, read_crossings
 from arpd.adapters.ros.listeners import Announcements
-from arpd.adapters.ros.raw_subscription import Intake, Pause, Refused, octets, peek
+from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets, peek
 from arpd.adapters.ros.rmw import rmw_of
-from arpd.model.observation import Kind, Reason
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.registry import MOST_OF_NODE
 from tests.sample_publishers import publisher
 
@@ -62,11 +62,11 @@ class World:
 
     def __init__(self):
         self.node, self.now_s = Node(), 0.0
-        self.refused = Refused(clock=lambda: self.now_s)
+        self.refused = RefusedMessages(clock=lambda: self.now_s)
         self.heard = Announcements(
             self.node,
             "/t",
-            Kind.PUBLISHERS,
+            MessageKind.PUBLISHERS,
             from_status,
             stale_s=3.5,
             refused=self.refused,
@@ -126,7 +126,7 @@ def test_a_node_waits_for_the_graph_and_is_heard_then():
     assert (world.topics(), world.heard.pending) == ([], 2)
     world.see("/n")
     assert world.topics() == ["/a", "/b"]
-    assert world.refused.counts == {(Kind.PUBLISHERS, Reason.SOURCE): 1}
+    assert world.refused.counts == {(MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 1}
 
 
 def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
@@ -136,7 +136,7 @@ def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
     for k in range(100):
         world.node.callback(serialized(to_status(publisher(f"/n{k}", "/a"))))
     assert 1 <= len(world.topics()) < 20
-    assert world.refused.counts[Kind.PUBLISHERS, Reason.RATE] > 80
+    assert world.refused.counts[MessageKind.PUBLISHERS, MessageRefusal.RATE] > 80
 
 
 def test_a_node_speaks_for_itself_at_its_own_rate():
@@ -151,14 +151,18 @@ def test_a_node_speaks_for_itself_at_its_own_rate():
     world.node.callback(serialized(to_status(publisher("/m", "/b"))))
     assert "/b" in world.topics()
     counts = world.refused.counts
-    assert counts[Kind.PUBLISHERS, Reason.MALFORMED] == counts[Kind.PUBLISHERS, Reason.QUOTA] == 1
-    assert counts[Kind.PUBLISHERS, Reason.RATE] > 980
+    assert (
+        counts[MessageKind.PUBLISHERS, MessageRefusal.MALFORMED]
+        == counts[MessageKind.PUBLISHERS, MessageRefusal.QUOTA]
+        == 1
+    )
+    assert counts[MessageKind.PUBLISHERS, MessageRefusal.RATE] > 980
 
 
 def test_what_waits_is_taken_together_and_a_flood_slows_the_asking():
     """Nothing that waits is passed over, what is too long goes no further, and 500 at once are a flood."""
     node, taken, long = Node(), [], []
-    intake = Intake(
+    intake = RawSubscription(
         node,
         Float64,
         "/t",

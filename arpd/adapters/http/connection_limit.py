@@ -17,7 +17,7 @@ MAX_PER_CLIENT = 12
 MAX_THREADS = 2 * MAX_PLACES  # an evicted connection's thread ends a moment later than its place is free
 
 
-class Visit:
+class Connection:
     """One connection that holds a place.
 
     Attributes
@@ -62,7 +62,7 @@ class Visit:
             self.is_waiting = True
 
 
-class Places:
+class ConnectionLimit:
     """Gives places to connections; a newcomer without one takes that of whoever can best spare it.
 
     A scrape always finds a place: every connection that waits for its client can be evicted, the oldest of the client
@@ -77,35 +77,35 @@ class Places:
     def __init__(self, *, patience_s: float = 1.0) -> None:
         self._patience_s = patience_s
         self._changed = threading.Condition()
-        self._visits: list[Visit] = []
+        self._open: list[Connection] = []
         self._threads = 0
 
-    def enter(self, connection: socket.socket, client: str) -> tuple[Visit | None, Visit | None]:
+    def enter(self, connection: socket.socket, client: str) -> tuple[Connection | None, Connection | None]:
         """Return the newcomer's visit, None if there is no place at all, and the visit it evicted, if any."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._threads < MAX_THREADS, self._patience_s):
                 return None, None
             evicted = None
-            if rivals := contested([visit.client for visit in self._visits], client):
-                evicted = next((self._visits[index] for index in rivals if self._visits[index].is_waiting), None)
+            if rivals := contested([visit.client for visit in self._open], client):
+                evicted = next((self._open[index] for index in rivals if self._open[index].is_waiting), None)
                 if evicted is None:
                     return None, None
-                self._visits.remove(evicted)
+                self._open.remove(evicted)
                 evicted.is_evicted = True
-            visit = Visit(connection, client)
-            self._visits.append(visit)
+            visit = Connection(connection, client)
+            self._open.append(visit)
             self._threads += 1
         if evicted is not None:
             evicted.evict()
         return visit, evicted
 
-    def leave(self, visit: Visit) -> None:
+    def leave(self, visit: Connection) -> None:
         """Give the place back; once for each visit that entered."""
         with self._changed:
             self._threads -= 1
             self._changed.notify()
             if not visit.is_evicted:
-                self._visits.remove(visit)
+                self._open.remove(visit)
 
 
 def contested(clients: Sequence[str], newcomer: str) -> list[int]:
