@@ -116,9 +116,9 @@ build() {
     rm -rf "$new" $prefix/work.*
     work=$(mktemp -d $prefix/work.XXXXXX)
     if [ "$ros" = apt ]; then
-        # apt's ROS is built against apt's numpy 1.26, which is among the system's site-packages.
+        # apt's numpy is among them: apt's ROS is built against it.
         venv_options=(--system-site-packages)
-        requirements=("$work/source" 'numpy<2')
+        requirements=("$work/source")
     else
         venv_options=()
         requirements=("$work/source[ros]")
