@@ -93,7 +93,7 @@ def probe() -> None:
 def measure(cell: Cell, trains: int) -> dict[str, object]:
     """Let one cell's trains cross a link of its own."""
     with SimLink(f"trains-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=cell.rate_mbit * MBIT) as link:
-        peer = Child(link, "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
+        peer = Child(link, "ceddp", "arpd.cli", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
         sender = Child(link, "robot", "scripts.bench.link_trains", "--role", "sender")
         sender.ask(trains=5, packets=2, packet_bytes=200)  # both sides have found each other
         found = sender.ask(trains=trains, packets=cell.packets, packet_bytes=cell.packet_bytes)

@@ -119,7 +119,7 @@ class Bench:
             topics = [{"name": f"{self._prefix[side]}/t{k}"} for k in range(cell.topics)]
             config = workdir / f"{self._prefix[side].strip('/')}-{cell.payload_bytes}-{cell.topics}.yaml"
             config.write_text(json.dumps({"relay": {"prefix": "/out", "topics": topics}}))  # JSON is YAML
-            argv = ("arpd", "relay", "--config", str(config), "--node-name", PREFIXES[side].strip("/"))
+            argv = ("arpd.cli", "relay", "--config", str(config), "--node-name", PREFIXES[side].strip("/"))
             # The safe path, or `-m` would take the arpd of the working directory.
             self._relays[side] = child(*argv, "--log-level", "warning", PYTHONPATH=str(tree), PYTHONSAFEPATH="1")
         self._sink.ask(open=[self._out(side) for side in self._prefix], topics=cell.topics)

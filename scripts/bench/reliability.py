@@ -264,9 +264,9 @@ class Robot:
             side.start_daemon()
         elif name == "relay":
             self._write_good()
-            side.start("relay", "robot", "arpd", "relay", "--config", str(side.config))
+            side.start("relay", "robot", "arpd.cli", "relay", "--config", str(side.config))
         else:
-            side.start("peer", "ceddp", "arpd", "peer", "--interface", side.link.ceddp.interface, "--name", "ceddp")
+            side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", side.link.ceddp.interface, "--name", "ceddp")
         self._watch.expect(kind, time.monotonic() - self.started_s, since)
 
     def _note_footprints(self, now_s: float) -> None:

@@ -47,4 +47,4 @@ class Manner:
 
 
 RCLPY_DEFAULTS = Manner()
-WITH_ARPD = Manner(daemon=("arpd", "run"))
+WITH_ARPD = Manner(daemon=("arpd.cli", "run"))

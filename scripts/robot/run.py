@@ -157,10 +157,10 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
         out = str(workdir / "planner.json")
         side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *told, env=profile)
         if manner.is_managed:
-            side.start("peer", "ceddp", "arpd", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
+            side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
             shutil.copyfile(CONFIG, side.config)
             side.start_daemon()
-            side.start("relay", "robot", "arpd", "relay", "--config", str(side.config))
+            side.start("relay", "robot", "arpd.cli", "relay", "--config", str(side.config))
             side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
             name = _process_name(topic)
