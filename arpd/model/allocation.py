@@ -1,4 +1,4 @@
-"""Demand of the topics, and the answer of the program."""
+"""Rows of the program, and its answer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Binding(StrEnum):
-    """The constraint that stopped a rate or a depth from being larger."""
+    """Constraint that stops a rate or a depth from being larger."""
 
     LINK = "link"
     MEMORY = "memory"
@@ -20,16 +20,16 @@ class Binding(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Topic:
-    """Demand of one managed topic: one row of the program (docs/design.md, The program).
+    """Row of one managed topic in the program (docs/design.md, The program).
 
     Parameters
     ----------
     name : topic name, the row's identity
     wire_bytes : s_i > 0, bytes on the wire per message, headers and unicast copies included (bytes)
     packets : k_i, packets on the wire per message
-    desired_rate_hz : u_i, the rate beyond which more is of no use (Hz)
+    desired_rate_hz : u_i; a higher rate is of no use (Hz)
     min_rate_hz : the floor ℓ_i, kept as long as the link carries all floors (Hz)
-    weight : w_i > 0; a topic of weight 2 gets twice the link time of one with 1
+    weight : w_i > 0; a topic of weight 2 gets twice the link time of one of weight 1
     min_depth, max_depth : Dmin and Dmax (samples)
     latency_budget_s : cap on depth / rate (s); None = no cap
     slot_bytes : m_i, memory per history slot (bytes)
@@ -49,7 +49,7 @@ class Topic:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicAllocation:
-    """The program's answer for one topic; real-valued optimum beside what is applied.
+    """Answer of the program for one topic: the real optimum, and the rounded values that are applied.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class TopicAllocation:
     max_rate_hz : Rmax_i = 1 / a_i, the rate with the link to itself (Hz)
     rate_hz, depth : the real optimum R*, D*
     deadline_ns, depth_applied : after rounding, feasible in exact arithmetic (ns, samples)
-    binding : what stopped the rate; ``depth_binding`` : what stopped the depth
+    binding, depth_binding : what stops the rate, and what stops the depth
     """
 
     name: str
@@ -72,7 +72,7 @@ class TopicAllocation:
 
 
 class AllocationStatus(StrEnum):
-    """Whether all of the program's constraints could be kept."""
+    """Success of the program in keeping all constraints."""
 
     OPTIMAL = "optimal"
     DEGRADED = "degraded"  # infeasible as asked; floors or reserves were given up in order
@@ -81,17 +81,17 @@ class AllocationStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Allocation:
-    """The program's answer for all topics.
+    """Answer of the program for all topics.
 
     Parameters
     ----------
-    topics : one row per topic, in the order asked
-    status : whether everything asked for could be kept
-    binding : the binding constraint in all
-    capacity_bytes_per_second : the capacity it was solved for, after headroom and foreign traffic (bytes/s)
-    degradation : which reserves were given up, in words, empty if none
+    topics : one answer per topic, in the order of the rows
+    status : success in keeping all constraints
+    binding : the constraint to relax first
+    capacity_bytes_per_second : capacity that was divided, after cross traffic and headroom (bytes/s)
+    degradation : what was given up, in words; empty if nothing
     backend : back end that answered
-    solve_s : time it took (s)
+    solve_s : time the solution took (s)
     """
 
     topics: tuple[TopicAllocation, ...]

@@ -1,4 +1,4 @@
-"""Publishers and readers that arpd re-tunes: what each counts, runs with and announces."""
+"""Publishers and readers that arpd re-tunes: their counters, settings and announcements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Direction(StrEnum):
-    """Which way a topic crosses the link."""
+    """Direction in which a topic crosses the link."""
 
     SENSING = "sensing"  # robot computer -> CEDDP (the paper's SPt)
     ACTUATION = "actuation"  # CEDDP -> robot computer (the paper's PAAt)
@@ -21,33 +21,33 @@ class Direction(StrEnum):
 
 
 class RefusalReason(StrEnum):
-    """Why QoS that was asked for is not in force; the words for a human stand beside it.
+    """Reason why requested QoS is not in force; words for people stand beside it.
 
-    A refusal that lasts is an answer: asking again changes nothing until the application itself does something else.
+    A lasting refusal is an answer: asking again changes nothing until the application itself changes.
     """
 
     NONE = "none"
-    MIDDLEWARE = "middleware"  # its QoS swaps were never measured
-    TRANSIENT_LOCAL = "transient_local"  # a new endpoint would miss, or repeat, what late joiners need
-    CLAMPED = "clamped"  # the deadline is the longest that a reader requests
+    MIDDLEWARE = "middleware"  # nobody has measured QoS swaps on it
+    TRANSIENT_LOCAL = "transient_local"  # a new endpoint would miss or repeat what late joiners need
+    CLAMPED = "clamped"  # a reader requests a shorter deadline, which is offered instead
     UNMATCHED = "unmatched"
     INCOMPATIBLE = "incompatible"
     FAILED = "failed"
-    OTHER = "other"  # of an announcer that is older, or newer, than these words
+    OTHER = "other"  # the announcer has an older or newer version
 
     @property
     def is_lasting(self) -> bool:
-        """Whether depth and deadline stay as they are for good."""
+        """True when depth and deadline stay as they are for good."""
         return self in {RefusalReason.MIDDLEWARE, RefusalReason.TRANSIENT_LOCAL}
 
     @classmethod
     def told(cls, name: str | None, *, words: str) -> RefusalReason:
-        """Understand what an announcement says; a refusal whose reason is not known counts as passing.
+        """Return the reason that an announcement gives; a refusal for an unknown reason counts as passing.
 
         Parameters
         ----------
-        name : reason as announced, None where the announcer knows none
-        words : refusal for a human, empty = nothing is refused
+        name : reason as announced, None from an announcer that gives none
+        words : refusal in words, empty = nothing is refused
         """
         if not words:
             return cls.NONE
@@ -56,7 +56,7 @@ class RefusalReason(StrEnum):
 
 
 class Refusal(NamedTuple):
-    """A reason, with the words for a human."""
+    """Reason of a refusal, with words for people."""
 
     reason: RefusalReason = RefusalReason.NONE
     words: str = ""
@@ -66,17 +66,17 @@ NO_REFUSAL = Refusal()
 
 
 class DropCause(StrEnum):
-    """Why a sample of the application's was not published."""
+    """Reason why a sample of the application was not published."""
 
-    RATE = "rate"  # the application was faster than the plan's rate
-    GATE = "gate"  # the same, while the gate kept the rate below the plan's, or a slow start before the first plan
-    BLOCKED = "blocked"  # no rate kept it back, but the writer that blocked
+    RATE = "rate"  # the application publishes faster than the plan's rate
+    GATE = "gate"  # the same, while the gate or a slow start keeps the rate below that
+    BLOCKED = "blocked"  # the writer blocked; no rate held the sample back
     FAILED = "failed"  # writing it raised
     CLOSED = "closed"  # it still waited when the publisher was destroyed
 
 
 class SwapPhase(StrEnum):
-    """What the time of a swap is spent on: the states of it, and draining the old writer once it is over."""
+    """Phase of a writer swap: its states, and then draining the old writer."""
 
     MATCHING = "matching"
     WATCHING = "watching"
@@ -87,37 +87,37 @@ class SwapPhase(StrEnum):
 
 
 class SwapResult(StrEnum):
-    """How a swap ended."""
+    """Result of a writer swap."""
 
     OK = "ok"
-    REORDER_POSSIBLE = "reorder_possible"  # samples left by one writer while the other's were not all acknowledged
-    UNMATCHED = "unmatched"  # readers did not match the new writer in time; the old one stays
-    INCOMPATIBLE = "incompatible"  # a reader would have been lost to the new QoS; the old writer stays
+    REORDER_POSSIBLE = "reorder_possible"  # samples left by one writer while the other had unacknowledged ones
+    UNMATCHED = "unmatched"  # not all readers matched the new writer in time; the old one stays
+    INCOMPATIBLE = "incompatible"  # a reader refuses the new QoS; the old writer stays
     SUPERSEDED = "superseded"  # a newer request came first
-    UNDELIVERED = "undelivered"  # beside the swap's own result: an old writer was given up with samples unacknowledged
+    UNDELIVERED = "undelivered"  # beside the swap's own result: an old writer went with samples unacknowledged
     FAILED = "failed"  # the middleware refused the new writer; the old one stays
 
 
 class ReaderSwapResult(StrEnum):
-    """How a handover ended."""
+    """Result of a reader swap."""
 
     OK = "ok"
-    INCOMPLETE = "incomplete"  # the old reader still missed what the new one had; with loss, its older samples too
-    UNMATCHED = "unmatched"  # writers did not match the new reader in time; the old one stays
+    INCOMPLETE = "incomplete"  # the old reader had not delivered all that the new one received
+    UNMATCHED = "unmatched"  # not all writers matched the new reader in time; the old one stays
     SUPERSEDED = "superseded"  # a newer request came first
     FAILED = "failed"  # the middleware refused the new reader, or it ran too far ahead; the old one stays
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WriterQos:
-    """The two policies a swap changes: KEEP_LAST depth (samples) and offered deadline (ns, 0 = infinite)."""
+    """Policies that a writer swap changes: KEEP_LAST depth (samples) and offered deadline (ns, 0 = infinite)."""
 
     depth: int
     deadline_ns: int
 
 
 class Writer(Protocol):
-    """What a swap needs of a writer."""
+    """Writer, as far as a writer swap needs it."""
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
@@ -126,13 +126,13 @@ class Writer(Protocol):
         """Count the matched readers."""
 
     def is_acknowledged(self) -> bool:
-        """Whether every sample written was acknowledged; never blocks."""
+        """Return whether every written sample was acknowledged; never blocks."""
 
     def disconnects_readers(self) -> bool:
-        """Whether a reader that its predecessor serves was discovered and refuses this writer's QoS; never blocks."""
+        """Return whether a reader of its predecessor was discovered and refuses this writer's QoS; never blocks."""
 
     def deadlines_missed(self) -> int:
-        """Count the offered deadlines missed since it was made, by a destroyed one as far as known; never blocks."""
+        """Count the missed offered deadlines; a destroyed writer keeps its last known count. Never blocks."""
 
     def destroy(self) -> None:
         """Destroy the writer."""
@@ -140,14 +140,14 @@ class Writer(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SwapRecord:
-    """How one QoS swap went, from its begin to its result.
+    """Course of one writer swap, from its begin to its result.
 
     Parameters
     ----------
-    number : counts up from 1 at its publisher, so that a record read twice is known again, and one missed shows
-    result : `arpd.model.endpoints.SwapResult`
-    depth, deadline_ns : what it was about (samples, ns)
-    seconds_by_phase : time in each phase it was in, by `SwapPhase`; the old writer drains after that (s)
+    number : counts up from 1 at its publisher, so a record that is read twice or missed shows
+    result : `SwapResult`
+    depth, deadline_ns : requested QoS (samples, ns)
+    seconds_by_phase : time in each `SwapPhase` up to the result; draining comes later (s)
     """
 
     number: int
@@ -159,25 +159,25 @@ class SwapRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FlowState:
-    """What one adaptive publisher counts and runs with.
+    """Counters and settings of one adaptive publisher.
 
     Parameters
     ----------
     payload_bytes : mean serialized size of recent samples (bytes)
     source_rate_hz : rate at which the application calls ``publish()`` (Hz)
-    offered : samples the application gave
+    offered : samples that the application gave
     published : samples written to the link
-    withheld : samples that never left: conflated, dropped from the queue, or given up
+    withheld : samples that did not leave: replaced, dropped from the queue, or given up
     queued : samples waiting in the pacing queue now
     blocked_s : time spent inside the middleware's ``publish()`` since start (s)
     rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
     swaps_by_result : QoS swaps since start, by result
-    published_rate_hz : rate at which samples leave by the writer; 0 when it is silent, or slower than 0.2 Hz (Hz)
-    withheld_by_cause : what ``withheld`` is made of, by `arpd.model.endpoints.DropCause`
-    deadlines_missed : offered deadlines the middleware counted as missed, by each writer while it was in force
-    swaps_begun : QoS swaps since start; each has one result, beside ``undelivered``, or is under way
-    swap_seconds_by_phase : time all swaps spent in each phase that is over, draining too, by `SwapPhase` (s)
-    last_swap : how the swap that finished last went, None before the first
+    published_rate_hz : rate at which samples leave by the writer; 0 when silent or slower than 0.2 Hz (Hz)
+    withheld_by_cause : ``withheld``, by `DropCause`
+    deadlines_missed : offered deadlines that the middleware counted as missed, by each writer while it was in force
+    swaps_begun : QoS swaps since start; each is under way or has one result, and perhaps ``undelivered`` beside it
+    swap_seconds_by_phase : time of all swaps in each `SwapPhase` that is over, draining too (s)
+    last_swap : course of the swap that finished last, None before the first
     """
 
     payload_bytes: float
@@ -201,18 +201,18 @@ class FlowState:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PublisherState(FlowState):
-    """What one AdaptivePublisher announced, joined with what the graph says of its readers.
+    """Announcement of one AdaptivePublisher, joined with what the graph says of its readers.
 
     Parameters
     ----------
     node : fully qualified node name; with ``topic`` the publisher's identity
     baseline_depth, baseline_deadline_ns : the application's own QoS, to be restored on a clean stop
-    generation : generation of the plan these settings came from, 0 = the application's own
+    generation : plan that the settings came from, 0 = the application's own
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     refusal, refusal_reason : why the last request was refused, in words and by name; empty and ``none`` if it was not
-    keeps_all : whether its history is KEEP_ALL, so that a depth means nothing
-    remote_readers : off-host participants that read the topic
-    requested_deadline_ns : tightest deadline a reader requests that arpd does not drive, 0 when none does
+    keeps_all : True when its history is KEEP_ALL, where a depth means nothing
+    remote_readers : participants on other hosts that read the topic
+    requested_deadline_ns : tightest deadline that a reader not driven by arpd requests, 0 when none does
     age_s : time since the announcement (s)
     """
 
@@ -233,27 +233,27 @@ class PublisherState(FlowState):
 
     @property
     def copies(self) -> int:
-        """Times each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
+        """Times that each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
         return max(1, self.remote_readers)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReaderState:
-    """What one AdaptiveSubscription announced, joined with what the graph says of its topic.
+    """Announcement of one AdaptiveSubscription, joined with what the graph says of its topic.
 
     Parameters
     ----------
     node, topic : fully qualified names, together the reader's identity
     depth, deadline_ns : in force; ``deadline_ns`` is the requested period, 0 = infinite (samples, ns)
     baseline_depth, baseline_deadline_ns : the application's own, to be restored on a clean stop
-    generation : generation of the plan last asked for, 0 = the application's own
+    generation : plan that was requested last, 0 = the application's own
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    keeps_all : whether its history is KEEP_ALL, so that a depth means nothing
+    keeps_all : True when its history is KEEP_ALL, where a depth means nothing
     refusal, refusal_reason : why the last request was refused, or any would be, in words and by name
-    swaps_by_result : handovers since start, by result
-    requests_ns : periods its node's readers of the topic request in the graph; two while one replaces the other
-    offers_ns : periods the topic's writers offer in the graph, 0 = infinite
-    deadlines_missed : requested deadlines the middleware counted as missed, over all readers so far
+    swaps_by_result : reader swaps since start, by result
+    requests_ns : periods that its node's readers of the topic request in the graph; two during a reader swap
+    offers_ns : periods that the topic's writers offer in the graph, 0 = infinite
+    deadlines_missed : requested deadlines that the middleware counted as missed, over all readers so far
     age_s : time since the announcement (s)
     """
 
@@ -276,5 +276,5 @@ class ReaderState:
 
     @property
     def is_driven(self) -> bool:
-        """Whether arpd may change it; otherwise its request binds writers as any other reader's does."""
+        """True when arpd may change it; otherwise its request binds writers like that of any other reader."""
         return not self.refusal_reason.is_lasting

@@ -1,10 +1,10 @@
-"""The errors arpd raises on purpose; each message names the place, the fault and the way out."""
+"""Errors that arpd raises on purpose; each message names the place, the fault and the way out."""
 
 from __future__ import annotations
 
 
 class ArpdError(Exception):
-    """Root of every error arpd raises on purpose.
+    """Root of every error that arpd raises on purpose.
 
     Attributes
     ----------
@@ -15,17 +15,17 @@ class ArpdError(Exception):
 
 
 class UsageError(ArpdError):
-    """The command line asks for something that does not exist."""
+    """Command line that asks for something that does not exist."""
 
     exit_code = 2
 
 
 class ConfigError(ArpdError):
-    """The configuration cannot be used.
+    """Configuration that cannot be used.
 
     Parameters
     ----------
-    faults : one clear line per fault, each ``file:line:col: key: what is wrong; what would be right``
+    faults : one line per fault, each ``file:line:col: key: what is wrong; what would be right``
     """
 
     exit_code = 78
@@ -36,20 +36,20 @@ class ConfigError(ArpdError):
 
 
 class TraceError(ArpdError):
-    """A link trace cannot be used; the message is ``file:line:col: what is wrong; what would be right``."""
+    """Link trace that cannot be used; the message is ``file:line:col: what is wrong; what would be right``."""
 
 
 class DaemonUnreachableError(ArpdError):
-    """No daemon answers at the given URL."""
+    """URL at which no daemon answers."""
 
     exit_code = 69
 
 
 class LinkError(ArpdError):
-    """The link interface cannot be read (gone, renamed, or never there)."""
+    """Link interface that cannot be read (gone, renamed, or never there)."""
 
 
 class RosUnavailableError(ArpdError):
-    """ROS 2 cannot be imported in this Python, or does not start."""
+    """ROS 2 that this Python cannot import, or that does not start."""
 
     exit_code = 69

@@ -1,4 +1,4 @@
-"""The robot's link interface as the kernel shows it: its counters, and the state it is in."""
+"""State and counters of the robot's link interface, as the kernel shows them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 
 
 class InterfaceState(StrEnum):
-    """Whether an interface can carry anything, and if not, why not."""
+    """Ability of an interface to carry anything."""
 
     UP = "up"
-    NO_CARRIER = "no_carrier"  # switched on, and no cable or no access point
+    NO_CARRIER = "no_carrier"  # switched on, without a cable or an access point
     DOWN = "down"  # switched off
-    GONE = "gone"  # no such interface, under this name or another
+    GONE = "gone"  # no such interface, under this or another name
 
     @property
     def fault(self) -> str:
-        """Why nothing is carried, to be said after the interface's name; empty when something is."""
+        """Reason why nothing is carried, to follow the interface's name; empty when it is up."""
         return _FAULTS[self]
 
 
@@ -36,12 +36,11 @@ class LinkCounters:
 
     Parameters
     ----------
-    interface : the name it has now
-    rx_bytes, tx_bytes : counters that never fall, whatever becomes of the interface (bytes)
-    rx_packets, tx_packets : the same (packets)
-    tx_dropped : packets the interface or its queue dropped on the way out, the same
-    state : what it can do now; never GONE, for then there is nothing to count
-    backlog_bytes : what waits in the interface's own queue (its qdisc), None where the kernel does not tell (bytes)
+    interface : its name now
+    rx_bytes, tx_bytes, rx_packets, tx_packets : counters that never fall, even if the interface is made again
+    tx_dropped : the same for packets that the interface or its queue dropped before they left
+    state : its state; never GONE, because then there is nothing to count
+    backlog_bytes : bytes that wait in the interface's own queue (its qdisc), None where the kernel does not tell
     """
 
     interface: str
@@ -55,30 +54,30 @@ class LinkCounters:
 
     @property
     def is_up(self) -> bool:
-        """Whether it can carry anything."""
+        """True while it can carry anything."""
         return self.state is InterfaceState.UP
 
 
 def state_of(counters: LinkCounters | None) -> InterfaceState:
-    """Name the state of an interface that was just read; None = it could not be."""
+    """Return the state of an interface that was just read; None = it could not be read."""
     return InterfaceState.GONE if counters is None else counters.state
 
 
 def continue_counters(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:
-    """Carry totals on from one raw reading to the next, past counters that started anew.
+    """Continue totals from one raw reading to the next, also where counters restarted.
 
-    A counter of 32 bits wraps, and it wraps alone: bytes run ahead of packets, and one direction of the other. What
-    starts at zero because the driver or the interface itself did takes the other counters with it. So a lone counter
-    that falls from the upper half of 32 bits went on behind 2^32, and any other fall began at zero.
+    A counter of 32 bits wraps alone: bytes run ahead of packets, and one direction of the other. A driver or interface
+    that restarts sets all counters to zero. So a single counter that falls from the upper half of 32 bits has wrapped
+    at 2^32; any other fall is a restart at zero.
 
     Parameters
     ----------
-    total : what was told last
-    before, now : raw readings, one after the other
+    total : the last totals
+    before, now : two consecutive raw readings
 
     Returns
     -------
-    The totals now; each is at least what it was.
+    The totals now; none is less than before.
     """
     fallen = [name for name in _COUNTERS if getattr(now, name) < getattr(before, name)]
     is_wrap = len(fallen) == 1 and 2**31 <= getattr(before, fallen[0]) < 2**32

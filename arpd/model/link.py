@@ -1,4 +1,4 @@
-"""What the estimator believes of the link."""
+"""Estimate of the link."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-# A flow that adapts, as TCP does, takes whatever it is left: yielding all of it would push the robot down to its floors
-# step by step. Half is what two equal flows would share.
+# A flow that adapts, as TCP does, takes all that arpd leaves it: yielding everything would push the robot down to its
+# floors step by step. Half is what two equal flows would share.
 MOST_YIELDED = 0.5
 
 
 class CapacityKind(StrEnum):
-    """How the capacity estimate was made, best evidence first."""
+    """Source of the capacity estimate, best evidence first."""
 
     PEER = "peer"
     LOCAL = "local"
@@ -25,7 +25,7 @@ class CapacityKind(StrEnum):
 
 
 class LinkState(StrEnum):
-    """What the link is doing, as far as the estimator can tell."""
+    """State of the link, as far as the estimator can tell."""
 
     STEADY = "steady"
     APP_LIMITED = "app_limited"
@@ -36,24 +36,23 @@ class LinkState(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkEstimate:
-    """What the estimator believes of the link.
+    """Estimate of the link at one tick.
 
     Parameters
     ----------
     capacity_bytes_per_second : wire bytes the link carries (bytes/s), ≥ 0
-    kind : how it was made
-    state : what the link is doing
+    kind, state : source of the capacity, and state of the link
     queue_delay_s : one-way delay above its 10 s minimum (s)
-    queue_allowance_s : delay that does not mean a standing queue: one large message passing explains it (s)
-    delivery_rate_bytes_per_second : what the peer received over the last 300 ms (bytes/s)
-    age_s : time since the evidence behind the capacity (s)
+    queue_allowance_s : delay that one large message explains; only a longer one is a standing queue (s)
+    delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms (bytes/s)
+    age_s : time since the newest evidence for the capacity (s)
     evidence : the last change, in words
-    packet_overhead_s : t_ovh, link time each packet costs beyond its bytes (s)
-    cross_traffic_bytes_per_second : what the link carries that arpd's topics and probes do not explain (bytes/s)
-    loss_ratio : share of the probe packets of late that never arrived, None while too few were sent to tell
-    return_delay_s : one-way delay of the peer's reports above its minimum of late: what a command to the robot waits,
+    packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
+    cross_traffic_bytes_per_second : bytes on the link that arpd's topics and probes do not explain (bytes/s)
+    loss_ratio : share of recent probe packets that never arrived, None while too few were sent to tell
+    return_delay_s : one-way delay of the peer's reports above its recent minimum; commands to the robot wait as long.
         None without a peer (s)
-    events_by_kind : how often each rule changed the estimate, or an outage began, since the start
+    events_by_kind : number of changes by each rule, and of outages, since the start
     """
 
     capacity_bytes_per_second: float
@@ -72,31 +71,31 @@ class LinkEstimate:
 
     @property
     def available_bytes_per_second(self) -> float:
-        """What is left of the capacity for arpd's topics (bytes/s)."""
+        """Capacity that cross traffic leaves for arpd's topics (bytes/s)."""
         capacity = self.capacity_bytes_per_second
         return capacity - min(self.cross_traffic_bytes_per_second, MOST_YIELDED * capacity)
 
     @property
     def available_packet_overhead_s(self) -> float:
-        """What a packet costs of the link time that is left, as if all of it were arpd's (s)."""
+        """Packet overhead on a link that has only the available capacity (s)."""
         available = self.available_bytes_per_second
         return self.packet_overhead_s * self.capacity_bytes_per_second / available if available > 0 else 0.0
 
     @property
     def is_app_limited(self) -> bool:
-        """Whether traffic alone says nothing about capacity now."""
+        """True while traffic alone says nothing about the capacity."""
         return self.state is LinkState.APP_LIMITED
 
 
 class EstimatorEvent(StrEnum):
-    """Which rule changed the estimate (docs/design.md, The estimator), or that the link fell silent."""
+    """Rule that changed the estimate (docs/design.md, The estimator), or an outage."""
 
-    FIRST = "first"  # the first trains replace what was configured
-    DOWN = "down"  # a queue stands: what is delivered is the capacity
+    FIRST = "first"  # the first trains replace the configured capacity
+    DOWN = "down"  # a queue stands: the delivery is the capacity
     UNDO = "undo"  # trains contradict the last fall
     AGREE = "agree"  # two trains see clearly more
-    CARRIED = "carried"  # clearly more than was believed arrived
-    FOLLOW = "follow"  # a step towards what trains see, either way
-    RESUME = "resume"  # reports came back after an outage
-    OUTAGE = "outage"  # reports ceased
-    LOCAL = "local"  # no peer: the queue of this host's interface said it
+    CARRIED = "carried"  # clearly more arrived than the capacity that was believed
+    FOLLOW = "follow"  # a step towards what trains see, up or down
+    RESUME = "resume"  # reports return after an outage
+    OUTAGE = "outage"  # reports stopped
+    LOCAL = "local"  # no peer: the queue of this host's interface shows it

@@ -1,4 +1,4 @@
-"""What one tick sees of the world."""
+"""Observation: everything one tick sees of the world."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class MessageKind(StrEnum):
-    """What a message that arrives is about."""
+    """Subject of a message that arrives."""
 
     PUBLISHERS = "publishers"
     READERS = "readers"
@@ -25,24 +25,24 @@ class MessageKind(StrEnum):
 
 
 class MessageRefusal(StrEnum):
-    """Why a message, or a part of one, is not believed."""
+    """Reason not to believe a message, or a part of one."""
 
-    SIZE = "size"  # longer than any honest one
-    MALFORMED = "malformed"  # not to be decoded, or with values that cannot be
-    SOURCE = "source"  # the graph shows nobody who could have said it
-    RATE = "rate"  # more often than anything honest would say it
-    QUOTA = "quota"  # one source wants more places than it may have, or all are taken
+    SIZE = "size"  # longer than any honest message
+    MALFORMED = "malformed"  # cannot be decoded, or has impossible values
+    SOURCE = "source"  # the graph shows nobody who could have sent it
+    RATE = "rate"  # more often than any honest sender
+    QUOTA = "quota"  # the source has as many entries as it may have, or none is free
     UNANSWERED = "unanswered"  # a report that answers no probe of this daemon
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Taken:
-    """What became of what arrived.
+    """Messages that were refused, and endpoints that are not confirmed.
 
     Parameters
     ----------
-    refused : messages, or parts of them, that were not believed since start, by kind and reason
-    pending : publishers and readers that announce themselves, but that the graph does not show (yet)
+    refused : messages, or parts of them, refused since the start, by kind and reason
+    pending : publishers and readers that announce themselves but that the graph does not show (yet)
     """
 
     refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
@@ -71,13 +71,13 @@ class Observation:
     memory : memory of the robot computer
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
-    rmw : the middleware ROS runs on, empty where there is none
-    rmw_refusal : why its publishers are paced and gated only, empty when QoS swaps are on
+    rmw : the middleware of ROS, empty where there is none
+    rmw_refusal : why its publishers are only paced and gated, empty when QoS swaps are on
     other_daemons : hosts of the other daemons in the ROS domain
-    active_daemon : host of the one that drives the robot in this one's place, empty when this one does
-    radio_bytes_per_second : bit rate the radio transmits at, None where there is no radio or it does not tell (bytes/s)
-    peer_ages_s : peers heard in the last minute, with the time since the last report of each (s)
-    taken : what became of what arrived from the network
+    active_daemon : host of the active daemon when that is another one, else empty
+    radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
+    peer_ages_s : time since the last report of each peer heard in the last minute (s)
+    taken : messages refused, and endpoints not confirmed
     """
 
     now_s: float

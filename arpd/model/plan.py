@@ -1,4 +1,4 @@
-"""Plans: the QoS of every publisher and reader, and the steps that bring it there."""
+"""Plans: the QoS of every publisher and reader, and the steps that lead there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class TopicPlan:
     Parameters
     ----------
     rate_hz : paced publish rate, ≥ 0, ``inf`` = unpaced (Hz)
-    min_rate_hz : floor below which the gate does not push the rate (Hz)
+    min_rate_hz : floor; the gate does not push the rate below it (Hz)
     deadline_ns : offered DEADLINE period, 0 = infinite (ns)
     depth : KEEP_LAST depth (samples), 1..5000
     """
@@ -33,16 +33,16 @@ class TopicPlan:
     def __post_init__(self) -> None:
         """Refuse nonsense at birth."""
         if math.isnan(self.rate_hz) or self.rate_hz < 0:
-            raise ValueError(f"rate_hz {self.rate_hz!r} is not a rate")
+            raise ValueError(f"rate_hz {self.rate_hz!r} must be a number of at least 0")
         if self.depth < 1:
-            raise ValueError(f"depth {self.depth} is below 1")
+            raise ValueError(f"depth {self.depth} must be at least 1")
         if self.deadline_ns < 0:
-            raise ValueError(f"deadline_ns {self.deadline_ns} is negative")
+            raise ValueError(f"deadline_ns {self.deadline_ns} must be at least 0")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QosPlan:
-    """A whole plan: what every managed publisher should run with; ``topics`` maps topic name to its row."""
+    """Whole plan for the managed publishers; ``topics`` maps a topic name to its row."""
 
     generation: int
     topics: Mapping[str, TopicPlan]
@@ -51,15 +51,15 @@ class QosPlan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Transition:
-    """One atomic step towards a plan: all of one node's publishers at once, or all of its readers.
+    """One atomic step towards a plan: all publishers of one node at once, or all of its readers.
 
     Parameters
     ----------
     node : fully qualified node name
     generation : plan generation the step belongs to
-    topics : topic name → row to set on the publisher there
-    readers : topic name → row to set on the reader there; a step has either these or ``topics``
-    reason : why, in words
+    topics : topic name → row to set on its publisher
+    readers : topic name → row to set on its reader; a step has either these or ``topics``
+    reason : cause of the plan, in words
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     """
 
@@ -73,15 +73,15 @@ class Transition:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Decision:
-    """What one tick decided.
+    """Decision of one tick.
 
     Parameters
     ----------
     gate : factor in (0, 1] on every paced rate above its floor
     plan : the plan in force after this tick
-    level_changed : whether this tick made a new plan
-    reason : why the level changed or was held, in words
-    refusals : changes wanted but refused, by reason
+    level_changed : True when this tick made a new plan
+    reason : cause of that plan, empty without one
+    refusals : reasons for which a plan that is due was refused
     """
 
     gate: float
@@ -100,16 +100,16 @@ class ReaderPlan:
 
 
 ReaderPlans = dict[tuple[str, str], ReaderPlan]  # by node and topic
-# Whatever number an endpoint claims to have, no plan gets a greater one than this, which every parameter, announcement
-# and metric can hold; there they no longer tell plans apart, and all else goes on.
+# Endpoints may announce any generation, but no plan gets one above this: every parameter, announcement and metric can
+# hold it. At this number generations no longer tell plans apart; everything else continues.
 MOST_GENERATION = 2**53
 
 
 def keeps_its_readers(plan: TopicPlan, requested_deadline_ns: int) -> bool:
-    """Whether the offered deadline is no longer than what the most demanding reader requests (0 = none does)."""
+    """Return whether the offered deadline is no longer than the tightest that a reader requests (0 = none does)."""
     return is_kept(plan.deadline_ns, requested_deadline_ns)
 
 
 def is_kept(offered_ns: int, requested_ns: int) -> bool:
-    """Whether a reader that requests a deadline hears a writer that offers one (ns, 0 = infinite)."""
+    """Return whether a reader that requests a deadline matches a writer that offers one (ns, 0 = infinite)."""
     return requested_ns == 0 or 0 < offered_ns <= requested_ns

@@ -1,4 +1,4 @@
-"""What goes over the link to measure it, and what comes back: probes, trains, receiver reports."""
+"""Probes, trains and receiver reports, which measure the link."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ class Train:
 
     Parameters
     ----------
-    payload_bytes : wire bytes of the packets counted, which are those after the first (bytes)
-    duration_s : arrival of the last packet counted minus arrival of the first (s)
-    packets : packets whose bytes are counted
-    sent_s : departures of the same two packets, on the sender's clock; 0 = not told (s)
+    payload_bytes : wire bytes of the counted packets, which are those after the first (bytes)
+    duration_s : time between the arrivals of the first packet and the last one (s)
+    packets : number of counted packets
+    sent_s : time between the departures of the same two packets, by the sender's clock; 0 = unknown (s)
     """
 
     payload_bytes: int
@@ -25,26 +25,26 @@ class Train:
 
     @property
     def rate_bytes_per_second(self) -> float:
-        """Capacity this train saw: bytes after the first / (t_last - t_first), docs/design.md, The estimator."""
+        """Capacity that this train saw: bytes after the first packet over the time they took (bytes/s)."""
         return self.payload_bytes / self.duration_s if self.duration_s > 0 else math.inf
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerReport:
-    """One receiver report from ``arpd peer``, with the moment it reached the daemon.
+    """One receiver report of ``arpd peer``, with its arrival time at the daemon.
 
     Parameters
     ----------
     peer : name of the reporting host
-    received_at_s : daemon's monotonic clock (s)
-    interval_s : time covered by the counters (s)
+    received_at_s : arrival, by the daemon's monotonic clock (s)
+    interval_s : time that the counters cover (s)
     rx_bytes, rx_packets : what the peer's link interface received in that time
     delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
     trains : bursts completed in that time
-    last_probe : highest number of a probe whose first packet has arrived, 0 = none or not told
-    probe_packets : packets of all probes before that one which have arrived since the peer started, modulo 2^32;
-        None = not told, by a peer of an older version
-    return_delay_s : the report's own one-way delay, offset like ``delays_s``; None = not told (s)
+    last_probe : highest number of a probe whose first packet arrived, 0 = none or unknown
+    probe_packets : packets of all earlier probes that arrived since the peer started, modulo 2^32; None = unknown, from
+        a peer of an older version
+    return_delay_s : one-way delay of the report itself, offset like ``delays_s``; None = unknown (s)
     """
 
     peer: str
@@ -61,13 +61,13 @@ class PeerReport:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeRequest:
-    """A burst the estimator wants on the link.
+    """Burst that the estimator wants on the link.
 
     Parameters
     ----------
-    packets, packet_bytes : that many packets of that payload, back to back; a single one is a ping
-    number : counts up from 1, so that a report can say how far the probes have come
-    quiet_s : how long the peer may let reports be apart from now on; less than a quarter of a second is that (s)
+    packets, packet_bytes : number and payload of the packets, which leave back to back; a single one is a ping
+    number : counts up from 1, so a report can name the last probe that arrived
+    quiet_s : most time between two reports from now on; less than 0.25 s counts as 0.25 s (s)
     """
 
     packets: int

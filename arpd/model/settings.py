@@ -1,23 +1,23 @@
-"""What an operator may choose, as frozen domain values; ``config`` builds them from YAML."""
+"""Settings of the operator, as frozen values; `arpd.adapters.config` builds them from YAML."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-AUTO = "auto"  # of link.interface: arpd chooses
+AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
 
 
 class OnStop(StrEnum):
-    """What a clean stop of the daemon does with the publishers."""
+    """Treatment of publishers when the daemon stops cleanly."""
 
     RESTORE = "restore"
     KEEP = "keep"
 
 
 class OnLost(StrEnum):
-    """What the publishers do when they hear nothing of the daemon any more."""
+    """Behaviour of publishers that no longer hear the daemon."""
 
     KEEP = "keep"
     BASELINE = "baseline"
@@ -32,23 +32,23 @@ class Backend(StrEnum):
 
 
 class Overflow(StrEnum):
-    """What the pacing queue does with more than it may send."""
+    """Treatment of samples above the paced rate."""
 
-    LATEST = "latest"  # conflate: keep the newest sample only
-    QUEUE = "queue"  # FIFO of at most depth samples, the oldest dropped and counted
+    LATEST = "latest"  # keep the newest sample only
+    QUEUE = "queue"  # FIFO of at most depth samples; drop and count the oldest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkSettings:
-    """The link.
+    """Settings of the link.
 
     Parameters
     ----------
     interface : interface name, or ``auto`` (the one that carries the default route, a wireless one first)
-    capacity_bytes_per_second : pin the capacity; foreign traffic is still subtracted; None = estimate (bytes/s)
-    initial_capacity_bytes_per_second : belief before the first evidence (bytes/s)
+    capacity_bytes_per_second : pinned capacity; cross traffic is still subtracted; None = estimate (bytes/s)
+    initial_capacity_bytes_per_second : capacity to assume before the first evidence (bytes/s)
     headroom : η, the share of the capacity that may be planned, 0..1
-    packet_overhead_s : pin t_ovh, the link time per packet beyond its bytes; None = estimate (s)
+    packet_overhead_s : pinned t_ovh, link time of a packet beyond its bytes; None = estimate (s)
     """
 
     interface: str = AUTO
@@ -60,17 +60,18 @@ class LinkSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicSettings:
-    """One topic's wishes; None in rate or budget means "as measured" or "no cap".
+    """Preferences for one topic.
 
     Parameters
     ----------
-    weight : share of link time relative to others
+    weight : share of link time relative to other topics
     min_rate_hz : floor (Hz)
-    max_rate_hz : desired rate (Hz); None = the rate the application publishes at
+    max_rate_hz : desired rate (Hz); None = the rate at which the application publishes
     min_depth, max_depth : bounds of DEPTH (samples)
-    latency_budget_s : cap on the time a full history stands for (s); deeper is bufferbloat after an outage
-    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured, as the daemon always does
-    source_rate_hz : rate the application publishes at, for `arpd solve` (Hz); None = measured, the same
+    latency_budget_s : cap on the time that a full history stands for (s); more is bufferbloat after an outage;
+        None = no cap
+    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured. The daemon always measures
+    source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
     """
 
     weight: float = 1.0
@@ -85,14 +86,14 @@ class TopicSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProgramSettings:
-    """The program: back end, the paper's Rmin as a reserve, deadline slack, memory budget.
+    """Settings of the program.
 
     Parameters
     ----------
     backend : solver that answers first; ``exact`` cross-checks it
     deadline_slack : offered period = slack / R, ≥ 1
-    memory_budget_bytes : M, memory all histories may take (bytes)
-    memory_reserve_bytes : memory of the host that histories must leave free (bytes)
+    memory_budget_bytes : M, memory that all histories may take (bytes)
+    memory_reserve_bytes : memory that histories must leave free on the host (bytes)
     """
 
     backend: Backend = Backend.OSQP
@@ -103,16 +104,16 @@ class ProgramSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GovernorSettings:
-    """When a measured change becomes a QoS swap (docs/design.md, The governor).
+    """Thresholds that turn a measured change into a QoS swap (docs/design.md, The governor).
 
     Parameters
     ----------
-    down_ratio, up_ratio : act when ηĈ is below / above this multiple of the level in force
-    hold_s : for that long
-    dwell_s, dwell_max_s : least time between an applied level and the next rise; doubles up to the maximum
-    deadband : relative change of a topic's rate or depth below which its QoS is not swapped
-    swaps_per_minute : budget of topic swaps
-    debounce_s : quiet time after topics come or go before a new plan
+    down_ratio, up_ratio : a change counts when ηĈ is below or above this multiple of the level in force
+    hold_s : time that a change must last; a multiple of it for shallow falls and small rises (s)
+    dwell_s, dwell_max_s : least time between a plan and the next rise; it doubles up to the maximum (s)
+    deadband : relative change of rate, depth and deadline below which a topic keeps its QoS
+    swaps_per_minute : most QoS swaps planned per minute
+    debounce_s : quiet time after topics come or go, before a new plan (s)
     """
 
     down_ratio: float = 0.8
@@ -127,12 +128,12 @@ class GovernorSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HttpSettings:
-    """Where metrics, health and status are served.
+    """Settings of the server of metrics, health and status.
 
     Parameters
     ----------
-    host, port : where to listen
-    web_config : file with TLS and users as Prometheus exporters have it, or ``none``
+    host, port : address to listen on
+    web_config : file with TLS and users in the format of Prometheus exporters, or ``none``
     """
 
     host: str = "127.0.0.1"
@@ -142,14 +143,14 @@ class HttpSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelaySettings:
-    """What the relay carries for nodes whose code is not yours.
+    """Topics that the relay carries for nodes whose code is not yours.
 
     Parameters
     ----------
     topics : topics to carry, by name
     prefix : the carried topic is ``prefix + name``
-    overflow : per topic, how pacing overflows; ``latest`` when not named
-    depths : per topic, the KEEP_LAST depth before the first plan; 10 when not named
+    overflow : treatment of samples above the paced rate, by topic; ``latest`` when not named
+    depths : KEEP_LAST depth before the first plan, by topic; 10 when not named
     """
 
     topics: tuple[str, ...] = ()
@@ -160,7 +161,7 @@ class RelaySettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphSettings:
-    """Pinned topic counts, None = count the live graph."""
+    """Pinned topic counts; None = count the live graph."""
 
     sensing_topics: int | None = None
     actuation_topics: int | None = None
@@ -168,11 +169,11 @@ class GraphSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Settings:
-    """The whole configuration; ``topics`` maps a topic name to its wishes, ``default_topic`` serves the rest.
+    """Whole configuration; ``topics`` maps a topic name to its preferences, ``default_topic`` serves the rest.
 
     Parameters
     ----------
-    on_lost, lost_after_s : what publishers do when they heard nothing of the daemon for that long (s)
+    on_lost, lost_after_s : behaviour of publishers that have not heard the daemon for that long (s)
     """
 
     link: LinkSettings = field(default_factory=LinkSettings)
@@ -189,9 +190,9 @@ class Settings:
 
     @property
     def lease_s(self) -> float:
-        """Silence after which a publisher returns to its application's QoS, 0 = never (s)."""
+        """Silence of the daemon after which a publisher returns to its application's QoS, 0 = never (s)."""
         return self.lost_after_s if self.on_lost is OnLost.BASELINE else 0.0
 
     def topic(self, name: str) -> TopicSettings:
-        """Return the wishes for the topic called ``name``."""
+        """Return the preferences for the topic called ``name``."""
         return self.topics.get(name, self.default_topic)

@@ -1,4 +1,4 @@
-"""What one sample costs on the wire: the headers around its payload, and the talk of its writer and reader."""
+"""Cost of a sample on the wire: payload, headers, heartbeats and acknowledgements."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ ETHERNET_BYTES = 14
 IPV4_BYTES = 20
 UDP_BYTES = 8
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
-# RTPS 2.3 §9.4: header 20 and INFO_DST 16; and Fast DDS 2.14 ends every datagram with a submessage of its own, 60 bytes
-# for its statistics module. All sizes here are those of captured frames.
+# RTPS 2.3 §9.4: header 20 and INFO_DST 16. Fast DDS 2.14 ends every datagram with a submessage of 60 bytes for its
+# statistics module. All sizes here are those of captured frames.
 _RTPS_BYTES = 20 + 16 + 60
 DATA_BYTES = _RTPS_BYTES + 12 + 24  # INFO_TS and the DATA submessage's header
 _DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
@@ -24,20 +24,20 @@ HEARTBEAT_S = 0.05
 
 
 def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
-    """Bytes and packets one reliable sample puts on the link, for one reader.
+    """Return bytes and packets that one reliable sample puts on the link, for one reader.
 
-    Fast DDS cuts what is larger than ``FRAGMENT_BYTES`` into DATA_FRAG submessages, each a datagram of its own (RTPS
-    2.3 §8.3.7.3). A heartbeat asks for an acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air
-    with the data. So a slow topic pays for them with every sample, and of a fast one several samples share them.
+    Fast DDS cuts a sample above ``FRAGMENT_BYTES`` into DATA_FRAG submessages, each in its own datagram (RTPS 2.3
+    §8.3.7.3). A heartbeat asks for an acknowledgement at most once in ``HEARTBEAT_S``; on Wi-Fi both share the air with
+    the data. So a slow topic pays for them with every sample, and several samples of a fast topic share them.
 
     Parameters
     ----------
     payload_bytes : serialized size of the sample (bytes)
-    rate_hz : rate of the samples; ``inf`` = only what the sample itself costs (Hz)
+    rate_hz : rate of the samples; ``inf`` = cost of the sample alone (Hz)
 
     Returns
     -------
-    Wire bytes and packets, heartbeat and acknowledgement included.
+    Wire bytes and packets, with heartbeat and acknowledgement.
     """
     fragments = max(1, math.ceil(payload_bytes / FRAGMENT_BYTES))
     headers = _HEADERS_BYTES + (DATA_BYTES if fragments == 1 else _DATA_FRAG_BYTES)
@@ -47,8 +47,8 @@ def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
 
 
 def probe_wire_bytes(data_bytes: int) -> int:
-    """Bytes one best-effort probe packet with ``data_bytes`` of data puts on the link.
+    """Return bytes that one best-effort probe packet with ``data_bytes`` of data puts on the link.
 
-    No heartbeat and no acknowledgement; the std_msgs layout and the CDR header cost 16 bytes.
+    It causes no heartbeat and no acknowledgement; the std_msgs layout and the CDR header take 16 bytes.
     """
     return _HEADERS_BYTES + DATA_BYTES + 16 + data_bytes

@@ -1,4 +1,4 @@
-"""What a sample costs on the wire."""
+"""Cost of a sample on the wire."""
 
 import math
 
@@ -24,7 +24,7 @@ def test_more_payload_never_costs_less(one, other, rate_hz):
 
 @given(PAYLOADS, RATES, RATES)
 def test_a_faster_topic_costs_less_a_sample_and_more_in_all(payload_bytes, one, other):
-    """Samples share heartbeats and acknowledgements, but more samples never cost less link time."""
+    """Samples share heartbeats and acknowledgements, but more samples never take less link time."""
     slow, fast = sorted((one, other))
     slow_bytes, fast_bytes = (wire_size(payload_bytes, rate_hz=rate)[0] for rate in (slow, fast))
     assert fast_bytes <= slow_bytes
@@ -33,7 +33,7 @@ def test_a_faster_topic_costs_less_a_sample_and_more_in_all(payload_bytes, one, 
 
 @given(PAYLOADS)
 def test_every_packet_fits_the_mtu(payload_bytes):
-    """A sample is cut into as few parts as carry it, and IP need not cut any of them again, even under WireGuard."""
+    """A sample takes the fewest parts that carry it, and IP fragments none of them, even under WireGuard."""
     wire_bytes, packets = wire_size(payload_bytes, rate_hz=math.inf)
     assert (packets - 1) * FRAGMENT_BYTES < max(1, payload_bytes) <= packets * FRAGMENT_BYTES
     headers = (wire_bytes - payload_bytes) / packets
@@ -52,18 +52,18 @@ def test_every_packet_fits_the_mtu(payload_bytes):
     ],
 )
 def test_sizes_are_those_of_captured_frames(payload_bytes, rate_hz, wire_bytes, packets):
-    """A sample of 324 bytes was 498 on the wire, one of 1300 bytes 1402 and 270, a heartbeat 170, its answer 166."""
+    """324 bytes took 498 on the wire, 1300 bytes 1402 and 270, a heartbeat 170, its acknowledgement 166."""
     assert HEARTBEAT_BYTES + ACKNACK_BYTES == 336
     assert wire_size(payload_bytes, rate_hz=rate_hz) == (wire_bytes, packets)
 
 
 @given(st.integers(0, 1400))
 def test_a_probe_costs_less_than_a_reliable_sample_of_its_size(data_bytes):
-    """A best-effort probe carries no heartbeat and gets no acknowledgement."""
+    """A best-effort probe causes no heartbeat and no acknowledgement."""
     assert data_bytes < probe_wire_bytes(data_bytes) < wire_size(data_bytes + 16, rate_hz=20.0)[0]
 
 
 def test_a_probe_packet_of_a_train_is_the_captured_frame():
-    """Trains are made of packets that need no fragment, so that each is one arrival: 1390 bytes."""
+    """The packets of a train need no fragments, so each is one arrival of 1390 bytes."""
     assert probe_wire_bytes(ProbeParameters().packet_bytes) == 1390
     assert ProbeParameters().packet_bytes + 16 <= FRAGMENT_BYTES
