@@ -1,1 +1,1 @@
-"""What arrives from the network: who may say how much, and what is believed of it."""
+"""Messages from the network: how many are admitted, and what is believed of them."""

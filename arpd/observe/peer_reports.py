@@ -1,4 +1,4 @@
-"""Which receiver reports are believed, and how far."""
+"""Admission of receiver reports: which are believed, and how far."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
 
 _MOST_PEERS = 32
-_SILENT_S = 10.0  # after that a peer's place is free for another
-_NUMBERS = 2**32  # of probes, on the wire
+_SILENT_S = 10.0  # then another peer may take the place of a silent one
+_NUMBERS = 2**32  # of probe numbers, on the wire
 _LATELY = 1000  # probes: 100 s and more
-_REPORTS_HZ, _REPORTS_BURST = 60.0, 30.0  # a peer reports 50 times a second at most (`arpd.observe.receiver.PROMPT_S`)
-_MOST_BYTES_PER_SECOND = 100e9 / 8  # no network interface that a robot has is faster
+_REPORTS_HZ, _REPORTS_BURST = 60.0, 30.0  # a peer sends 50 reports/s at most (`arpd.observe.receiver.PROMPT_S`)
+_MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
 _RADIO_S = 60.0
 _RADIO_MARGIN = 2.0
 
 
 class Ceiling:
-    """What the link of this host cannot exceed, so that no report can claim that it does (bytes/s).
+    """Upper bound on the rate of this host's link; no report may exceed it (bytes/s).
 
-    A wired interface says what it is good for. The bit rate of a radio changes with every packet, and one that idles
-    reports a low one; nothing it carried was twice as fast as the best of the last minute.
+    A wired interface states its speed. The bit rate of a radio changes with every packet and is low while it idles, so
+    twice the best of the last minute is the bound.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class Ceiling:
         self._radio: deque[tuple[float, float]] = deque()
 
     def note(self, now_s: float, *, interface: float | None, radio: float | None) -> None:
-        """Take in what the two say now; None = nothing (bytes/s)."""
+        """Note the rates that both state now; None = nothing (bytes/s)."""
         self._interface = interface
         if radio is not None:
             self._radio.append((now_s, radio))
@@ -43,16 +43,16 @@ class Ceiling:
 
     @property
     def bytes_per_second(self) -> float:
-        """The ceiling now."""
+        """Upper bound now."""
         radio = max((rate for _, rate in self._radio), default=None)
-        told = (self._interface, None if radio is None else _RADIO_MARGIN * radio)
-        return min([_MOST_BYTES_PER_SECOND, *(rate for rate in told if rate)])
+        stated = (self._interface, None if radio is None else _RADIO_MARGIN * radio)
+        return min([_MOST_BYTES_PER_SECOND, *(rate for rate in stated if rate)])
 
 
 class PeerAdmission:
-    """Believes a report of a peer that the graph has room for, that answers a probe of this daemon.
+    """Admits reports that answer a probe of this daemon, from no more peers than the graph shows.
 
-    Probes are numbered from a random number on, so that only who hears them can answer them. While none was sent,
+    Probe numbers start at a random number, so only a receiver of the probes can answer them. While none was sent,
     because the capacity is pinned, there is nothing to answer.
 
     Parameters
@@ -65,33 +65,33 @@ class PeerAdmission:
         self._newest = 0
         self._heard_s: dict[str, float] = {}
         self._peers: int | None = None
-        self._turnstile = SourceRateLimiter(
+        self._limiter = SourceRateLimiter(
             rate_hz=_REPORTS_HZ, burst=_REPORTS_BURST, strangers_hz=_REPORTS_HZ, strangers_burst=_REPORTS_BURST
         )
 
     def number(self, probe: int) -> int:
-        """Return the number under which a probe goes out, which may be answered from now on."""
+        """Return the number of a probe on the wire; reports may answer it from now on."""
         self._newest = max(self._newest, probe)
         return (self._base + probe) % _NUMBERS
 
     def see(self, peers: int) -> None:
-        """Take in how many peers the graph shows: so many names are believed, those first that are heard already."""
+        """Note how many peers the graph shows; so many names are admitted, known ones first."""
         self._peers = peers
 
     def check(self, report: PeerReport, now_s: float, *, ceiling: float) -> PeerReport | MessageRefusal:
-        """Return what is believed of a report, its probe by our own number; or why nothing is.
+        """Return the part of a report to believe, with our own number of its probe, or why it is refused.
 
         Parameters
         ----------
-        ceiling : what the link cannot exceed (bytes/s)
+        ceiling : upper bound on the rate of the link (bytes/s)
         """
         answered = (report.last_probe - self._base) % _NUMBERS
         is_answer = 0 < answered <= self._newest and self._newest - answered <= _LATELY
         if self._newest and not (is_answer and report.last_probe):
             return MessageRefusal.UNANSWERED
-        if not self._turnstile.lets_pass(report.peer, now_s):
+        if not self._limiter.lets_pass(report.peer, now_s):
             return MessageRefusal.RATE
-        if not self._has_place(report.peer, now_s):
+        if not self._has_room(report.peer, now_s):
             return MessageRefusal.QUOTA
         return replace(
             report,
@@ -103,13 +103,13 @@ class PeerAdmission:
             ),
         )
 
-    def _has_place(self, name: str, now_s: float) -> bool:
+    def _has_room(self, name: str, now_s: float) -> bool:
         self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= _SILENT_S}
         most = _MOST_PEERS if self._peers is None else min(_MOST_PEERS, max(1, self._peers))
         if name not in self._heard_s:
             if len(self._heard_s) >= most:
                 return False
             self._heard_s[name] = now_s
-            self._turnstile.know(self._heard_s)
+            self._limiter.know(self._heard_s)
         self._heard_s[name] = now_s
         return True

@@ -1,4 +1,4 @@
-"""What is let in of what the network says: how often, how much of it, and a count of what was not."""
+"""Rate limits on messages from the network, and counts of refused ones."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
     from arpd.model.observation import MessageKind, MessageRefusal
 
-_SAY_AGAIN_S = 60.0
-_MOST_SAID = 32  # sources in that time: a source of invented names must not fill the log either
+_LOG_AGAIN_S = 60.0
+_MOST_LOGGED = 32  # sources in that time: invented names must not fill the log
 
 
 @dataclass(slots=True)
 class TokenBucket:
-    """Lets ``rate_hz`` through on average, and ``burst`` at once."""
+    """Lets ``rate_hz`` through on average and ``burst`` at once."""
 
     rate_hz: float
     burst: float
@@ -36,14 +36,14 @@ class TokenBucket:
 
 
 class SourceRateLimiter:
-    """Lets messages pass, each known source at a rate of its own, and all others together at one rate more.
+    """Limits every known source to its own rate, and all other sources together to one rate.
 
-    So whoever speaks under a thousand invented names takes nothing from those that are known.
+    So a sender with a thousand invented names takes nothing from the known sources.
 
     Parameters
     ----------
-    rate_hz, burst : of every known source
-    strangers_hz, strangers_burst : of all others together
+    rate_hz, burst : limit of every known source
+    strangers_hz, strangers_burst : limit of all others together
     """
 
     def __init__(self, *, rate_hz: float, burst: float, strangers_hz: float, strangers_burst: float) -> None:
@@ -52,7 +52,7 @@ class SourceRateLimiter:
         self._strangers = TokenBucket(strangers_hz, strangers_burst)
 
     def know(self, sources: Iterable[str]) -> None:
-        """Take these for the known ones from now on."""
+        """Replace the known sources; those that remain keep their spent budget."""
         self._known = {source: self._known.get(source) or TokenBucket(self._rate_hz, self._burst) for source in sources}
 
     def knows(self, source: str) -> bool:
@@ -65,11 +65,11 @@ class SourceRateLimiter:
 
 
 class RefusalCounts:
-    """Counts what was refused, and tells which refusals are worth a line in the log."""
+    """Counts refusals, and picks those that are worth a line in the log."""
 
     def __init__(self) -> None:
         self._counts: Counter[tuple[MessageKind, MessageRefusal]] = Counter()
-        self._said_s: dict[tuple[MessageKind, MessageRefusal, str], float] = {}
+        self._logged_s: dict[tuple[MessageKind, MessageRefusal, str], float] = {}
 
     @property
     def counts(self) -> dict[tuple[MessageKind, MessageRefusal], int]:
@@ -77,16 +77,14 @@ class RefusalCounts:
         return dict(self._counts)
 
     def note(self, kind: MessageKind, reason: MessageRefusal, source: str, now_s: float) -> bool:
-        """Count one; return whether to say it: once a minute for each source and reason, and for so many sources."""
+        """Count a refusal; return whether to log it: once a minute per source and reason, for 32 of them at most."""
         self._counts[kind, reason] += 1
-        return self._is_news((kind, reason, source), now_s)
-
-    def _is_news(self, what: tuple[MessageKind, MessageRefusal, str], now_s: float) -> bool:
-        if now_s - self._said_s.get(what, -math.inf) < _SAY_AGAIN_S:
+        what = kind, reason, source
+        if now_s - self._logged_s.get(what, -math.inf) < _LOG_AGAIN_S:
             return False
-        if what not in self._said_s and len(self._said_s) >= _MOST_SAID:
-            self._said_s = {known: at_s for known, at_s in self._said_s.items() if now_s - at_s < _SAY_AGAIN_S}
-            if len(self._said_s) >= _MOST_SAID:
+        if what not in self._logged_s and len(self._logged_s) >= _MOST_LOGGED:
+            self._logged_s = {known: at_s for known, at_s in self._logged_s.items() if now_s - at_s < _LOG_AGAIN_S}
+            if len(self._logged_s) >= _MOST_LOGGED:
                 return False
-        self._said_s[what] = now_s
+        self._logged_s[what] = now_s
         return True

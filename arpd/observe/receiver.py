@@ -1,4 +1,4 @@
-"""What the peer makes of the probes that reach it: delays, trains, and when to report them."""
+"""Receiver of probes at the peer: delays, trains, and the time to report them."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from itertools import accumulate, pairwise
 from arpd.model.probing import Train
 from arpd.model.wire import probe_wire_bytes
 
-# A report is the answer to a ping; the other two only bound how long what is known stays unsaid.
-PROMPT_S = 0.02  # least time between two reports; what arrives before a ping is reported blurs what came after it
-BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth one
-WORTH_BYTES = 10_000  # received since the last report are worth one; more where reports shall be rare
-QUIET_S = 0.25  # between reports while no probe arrives: silence for longer means an outage (`arpd.estimate.estimator`)
-LONGEST_QUIET_S = 2.0  # whatever a ping asks for
+# A report answers a ping; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
+PROMPT_S = 0.02  # least time between two reports; bytes that arrive before a ping's report blur those after the ping
+BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth a report
+WORTH_BYTES = 10_000  # received since the last report are worth one; more while the daemon asks for rare reports
+QUIET_S = 0.25  # between reports while no probe arrives; longer silence is an outage (`arpd.estimate.estimator`)
+LONGEST_QUIET_S = 2.0  # even if a ping asks for more
 
-_MOST_KEPT = 32  # delays and trains until the next report, which holds no more
+_MOST_KEPT = 32  # delays and trains until the next report; a report holds no more
 _MOST_LOST = 0.1  # of a train's packets
 _LEAST_EDGE = 4  # packets, or half of a short train; a shorter edge is jitter
-_SENT_AS_SLOWLY = 0.7  # of the time it took to arrive
-_RELEASED = 2.0  # times the time it took to arrive: no link and no sender is that uneven
+_SENT_AS_SLOWLY = 0.7  # of its time to arrive; an edge that left more slowly shows its sender
+_RELEASED = 2.0  # times its time to arrive: no link and no sender is so uneven
 _LEAST_DISPERSION_S = 0.5e-3  # less is the jitter of time stamps
 
 
 @dataclass(slots=True)
 class ReportSchedule:
-    """When the next report is due.
+    """Schedule of the reports.
 
-    Reports cost as much as pings, on the way back. So pings set their pace, and whoever pings less hears less.
+    Reports cost as much as pings, on the way back. So pings set their pace: fewer pings, fewer reports.
 
     Parameters
     ----------
-    sent_at_s : when the last report left, or the schedule began (s)
+    sent_at_s : departure of the last report, or start of the schedule (s)
     """
 
     sent_at_s: float
@@ -40,39 +40,39 @@ class ReportSchedule:
 
     @property
     def due_s(self) -> float:
-        """When to report next, as far as is known now (s)."""
+        """Time of the next report, as far as is known now (s)."""
         return self.sent_at_s + self._wait_s
 
     def note_probe(self, *, packets: int, quiet_s: float) -> None:
-        """Take in that a packet of a probe arrived.
+        """Note that a packet of a probe arrived.
 
         Parameters
         ----------
         packets : of its train; 1 is a ping
-        quiet_s : how long the daemon lets reports be apart: on a slow link, that they cost it little (s)
+        quiet_s : most time between two reports that the daemon asks for; longer on a slow link (s)
         """
         self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
-        # A ping's delay is the first sign of a queue: it must not wait for company.
+        # A ping's delay is the first sign of a queue, so its report does not wait for further probes.
         self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
 
     @property
     def look_s(self) -> float:
-        """When to look at the interface, to call `note_traffic` (s)."""
+        """Time to read the interface and call `note_traffic` (s)."""
         return self.sent_at_s + BUSY_S
 
     def note_traffic(self, size_bytes: float) -> None:
-        """Take in what the interface received since the last report: while a queue stands no ping comes through."""
+        """Note what the interface received since the last report: while a queue stands, pings are late."""
         if size_bytes >= WORTH_BYTES * (self._quiet_s / QUIET_S) ** 2:
             self._wait_s = min(self._wait_s, BUSY_S)
 
     def note_sent(self, now_s: float) -> None:
-        """Take in that a report leaves now."""
+        """Note that a report leaves now."""
         self.sent_at_s, self._wait_s = now_s, self._quiet_s
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Arrival:
-    """One packet of a train.
+    """Arrival of one packet of a train.
 
     Parameters
     ----------
@@ -86,19 +86,18 @@ class Arrival:
 
 
 def measure_train(arrivals: list[Arrival], *, packets: int) -> Train | None:
-    """Dispersion of a train along the lower envelope of its arrivals; None when it tells nothing.
+    """Measure a train along the lower envelope of its arrivals.
 
-    Behind a link that is never idle, what was sent before packet i, b_i bytes, arrives by a + b_i/C. Whatever else
-    happens to its time stamp makes it later, never earlier: the receiving thread wakes up late, a radio hands over an
-    aggregate at once, the message of somebody else comes in between. So the true line touches the points (b_i, t_i)
-    from below, and their lower convex hull contains a stretch of it: the edge that spans most bytes. A late first
-    stamp, or a bucket of saved-up tokens, bends the hull at its beginning, and not there; of aggregates it takes the
-    last packets. Measured over a token bucket: from first to last arrival trains read up to 38 % too high at 20 Mbit/s,
-    and their longest edge up to 1 %.
+    On a link that is never idle, packet i arrives at a + b_i/C, where b_i bytes were sent before it. Every disturbance
+    makes a time stamp later, never earlier: the receiving thread wakes up late, a radio delivers an aggregate at once,
+    another message comes in between. So the true line touches the points (b_i, t_i) from below, and a stretch of it is
+    on their lower convex hull: the edge that spans most bytes. A late first stamp, or a bucket of saved-up tokens,
+    bends only the beginning of the hull; of an aggregate the hull keeps the last packet. Measured over a token bucket
+    at 20 Mbit/s: from first to last arrival trains read up to 38 % too high, along their longest edge up to 1 %.
 
-    Where no edge spans enough packets (the train is short, and jitter bends it) the whole train is one: from the first
-    point of the hull to its last. An edge that arrived as slowly as it left shows the sender and is no edge; a train
-    that has no other is taken whole, and ``sent_s`` tells that it was its sender's rate.
+    Where no edge spans enough packets (the train is short, and jitter bends it), the whole hull counts, from its first
+    point to its last. An edge that arrived as slowly as it left shows the sender and does not count; a train without
+    another edge counts as a whole, and its ``sent_s`` shows that this is the sender's rate.
 
     Dispersion of trains: Dovrolis, Ramanathan and Moore, "Packet-Dispersion Techniques and a Capacity-Estimation
     Methodology", IEEE/ACM Trans. Networking 12(6), 2004. Aggregates at the receiver: Prasad, Jain and Dovrolis,
@@ -107,13 +106,13 @@ def measure_train(arrivals: list[Arrival], *, packets: int) -> Train | None:
 
     Parameters
     ----------
-    arrivals : what arrived of the train, in that order
-    packets : how many packets were sent
+    arrivals : packets of the train, in order of arrival
+    packets : number of packets sent
 
     Returns
     -------
-    The train: bytes, packets and both spans of what came after the first point of the edge. None when more than a
-    tenth was lost, when a clock stepped back meanwhile, or when all arrived at once, so that nothing was dispersed.
+    The train: bytes, packets and both spans after the first point of the edge. None when more than a tenth was lost,
+    when a clock stepped back meanwhile, or when all arrived at once, so nothing was dispersed.
     """
     if len(arrivals) < max(2.0, (1.0 - _MOST_LOST) * packets):
         return None
@@ -125,7 +124,7 @@ def measure_train(arrivals: list[Arrival], *, packets: int) -> Train | None:
         while len(hull) > 1 and _is_above(arrivals, carried, hull[-2], hull[-1], index):
             hull.pop()
         hull.append(index)
-    # The level part of the hull is one group, which arrived together: it ends where time begins to pass.
+    # The level part of the hull is a group that arrived together; it ends where time begins to pass.
     start = max(index for index in hull if arrivals[index].received_ns == arrivals[0].received_ns)
     hull = [index for index in hull if index >= start]
     edges = [_train_between(arrivals, carried, early, late) for early, late in pairwise(hull)]
@@ -136,7 +135,7 @@ def measure_train(arrivals: list[Arrival], *, packets: int) -> Train | None:
         default=None,
     )
     if most is None:
-        # An edge that arrived much faster than it left is a group, too, stamped at the receiver's own pace.
+        # An edge that arrived much faster than it left is also a group, stamped at the receiver's own pace.
         spread = [early for early, edge in zip(hull, edges, strict=False) if edge.sent_s < _RELEASED * edge.duration_s]
         most = _train_between(arrivals, carried, spread[0], hull[-1]) if spread else None
     return most if most is not None and most.duration_s > _LEAST_DISPERSION_S else None
@@ -152,7 +151,7 @@ def _train_between(arrivals: list[Arrival], carried: list[int], early: int, late
 
 
 def _is_above(arrivals: list[Arrival], carried: list[int], early: int, middle: int, late: int) -> bool:
-    """Whether the middle one of three points is on or above the line between the others."""
+    """Return whether the middle one of three points is on or above the line between the others."""
     rise = arrivals[middle].received_ns - arrivals[early].received_ns
     whole_rise = arrivals[late].received_ns - arrivals[early].received_ns
     return rise * (carried[late] - carried[early]) >= whole_rise * (carried[middle] - carried[early])
@@ -162,16 +161,16 @@ def _is_above(arrivals: list[Arrival], carried: list[int], early: int, middle: i
 class Receiver:
     """Collects probe arrivals between two reports.
 
-    Probes overtake nobody on the link: a train is complete when its last packet arrives, and when a later probe says
-    that the last packet is lost.
+    Probes do not overtake each other on the link: a train is complete when its last packet arrives, or when a later
+    probe shows that the last packet is lost.
     """
 
     delays_s: list[float] = field(default_factory=list)
     trains: list[Train] = field(default_factory=list)
     last_probe: int = 0
-    packets_before: int = 0  # that arrived of the probes before the last one
+    packets_before: int = 0  # arrived packets of the probes before the last one
     _received: int = 0  # packets of all probes
-    _number: int = -1  # of the train whose packets arrive now
+    _number: int = -1  # train whose packets arrive now
     _packets: int = 0
     _arrivals: list[Arrival] = field(default_factory=list)
 
@@ -192,7 +191,7 @@ class Receiver:
             self._close()
             self._number, self._packets = train, packets
         if len(self._arrivals) >= self._packets:
-            return  # it is closed, or somebody repeats himself
+            return  # the train is closed, or a sender repeats packets
         self._arrivals.append(
             Arrival(wire_bytes=probe_wire_bytes(payload_bytes), sent_ns=sent_ns, received_ns=received_ns)
         )
@@ -200,7 +199,7 @@ class Receiver:
             self._close()
 
     def take(self) -> tuple[tuple[float, ...], tuple[Train, ...]]:
-        """Return what came since the last call."""
+        """Return delays and trains since the last call."""
         delays, trains = tuple(self.delays_s), tuple(self.trains)
         self.delays_s, self.trains = [], []
         return delays, trains

@@ -1,4 +1,4 @@
-"""The publishers, or the readers, that are there: those that announce themselves and that the graph shows."""
+"""Registry of publishers, or of readers: those that announce themselves and that the graph shows."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from arpd.model.endpoints import PublisherState, ReaderState
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-MOST_OF_NODE = 256  # endpoints one node may announce: more than any relay carries
+MOST_OF_NODE = 256  # endpoints that one node may announce: more than any relay carries
 MOST = 2000  # of all nodes together: more than any robot has
-_FLOODED_S = 10.0  # silence that proves nothing while there is a flood in which announcements are lost
-_UNSEEN_S = 10.0  # the graph forgets and remembers, a participant behind a bad link most of all
+_FLOODED_S = 10.0  # silence that proves nothing while a flood displaces announcements
+_UNSEEN_S = 10.0  # the graph may lose an endpoint for some seconds, most of all behind a bad link
 
 S = TypeVar("S", PublisherState, ReaderState)
 
@@ -22,16 +22,15 @@ S = TypeVar("S", PublisherState, ReaderState)
 class _Endpoint(Generic[S]):
     state: S
     at_s: float
-    is_shown: bool = False  # by the graph, when it was read last
-    shown_s: float | None = None  # until when it did
+    is_shown: bool = False  # by the graph at the last look
+    shown_s: float | None = None  # last time that the graph showed it
 
 
 class Endpoints(Generic[S]):
-    """The last announcement of every endpoint, by node and topic.
+    """Last announcement of every endpoint, by node and topic.
 
-    An endpoint counts once the graph has shown it: an invented one never does. Places are bounded for each node, and
-    for all of them; an endpoint that is there keeps its place, and one that the graph shows takes that of one it never
-    showed.
+    An endpoint counts once the graph has shown it, so an invented one never counts. Entries are bounded per node and in
+    all. A known endpoint keeps its entry; a new one that the graph shows may replace one it never showed.
 
     Parameters
     ----------
@@ -51,11 +50,11 @@ class Endpoints(Generic[S]):
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics of all of them."""
+        """Topics of all endpoints."""
         return frozenset(topic for _, topic in self._known)
 
     def note(self, state: S, now_s: float) -> bool:
-        """Take in an announcement; return False where there is no place for it."""
+        """Note an announcement; return False when there is no room for it."""
         key = state.node, state.topic
         if (known := self._known.get(key)) is not None:
             known.state, known.at_s = state, now_s
@@ -68,7 +67,7 @@ class Endpoints(Generic[S]):
         return True
 
     def see(self, is_shown: Callable[[str, str], bool], now_s: float) -> None:
-        """Take in what the graph shows now: whether it has an endpoint of a node on a topic."""
+        """Note what the graph shows now, as a function of node and topic."""
         self._is_shown = is_shown
         for (node, topic), endpoint in self._known.items():
             was_shown, endpoint.is_shown = endpoint.is_shown, is_shown(node, topic)
@@ -78,12 +77,12 @@ class Endpoints(Generic[S]):
     def live(
         self, now_s: float, *, is_flooded: bool = False, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}
     ) -> list[S]:
-        """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic.
+        """Return the endpoints that announced themselves lately, with the age of that, sorted by node and topic.
 
         Parameters
         ----------
-        is_flooded : whether announcements may have been lost among others; who is there is then kept for longer
-        known_of : what is known of a state besides, by field; every tick makes all states anew, and none twice
+        is_flooded : True when a flood may have displaced announcements; known endpoints are then kept for longer
+        known_of : further fields of a state; applied here because one copy of each state per tick is enough
         """
         kept_s = max(self._stale_s, _FLOODED_S) if is_flooded else self._stale_s
         for key, endpoint in list(self._known.items()):
@@ -98,10 +97,10 @@ class Endpoints(Generic[S]):
     def _has_room(self, is_shown: bool) -> bool:  # noqa: FBT001 - a condition, not a mode
         if len(self._known) < MOST:
             return True
-        never = next((key for key, endpoint in self._known.items() if endpoint.shown_s is None), None)
-        if not is_shown or never is None:
+        unseen = next((key for key, endpoint in self._known.items() if endpoint.shown_s is None), None)
+        if not is_shown or unseen is None:
             return False
-        self._forget(never)
+        self._forget(unseen)
         return True
 
     def _forget(self, key: tuple[str, str]) -> None:

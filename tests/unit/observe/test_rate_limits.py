@@ -1,4 +1,4 @@
-"""Who is let in of what the network says: rates, places, and what is refused; pure."""
+"""Admission of messages from the network: rates, entries and refusals."""
 
 from dataclasses import replace
 from typing import Any
@@ -32,7 +32,7 @@ def nobody(_node, _topic):
 @settings(max_examples=50)
 @given(st.lists(st.floats(0, 100), max_size=60), st.floats(0.1, 20), st.integers(1, 10))
 def test_a_bucket_lets_its_rate_and_its_burst_through(times, rate_hz, burst):
-    """Whatever the pattern, never more passes than the burst and the rate allow; a clock that steps back gives none."""
+    """At any pattern of times, no more passes than burst and rate allow, and the burst always does."""
     bucket = TokenBucket(rate_hz, burst)
     passed = sum(bucket.take(now_s) for now_s in sorted(times))
     assert passed <= burst + rate_hz * (max(times, default=0.0) - min(times, default=0.0)) + 1e-6
@@ -40,30 +40,30 @@ def test_a_bucket_lets_its_rate_and_its_burst_through(times, rate_hz, burst):
 
 
 def test_a_flood_of_names_takes_nothing_from_those_that_are_known():
-    """A thousand invented names share one rate; the known node keeps its own."""
-    turnstile = SourceRateLimiter(rate_hz=2.0, burst=2.0, strangers_hz=5.0, strangers_burst=5.0)
-    turnstile.know(["/honest"])
+    """Invented names share one rate; the known node keeps its own."""
+    limiter = SourceRateLimiter(rate_hz=2.0, burst=2.0, strangers_hz=5.0, strangers_burst=5.0)
+    limiter.know(["/honest"])
     passed = 0
     for tick in range(100):
         now_s = tick / 10
-        passed += sum(turnstile.lets_pass(f"/invented{tick}_{k}", now_s) for k in range(100))
+        passed += sum(limiter.lets_pass(f"/invented{tick}_{k}", now_s) for k in range(100))
         if tick % 10 == 0:
-            assert turnstile.lets_pass("/honest", now_s)
+            assert limiter.lets_pass("/honest", now_s)
     assert passed <= 5 + 5 * 10
 
 
 def test_a_known_node_that_floods_is_held_to_its_rate():
-    """What it says beyond that is not heard, and being known again gives no fresh start."""
-    turnstile = SourceRateLimiter(rate_hz=1.0, burst=4.0, strangers_hz=1.0, strangers_burst=1.0)
+    """Further messages are refused, and `know` gives no fresh burst."""
+    limiter = SourceRateLimiter(rate_hz=1.0, burst=4.0, strangers_hz=1.0, strangers_burst=1.0)
     passed = 0
     for k in range(1000):
-        turnstile.know(["/loud"])
-        passed += turnstile.lets_pass("/loud", k / 1000)
+        limiter.know(["/loud"])
+        passed += limiter.lets_pass("/loud", k / 1000)
     assert passed == 4
 
 
 def test_a_refusal_is_said_once_a_minute_and_always_counted():
-    """A source is complained of once a minute; invented ones cannot fill the log."""
+    """Each source is logged once a minute; invented ones cannot fill the log."""
     refusals = RefusalCounts()
     said = [
         refusals.note(MessageKind.HEARTBEATS, MessageRefusal.RATE, "", now_s) for now_s in (0.0, 1.0, 59.0, 61.0, 62.0)
@@ -81,7 +81,7 @@ def test_a_refusal_is_said_once_a_minute_and_always_counted():
 
 
 def test_an_endpoint_counts_once_the_graph_shows_it():
-    """Before that it is pending, and one that is never shown stays so until it is silent."""
+    """An endpoint is pending until the graph shows it, or until it falls silent."""
     endpoints = Endpoints(3.5)
     endpoints.note(publisher("/n", "/real"), 0.0)
     endpoints.note(publisher("/n", "/invented"), 0.0)
@@ -93,7 +93,7 @@ def test_an_endpoint_counts_once_the_graph_shows_it():
 
 
 def test_an_endpoint_outlives_a_gap_of_the_graph():
-    """A graph that forgets an endpoint for some seconds takes nothing away; one that forgets it for good does."""
+    """An endpoint survives ten seconds without the graph, and no more."""
     endpoints = Endpoints(3.5)
     endpoints.see(everybody, 0.0)
     for now_s in range(20):
@@ -103,8 +103,8 @@ def test_an_endpoint_outlives_a_gap_of_the_graph():
         assert bool(endpoints.live(float(now_s))) == (now_s <= 16)
 
 
-def test_who_is_there_outlives_a_flood():
-    """While announcements are lost among others', who was there is kept for longer; an invention is not."""
+def test_a_shown_endpoint_outlives_a_flood():
+    """While a flood displaces announcements, shown endpoints are kept for longer, and invented ones are not."""
     endpoints = Endpoints(3.5)
     endpoints.see(lambda node, _topic: node == "/honest", 0.0)
     endpoints.note(publisher("/honest", "/t"), 0.0)
@@ -114,21 +114,21 @@ def test_who_is_there_outlives_a_flood():
     assert not endpoints.live(9.1)
 
 
-def test_one_node_has_so_many_places():
-    """A node that announces without end takes no other's place, and keeps those it has."""
+def test_a_node_has_a_bounded_number_of_entries():
+    """A node that announces without end takes no entry of others, and keeps its own."""
     endpoints = Endpoints(3.5)
     endpoints.see(everybody, 0.0)
-    places = [endpoints.note(publisher("/loud", f"/t{k}"), 0.0) for k in range(2 * MOST_OF_NODE)]
-    assert places == [True] * MOST_OF_NODE + [False] * MOST_OF_NODE
+    noted = [endpoints.note(publisher("/loud", f"/t{k}"), 0.0) for k in range(2 * MOST_OF_NODE)]
+    assert noted == [True] * MOST_OF_NODE + [False] * MOST_OF_NODE
     assert endpoints.note(publisher("/loud", "/t0"), 1.0)
     assert endpoints.note(publisher("/quiet", "/t"), 1.0)
     assert endpoints.note(publisher("/loud", "/late"), 1.0) is False
-    endpoints.live(4.0)  # what was not repeated is gone, and its places are free
+    endpoints.live(4.0)  # forgets what was not repeated
     assert endpoints.note(publisher("/loud", "/late"), 4.0)
 
 
 def test_inventions_give_way_to_what_the_graph_shows():
-    """With all places taken by endpoints nobody shows, a real one still finds one; those that are there stay."""
+    """When invented endpoints fill all entries, a real one replaces one of them; real ones stay."""
     endpoints = Endpoints(3.5)
     endpoints.see(lambda node, _topic: node == "/honest", 0.0)
     assert endpoints.note(publisher("/honest", "/first"), 0.0)
@@ -140,12 +140,12 @@ def test_inventions_give_way_to_what_the_graph_shows():
 
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans(), st.floats(0, 4)), max_size=60))
-def test_nothing_lives_that_is_not_both_shown_and_announced(story):
-    """Whatever comes in whatever order: who is live was shown in the last 10 s and announced itself lately."""
+def test_nothing_lives_that_is_not_both_shown_and_announced(events):
+    """At any order of events, a live endpoint was shown in the last 10 s and announced itself lately."""
     endpoints = Endpoints(3.5)
     now_s, shown_s, announced_s = 0.0, {}, {}
     shown: frozenset[Any] = frozenset()
-    for node, topic, is_graph, pause_s in story:
+    for node, topic, is_graph, pause_s in events:
         now_s += pause_s
         key = (f"/n{node}", f"/t{topic}")
         shown_s.update(dict.fromkeys(shown, now_s))
@@ -171,7 +171,7 @@ def answering(admission, probe, **fields):
 
 @pytest.mark.parametrize("base", [0, 1, 2**31, 2**32 - 1])
 def test_a_report_must_answer_a_probe_that_was_sent(base):
-    """Only the number of a probe that left lately is an answer; it comes back as our own number."""
+    """Only the number of a recent probe is an answer; it comes back as our own number."""
     admission: Any = PeerAdmission(base)
     admission.see(1)
     for probe in range(1, 4):
@@ -182,18 +182,18 @@ def test_a_report_must_answer_a_probe_that_was_sent(base):
         if (guess - base) % 2**32 not in (1, 2, 3) or guess == 0:
             assert admission.check(replace(REPORT, last_probe=guess), 0.0, ceiling=HIGH) is MessageRefusal.UNANSWERED
     admission.number(5000)
-    assert admission.check(answer, 0.0, ceiling=HIGH) is MessageRefusal.UNANSWERED  # as old as this none is
+    assert admission.check(answer, 0.0, ceiling=HIGH) is MessageRefusal.UNANSWERED  # too old
 
 
 def test_while_nothing_is_probed_nothing_is_answered():
-    """With a pinned capacity there are no probes, and a peer is heard all the same."""
+    """With a pinned capacity there are no probes, and reports are still admitted."""
     admission: Any = PeerAdmission(77)
     admission.see(1)
     assert admission.check(replace(REPORT, last_probe=4), 0.0, ceiling=HIGH).last_probe == 0
 
 
 def test_no_more_peers_are_believed_than_there_are():
-    """Invented peers get only the places the graph has, and never that of one that is heard."""
+    """Invented peers get at most as many entries as the graph shows, and never that of a known peer."""
     admission: Any = PeerAdmission(9)
     admission.see(2)
     for tick in range(200):
@@ -206,7 +206,7 @@ def test_no_more_peers_are_believed_than_there_are():
 
 
 def test_a_peer_that_floods_is_held_to_its_rate():
-    """Of ten thousand reports in a second some ninety are read."""
+    """Of ten thousand reports in a second about ninety are read."""
     admission: Any = PeerAdmission(9)
     admission.see(1)
     results = [admission.check(answering(admission, 1), k / 10_000, ceiling=HIGH) for k in range(10_000)]
@@ -215,18 +215,18 @@ def test_a_peer_that_floods_is_held_to_its_rate():
 
 
 def test_no_report_exceeds_what_the_link_can_do():
-    """Bytes and trains that no link of this host carries count as what it does carry."""
+    """Bytes and trains above the upper bound count as the bound."""
     admission: Any = PeerAdmission(9)
     fast = Train(payload_bytes=1_000_000, duration_s=1e-6, packets=24)
     slow = Train(payload_bytes=1000, duration_s=0.5, packets=24)
-    told = admission.check(answering(admission, 1, rx_bytes=2**32 - 1, trains=(fast, slow)), 0.0, ceiling=2_000_000.0)
-    assert told.rx_bytes == 200_000
-    assert told.trains[0].rate_bytes_per_second == pytest.approx(2_000_000.0)
-    assert told.trains[1] == slow
+    admitted = admission.check(answering(admission, 1, rx_bytes=2**32 - 1, trains=(fast, slow)), 0.0, ceiling=2e6)
+    assert admitted.rx_bytes == 200_000
+    assert admitted.trains[0].rate_bytes_per_second == pytest.approx(2_000_000.0)
+    assert admitted.trains[1] == slow
 
 
-def test_the_ceiling_is_the_slowest_thing_that_is_known():
-    """A wired interface's own rate, twice the best that the radio reported lately, and 100 Gbit/s in any case."""
+def test_the_ceiling_is_the_lowest_bound():
+    """The speed of a wired interface, twice the best recent rate of the radio, and 100 Gbit/s in any case."""
     ceiling = Ceiling()
     assert ceiling.bytes_per_second == 12.5e9
     ceiling.note(0.0, interface=125e6, radio=None)
