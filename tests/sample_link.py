@@ -1,6 +1,10 @@
-"""A steady link, as its estimate."""
+"""Link, interface and observation for tests: each test states only what it is about."""
 
+from __future__ import annotations
+
+from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.model.observation import MemoryState, Observation
 
 LINK = LinkEstimate(
     capacity_bytes_per_second=1e6,
@@ -11,3 +15,19 @@ LINK = LinkEstimate(
     age_s=0.0,
     evidence="",
 )
+INTERFACE = LinkCounters(
+    interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
+)
+
+
+def observation(now_s: float, **fields) -> Observation:
+    """Return an observation of nothing, except for ``fields``."""
+    nothing = {
+        "counters": None,
+        "reports": (),
+        "publishers": (),
+        "memory": MemoryState(total_bytes=1, available_bytes=1),
+        "sensing_topics": 0,
+        "actuation_topics": 0,
+    }
+    return Observation(now_s=now_s, **{**nothing, **fields})

@@ -1,4 +1,4 @@
-"""Publishers and readers for tests: each says only what its test is about."""
+"""Publishers and readers for tests: each test states only what it is about."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from arpd.model.endpoints import Direction, PublisherState, ReaderState
 
 
 def publisher(node: str, topic: str, **fields) -> PublisherState:
-    """Return a sensing publisher at 20 Hz of 1 kB that runs with its application's QoS, unless told otherwise."""
+    """Return a sensing publisher of 1 kB at 20 Hz with its application's QoS, except for ``fields``."""
     neutral = {
         "type_name": "std_msgs/msg/String",
         "direction": Direction.SENSING,
@@ -20,12 +20,12 @@ def publisher(node: str, topic: str, **fields) -> PublisherState:
 
 
 def reader(node: str, topic: str, **fields) -> ReaderState:
-    """Return a reader with its application's QoS, unless told otherwise."""
+    """Return a reader with its application's QoS, except for ``fields``."""
     return ReaderState(node=node, topic=topic, **{"depth": 10, "baseline_depth": 10, **fields})
 
 
 def plan_transitions(publishers, plan, *, reason="test", lease_s=0.0):
-    """Return the steps from what was announced to a plan, where nothing was asked before and nobody reads."""
+    """Return the steps from announced publishers to a plan, without earlier requests and without readers."""
     steps = Ordering().steps(
         0.0, publishers=publishers, readers=(), plan=plan, reader_plans={}, reason=reason, lease_s=lease_s
     )

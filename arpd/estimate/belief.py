@@ -1,4 +1,4 @@
-"""What is believed of the link's capacity, since when and why."""
+"""Belief about the capacity of the link: its value, age and reason."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 class Belief:
-    """The capacity that is believed, and what made it so.
+    """Capacity that is believed, and the evidence for it.
 
     Parameters
     ----------
-    capacity : what is believed before any evidence (bytes/s)
+    capacity : the one before any evidence (bytes/s)
     """
 
     def __init__(self, capacity: float) -> None:
@@ -30,7 +30,7 @@ class Belief:
 
     @property
     def events_by_kind(self) -> Mapping[str, int]:
-        """How often each rule spoke."""
+        """Number of events of each rule."""
         return MappingProxyType(dict(self._events))
 
     def change(self, event: EstimatorEvent, now_s: float, capacity: float, why: str) -> None:
@@ -38,7 +38,7 @@ class Belief:
         before, self.capacity = self.capacity, max(capacity, 1.0)
         self.changed_at_s = now_s
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
-        # Without a peer the rule speaks every second, and mostly says the same.
+        # Without a peer this rule applies every second, mostly without a change.
         self._events[event] += event is not EstimatorEvent.LOCAL or self.capacity != before
 
     def note(self, event: EstimatorEvent) -> None:
@@ -48,13 +48,13 @@ class Belief:
     def stated(
         self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None, radio_share: float
     ) -> tuple[float, CapacityKind, str, float]:
-        """Return what is said of the capacity: how much (bytes/s), how it is known, why, and how old that is (s).
+        """Return the capacity to state (bytes/s), its kind, its evidence, and the age of that (s).
 
         Parameters
         ----------
-        since_s : when the newest evidence came, be it none that changed anything (s)
-        pinned : what the configuration says, which is the last word (bytes/s)
-        radio, radio_share : bit rate of the radio, if it tells (bytes/s), and how much of it can be used at most
+        since_s : time of the newest evidence, even if it changed nothing (s)
+        pinned : capacity that the configuration pins; it overrides everything (bytes/s)
+        radio, radio_share : bit rate of the radio, if known (bytes/s), and the most of it that carries data
         """
         if pinned is not None:
             return pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0

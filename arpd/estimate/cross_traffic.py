@@ -1,4 +1,4 @@
-"""Traffic on the link that is not arpd's: what the interface carries and the managed topics do not explain."""
+"""Cross traffic: bytes on the interface that arpd's topics and probes do not explain."""
 
 from __future__ import annotations
 
@@ -20,40 +20,40 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.probing import ProbeRequest
 
-_WINDOW_S = 3.0  # announcements come once a second: three of them, so that one that is lost does not matter
+_WINDOW_S = 3.0  # announcements come once a second: three of them, so a lost one does not matter
 _STEP_S = 0.5
-_REMEMBERED_COSTS = 4  # announcements: as many as touch a window
-_MEMORY_S = 10.0  # what was published and not carried for this long will not be: deeper histories are for outages
+_REMEMBERED_COSTS = 4  # announcements: as many as touch one window
+_MEMORY_S = 10.0  # samples not carried for this long will not be: only outages fill deeper histories
 # Measured on the demo robot (14 participants, 12 topics; veth and tbf, 5 and 20 Mbit/s): the interface carries 0.10 to
 # 0.25 Mbit/s more than the topics and probes explain: discovery, reports, gate. The discovery of a swap adds 0.3 Mbit/s
-# for a few seconds, and the model of a sample errs by a percent or two: so a part grows with them.
+# for a few seconds, and the wire model errs by one or two per cent, so a part of the allowance grows with the topics.
 _CHATTER_BYTES_PER_SECOND = 40_000.0
 _TOPICS_ALLOWANCE = 0.05
 
 
 class CrossTraffic:
-    """Measures the foreign traffic; one `update` per tick.
+    """Measures the cross traffic; one `update` per tick.
 
-    The interface's counters are read at every tick, the publishers' come once a second, each node's at its own
-    moment. Both become curves over time, compared over a window that ends at the last moment of which every
-    publisher has told: what was sent since is unknown, and never guessed.
+    The counters of the interface come at every tick, those of the publishers once a second, each node at its own time.
+    Both become curves over time. They are compared over a window that ends when the last publisher announced itself:
+    later samples are unknown, and never guessed.
 
-    What is published and not carried is owed: it waits in a queue, for veth counts a packet when it leaves the token
-    bucket, or it was dropped there, uncounted, and a reliable writer sends it again. So carried bytes pay what is owed
-    before they are foreign; otherwise the resends after every overload would be. Resends of what the link carried and
-    then lost do count: link time that no topic can use.
+    Published samples that were not carried are owed. They wait in a queue, because veth counts a packet when it leaves
+    the token bucket; or they were dropped there, uncounted, and a reliable writer sends them again. Carried bytes pay
+    this debt first; otherwise the resends after every overload would count as cross traffic. Resends of samples that
+    the link carried and then lost do count: no topic can use that link time.
     """
 
     def __init__(self) -> None:
         self._carried: _Curve | None = None
-        self._counted_bytes = 0  # what `_carried` was fed up to; the interface's own count
-        self._extra = _Curve(0.0)  # of ours, besides the topics' samples
+        self._counted_bytes = 0  # the interface's own count at the end of `_carried`
+        self._extra = _Curve(0.0)  # our own bytes besides the topics' samples
         self._topics: dict[tuple[str, str], _TopicTraffic] = {}
         self._measured_s = -math.inf
         self._rate = 0.0
 
     def update(self, observation: Observation) -> float:
-        """Digest one observation and return the foreign traffic (bytes/s), 0 while it is not known."""
+        """Digest one observation and return the cross traffic, 0 while unknown (bytes/s)."""
         now_s = observation.now_s
         self._note_interface(observation.counters, now_s)
         end_s = min([self._note_publisher(publisher, now_s) for publisher in observation.publishers], default=now_s)
@@ -65,21 +65,21 @@ class CrossTraffic:
         return self._rate
 
     def note_probe(self, request: ProbeRequest, now_s: float, *, peers: int) -> None:
-        """Note a probe of ours: before the first estimate, trains are more than any allowance would cover."""
+        """Note a probe of ours: before the first estimate, trains exceed every allowance."""
         self._extra.jump(now_s, peers * request.packets * probe_wire_bytes(request.packet_bytes))
 
     def note_outage(self, start_s: float, end_s: float) -> None:
-        """Note that nothing arrived in a span of time: what was sent in it is sent again now."""
+        """Note that nothing arrived in a span of time: writers send its samples again now."""
         before, after = self._sent_by([start_s, end_s])
         self._extra.jump(end_s, after - before)
 
     def _measure(self, carried: _Curve, end_s: float) -> float:
-        """Return what is left of the window when topics, debts and allowances are taken out (bytes/s)."""
+        """Return the bytes of the window without topics, debts and allowances (bytes/s)."""
         steps = int(min(_MEMORY_S, end_s - carried.oldest_s) / _STEP_S + 1e-6)
         moments = [end_s - step * _STEP_S for step in range(steps, -1, -1)]
         sent = self._sent_by(moments)
-        everything = zip(carried.each_at(moments), sent, self._extra.each_at(moments), strict=True)
-        surplus = [seen - topics - others for seen, topics, others in everything]
+        curves = zip(carried.each_at(moments), sent, self._extra.each_at(moments), strict=True)
+        surplus = [seen - topics - extra for seen, topics, extra in curves]
         owed, unexplained = 0.0, list[float]()
         for before, after in pairwise(surplus):
             balance = after - before - owed
@@ -91,7 +91,7 @@ class CrossTraffic:
         return max(0.0, (in_window - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
 
     def _sent_by(self, moments: Sequence[float]) -> list[float]:
-        """Return what all topics have put on the link by each of ascending moments (bytes)."""
+        """Return the bytes that all topics put on the link up to each of ascending moments."""
         sent = [0.0] * len(moments)
         for topic in self._topics.values():
             sent = list(map(add, sent, topic.sent_by(moments)))
@@ -103,41 +103,41 @@ class CrossTraffic:
             return
         counted = counters.tx_bytes + counters.rx_bytes
         if self._carried is None or counted < self._counted_bytes:
-            self._carried = _Curve(now_s)  # new, or made anew: what it carried in between nobody knows
+            self._carried = _Curve(now_s)  # a new interface, or a restart: nobody knows what it carried meanwhile
         else:
             self._carried.grow(now_s, counted - self._counted_bytes)
         self._counted_bytes = counted
 
     def _note_publisher(self, publisher: PublisherState, now_s: float) -> float:
-        """Note what a publisher announced, and return when it did (s)."""
+        """Note the announcement of a publisher, and return the time of its last one (s)."""
         key = publisher.node, publisher.topic
         at_s = min(now_s, now_s - publisher.age_s)
         if (topic := self._topics.get(key)) is None:
             topic = self._topics[key] = _TopicTraffic(publisher, at_s)
         else:
             topic.note(publisher, at_s)
-        return topic.told_s
+        return topic.announced_s
 
     def _forget(self, before_s: float) -> None:
         self._extra.forget(before_s)
         if self._carried is not None:
             self._carried.forget(before_s)
-        # One that left stays for as long as what it sent matters.
-        self._topics = {key: topic for key, topic in self._topics.items() if topic.told_s >= before_s}
+        # A publisher that left stays for as long as its samples matter.
+        self._topics = {key: topic for key, topic in self._topics.items() if topic.announced_s >= before_s}
         for topic in self._topics.values():
             topic.forget(before_s)
 
 
 class _TopicTraffic:
-    """What one publisher put on the link, from its announcements.
+    """Bytes that one publisher put on the link, by its announcements.
 
-    A sample costs the most that recent announcements say: the graph learns of a reader up to a second after the reader
-    got its first sample, and a reader that left took what was sent before.
+    A sample takes the most bytes that recent announcements imply: the graph shows a reader up to a second after that
+    reader's first sample, and a reader that left received what was sent before.
 
     Parameters
     ----------
-    publisher : its first announcement; whoever announces itself for the first time has, up to then, published steadily
-    at_s : when it announced (s)
+    publisher : its first announcement; up to then it is assumed to have published steadily
+    at_s : time of that announcement (s)
     """
 
     def __init__(self, publisher: PublisherState, at_s: float) -> None:
@@ -149,39 +149,34 @@ class _TopicTraffic:
         self._costs = deque([_wire_bytes(publisher, rate_hz)], maxlen=_REMEMBERED_COSTS)
 
     @property
-    def told_s(self) -> float:
-        """When it announced last (s)."""
+    def announced_s(self) -> float:
+        """Time of the last announcement (s)."""
         return self._samples.newest_s
 
     def note(self, publisher: PublisherState, at_s: float) -> None:
-        """Note an announcement; the same one again changes nothing."""
-        if at_s <= self.told_s + 1e-3:  # an age is a difference of clocks: never quite the same
+        """Note an announcement; a repeated one changes nothing."""
+        if at_s <= self.announced_s + 1e-3:  # an age is a difference of clocks, so it is never quite the same
             return
         if publisher.published >= self._published:
             samples = publisher.published - self._published
         else:
-            samples = publisher.published  # a new life of the same node: it counts from zero
+            samples = publisher.published  # the node restarted and counts from zero
         self._published = publisher.published
-        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.told_s)))
+        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.announced_s)))
         self._samples.grow(at_s, samples)
 
     def sent_by(self, moments: Sequence[float]) -> list[float]:
-        """Return what it has put on the link by each of ascending moments (bytes); differences count, not the sum."""
+        """Return its bytes on the link up to each of ascending moments; only differences mean something."""
         cost = max(self._costs)
         return [samples * cost for samples in self._samples.each_at(moments)]
 
     def forget(self, before_s: float) -> None:
-        """Keep what is needed from ``before_s`` on."""
+        """Forget what only earlier moments need."""
         self._samples.forget(before_s)
 
 
 class _Curve:
-    """A sum over time, known at some moments and straight between them.
-
-    Parameters
-    ----------
-    at_s : the first moment, where the sum is 0 (s)
-    """
+    """Sum over time, known at some moments and linear between them; 0 at the first moment, ``at_s``."""
 
     def __init__(self, at_s: float) -> None:
         self._times = [at_s]
@@ -196,17 +191,17 @@ class _Curve:
         return self._times[-1]
 
     def grow(self, at_s: float, amount: float) -> None:
-        """Add what came since the last moment; a moment before that is the same one."""
+        """Add an amount that came since the last moment; an earlier moment counts as that one."""
         self._times.append(max(at_s, self._times[-1]))
         self._sums.append(self._sums[-1] + amount)
 
     def jump(self, at_s: float, amount: float) -> None:
-        """Add what came all at once."""
+        """Add an amount that came at once."""
         self.grow(at_s, 0.0)
         self.grow(at_s, amount)
 
     def each_at(self, moments: Sequence[float]) -> list[float]:
-        """Return the sum at each of ascending moments; before and after what is known it stands still."""
+        """Return the sum at each of ascending moments; it is constant before the first and after the last known one."""
         times, sums = self._times, self._sums
         i, end, found = bisect_right(times, moments[0]), len(times), []
         for t_s in moments:
@@ -220,14 +215,14 @@ class _Curve:
         return found
 
     def forget(self, before_s: float) -> None:
-        """Keep what is needed from ``before_s`` on."""
+        """Forget what only earlier moments need."""
         gone = bisect_right(self._times, before_s) - 1
         if gone > 0:
             del self._times[:gone], self._sums[:gone]
 
 
 def _wire_bytes(publisher: PublisherState, rate_hz: float) -> float:
-    """Bytes one sample of it puts on the link, as in `arpd.solve.topics`; 0 when nobody on the other host reads it."""
+    """Return the link bytes of one sample, as in `arpd.solve.topics`; 0 when no other host reads the topic."""
     if publisher.direction is Direction.LOCAL:
         return 0.0
     return wire_size(publisher.payload_bytes, rate_hz=rate_hz)[0] * publisher.copies

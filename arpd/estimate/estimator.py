@@ -29,11 +29,11 @@ _ENOUGH_TRAINS = 3
 class Estimator:
     """Estimates the link's capacity; one `update` per tick.
 
-    Throughput alone never shows capacity, so it is believed only while a queue stands (rule *down*). Otherwise the
-    dispersion of probe trains speaks (rules *first*, *undo*, *agree*, *follow*). Silence is an outage, not a capacity.
+    Throughput alone never shows capacity, so delivery counts only while a queue stands (rule *down*). Otherwise the
+    dispersion of probe trains counts (rules *first*, *undo*, *agree*, *follow*). Silence is an outage, not a capacity.
 
-    The capacity is that of the whole link: a peer under a standing queue receives cross traffic, too, and a train,
-    sent faster than the link, leaves others little room between its packets. So cross traffic is subtracted. This
+    The capacity is that of the whole link: a peer under a standing queue also receives cross traffic, and a train
+    leaves faster than the link and gives others little room between its packets. So cross traffic is subtracted. This
     over-subtracts briefly in two cases: cross traffic to another host than the peer, until trains correct the
     capacity, and cross traffic inside a train. `MOST_YIELDED` bounds both.
 
@@ -42,8 +42,8 @@ class Estimator:
 
     Parameters
     ----------
-    settings : pins, first belief
-    parameters, probing : the constants
+    settings : pinned values, and the capacity to assume at first
+    parameters, probing : constants of the rules and of the probes
     """
 
     def __init__(
@@ -67,20 +67,20 @@ class Estimator:
         self._first_wait_s = self._parameters.first_wait_s
         self._trains = TrainLog(self._parameters.train_memory_s)
         self._local = LocalQueue(self._parameters.local_window_s)
-        self._foreign = CrossTraffic()
+        self._cross_traffic = CrossTraffic()
         self._silence = Silence()
-        self._foreign_rate = 0.0
-        self._burst_s = 0.0  # link time of the largest message, which is no queue
+        self._cross_traffic_rate = 0.0
+        self._burst_s = 0.0  # link time of the largest message; so much is no queue
         self._burst_bytes = 0.0
-        self._train: tuple[float, float] = (-math.inf, 0.0)  # the last one: when s, bytes on the link
+        self._train: tuple[float, float] = (-math.inf, 0.0)  # the last one: departure s, bytes on the link
         self._queue_delay_s = 0.0
-        self._alarm_s = 0.0  # what the bytes say of the queue, which no ping has confirmed
+        self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
         self._high_reports = 0
         self._onset_s = -math.inf
 
     @property
     def has_evidence(self) -> bool:
-        """Whether the first plan may be made: capacity measured, pinned, or nobody there to measure it with."""
+        """True when the first plan may be made: the capacity is measured or pinned, or the wait for a peer is over."""
         return (
             self._belief.kind in (CapacityKind.PEER, CapacityKind.LOCAL)
             or self._settings.capacity_bytes_per_second is not None
@@ -88,7 +88,7 @@ class Estimator:
         )
 
     def reconfigure(self, settings: LinkSettings) -> None:
-        """Take new settings; what was measured stays."""
+        """Take new settings; measurements stay."""
         self._settings = settings
         if self._belief.kind is CapacityKind.CONFIGURED:
             self._belief.capacity = settings.initial_capacity_bytes_per_second
@@ -96,17 +96,17 @@ class Estimator:
             self._forget_queue()
 
     def update(self, observation: Observation) -> LinkEstimate:
-        """Digest one observation and return what is believed now."""
+        """Digest one observation and return the estimate."""
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         if self._started_at_s is None:
             self._started_at_s = now_s
         elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
         self._last_s = now_s
         self._expect_bursts(observation)
-        # A peer that is there but silent may only be behind a bad link: do not plan on the first belief in haste.
+        # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = self._parameters.peer_lost_s if observation.peers else self._parameters.first_wait_s
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
-        self._foreign_rate = self._foreign.update(observation)
+        self._cross_traffic_rate = self._cross_traffic.update(observation)
         self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
         for report in observation.reports:
             self._digest(report)
@@ -127,7 +127,7 @@ class Estimator:
         return self._estimate(observation)
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
-        """Probes to send now: a ping for the delay, a train for the capacity when one is due and affordable."""
+        """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable."""
         if self._settings.capacity_bytes_per_second is not None:
             return ()
         requests = tuple(
@@ -144,14 +144,11 @@ class Estimator:
             )
         )
         for request in requests:
-            self._foreign.note_probe(request, now_s, peers=self._copies)
+            self._cross_traffic.note_probe(request, now_s, peers=self._copies)
             if request.packets > 1:
                 self._train = now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes)
             probe = SentProbe(
-                number=request.number,
-                sent_s=now_s,
-                handed_bytes=self._local.handed_bytes,
-                is_ping=request.packets == 1,
+                number=request.number, sent_s=now_s, handed_bytes=self._local.handed_bytes, is_ping=request.packets == 1
             )
             self._peers.note_sent(probe)
             self._loss.note_sent(request)
@@ -160,7 +157,7 @@ class Estimator:
     # -- evidence
 
     def _expect_bursts(self, observation: Observation) -> None:
-        """Say how much may stand before the link without being a queue."""
+        """Compute how much may stand before the link without being a queue."""
         sizes = [
             publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
             for publisher in observation.publishers
@@ -172,9 +169,9 @@ class Estimator:
         self._burst_s = min(self._parameters.burst_cap_s, largest / self._capacity)
 
     def _digest(self, report: PeerReport) -> None:
-        t, now_s = self._parameters, report.received_at_s
+        p, now_s = self._parameters, report.received_at_s
         silent_s = now_s - self._reported_s
-        if t.outage_forget_s < silent_s < math.inf:
+        if p.outage_forget_s < silent_s < math.inf:
             self._resume(now_s, silent_s)
         self._reported_s = now_s
         self._loss.digest(report)
@@ -190,7 +187,7 @@ class Estimator:
         backlog_s = self._peers.backlog_s(
             now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity
         )
-        # While nothing arrives, what is lost looks like what waits.
+        # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
         self._queue_delay_s = max(0.0, self._peers.delay_s(now_s), self._alarm_s)
@@ -198,7 +195,7 @@ class Estimator:
             self._onset_s = max(self._onset_s, now_s)  # what was delivered before is demand, not capacity
 
     def _forget_queue(self) -> None:
-        """Nobody measures the queue any more; its last length must not hold the gate."""
+        """Forget a queue that no peer measures now; its last length must not hold the gate."""
         self._peers.forget()
         self._queue_delay_s = self._alarm_s = self._local.backlog_s
         self._high_reports = 0
@@ -206,9 +203,9 @@ class Estimator:
     def _resume(self, now_s: float, silent_s: float) -> None:
         self._forget_queue()
         self._trains.clear()
-        # Reports that waited tell of the outage, and the first of what is delivered then is what the gate let pass.
+        # Reports that waited describe the outage, and the first delivery is only what the gate let pass.
         self._onset_s = now_s + self._parameters.resume_patience_s
-        self._foreign.note_outage(now_s - silent_s, now_s)
+        self._cross_traffic.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
             self._before_down, self._down_at_s = self._capacity, now_s
             resumed = self._parameters.resume_ratio * self._capacity
@@ -218,13 +215,13 @@ class Estimator:
     # -- the rules
 
     def _judge(self, now_s: float, elapsed_s: float) -> LinkState:
-        """With a peer that reports: the rules down, first, undo, agree and follow."""
-        t = self._parameters
+        """Apply the rules down, first, undo, agree, carried and follow while a peer reports."""
+        p = self._parameters
         if self._is_certain():
             return self._queue_stands(now_s)
         if self._queue_delay_s > self._queue_low_s:
             return self._congested(now_s)
-        recent = self._capacities(now_s - t.train_window_s)
+        recent = self._capacities(now_s - p.train_window_s)
         if self._belief.kind is not CapacityKind.PEER:
             if len(recent) >= _ENOUGH_TRAINS:
                 self._belief.kind = CapacityKind.PEER
@@ -232,13 +229,13 @@ class Estimator:
             return LinkState.APP_LIMITED
         if not (self._undo(now_s) or self._agree(now_s) or self._carried(now_s)):
             trains = recent if len(recent) >= _ENOUGH_TRAINS else self._capacities(-math.inf)[-_ENOUGH_TRAINS:]
-            if len(trains) >= _ENOUGH_TRAINS and now_s - self._down_at_s >= t.up_after_down_s:
+            if len(trains) >= _ENOUGH_TRAINS and now_s - self._down_at_s >= p.up_after_down_s:
                 self._follow(trains, now_s, elapsed_s)
         busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
     def _is_certain(self) -> bool:
-        """Whether a queue stands: two pings say so, or the bytes and somebody else."""
+        """Return whether a queue stands: two reports of pings show it, or the bytes and one other witness."""
         if self._high_reports >= 2:
             return True
         if self._alarm_s <= self._queue_high_s:
@@ -250,62 +247,62 @@ class Estimator:
         return LinkState.DRAINING if is_draining else LinkState.CONGESTED
 
     def _queue_stands(self, now_s: float) -> LinkState:
-        """Believe what is delivered while the link is never idle, the time its packets cost taken out."""
-        t = self._parameters
+        """Take the delivery for the capacity, since the link is never idle, without the time that packets cost."""
+        p = self._parameters
         rate, packet_rate = self._peers.delivery(self._onset_s)
         rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)
-        if rate > 0 and now_s - self._down_at_s >= t.down_interval_s:
+        if rate > 0 and now_s - self._down_at_s >= p.down_interval_s:
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
-            if rate < t.down_margin * self._capacity:
-                if now_s - self._down_at_s > t.undo_window_s or self._before_down is None:
+            if rate < p.down_margin * self._capacity:
+                if now_s - self._down_at_s > p.undo_window_s or self._before_down is None:
                     self._before_down = self._capacity
                 self._belief.kind = CapacityKind.PEER
                 self._down_at_s = now_s
                 self._belief.change(EstimatorEvent.DOWN, now_s, rate, why)
-                # Trains from before say nothing of the link that is now.
+                # Earlier trains measured another link.
                 self._trains.clear()
-            elif rate * t.down_margin > self._capacity:
+            elif rate * p.down_margin > self._capacity:
                 self._belief.change(EstimatorEvent.CARRIED, now_s, rate, why)
         return self._congested(now_s)
 
     def _undo(self, now_s: float) -> bool:
-        """Return to what was before the last fall when two trains since then saw nearly as much."""
-        t = self._parameters
-        if self._before_down is None or now_s - self._down_at_s > t.undo_window_s:
+        """Return to the capacity before the last fall when two trains since then saw nearly as much."""
+        p = self._parameters
+        if self._before_down is None or now_s - self._down_at_s > p.undo_window_s:
             return False
         later = self._capacities(self._down_at_s)[-2:]
-        if len(later) < 2 or min(later) < t.undo_ratio * self._before_down or min(later) < self._capacity:
+        if len(later) < 2 or min(later) < p.undo_ratio * self._before_down or min(later) < self._capacity:
             return False
         self._belief.change(EstimatorEvent.UNDO, now_s, min(later), "trains contradict the last fall")
         self._before_down = None
         return True
 
     def _agree(self, now_s: float) -> bool:
-        """Go at once to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
-        t = self._parameters
-        last = self._capacities(now_s - t.agree_window_s)[-2:]
-        if len(last) < 2 or t.caution * min(last) <= t.clearly_more * self._capacity:
+        """Jump to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
+        p = self._parameters
+        last = self._capacities(now_s - p.agree_window_s)[-2:]
+        if len(last) < 2 or p.caution * min(last) <= p.clearly_more * self._capacity:
             return False
         self._before_down = None
         self._belief.change(
-            EstimatorEvent.AGREE, now_s, t.caution * min(last), f"two trains see {min(last) * 8e-6:.1f} Mbit/s"
+            EstimatorEvent.AGREE, now_s, p.caution * min(last), f"two trains see {min(last) * 8e-6:.1f} Mbit/s"
         )
         return True
 
     def _carried(self, now_s: float) -> bool:
-        """Believe at least what was sent and arrived; what a peer receives from others is no evidence."""
-        t = self._parameters
-        rate = t.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
-        if rate <= t.clearly_more * self._capacity:
+        """Rise to what this host sent and peers received; bytes from other senders are no evidence."""
+        p = self._parameters
+        rate = p.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
+        if rate <= p.clearly_more * self._capacity:
             return False
-        self._belief.change(EstimatorEvent.CARRIED, now_s, rate, "more than what was believed arrived")
+        self._belief.change(EstimatorEvent.CARRIED, now_s, rate, "more arrived than was believed")
         return True
 
     def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
-        """Move towards what trains see, by a bounded part per second either way.
+        """Move towards what trains see, by a bounded part per second.
 
-        A sample that lands inside a train makes it read low, never high: one low train is no evidence of a fall, so
-        the estimate follows downwards only what the best of the last three still sees.
+        A sample inside a train makes it read low, never high. So one low train is no evidence of a fall, and downwards
+        the estimate follows only the best of the last three.
         """
         step = self._parameters.climb_per_second * elapsed_s
         middle, best = median(trains), max(trains[-_ENOUGH_TRAINS:])
@@ -318,13 +315,13 @@ class Estimator:
         self._belief.change(EstimatorEvent.FOLLOW, now_s, moved, f"trains see {seen * 8e-6:.1f} Mbit/s")
 
     def _judge_alone(self, observation: Observation) -> LinkState:
-        """Without a peer: what leaves while the local queue pushes back is the capacity; else nothing is learnt."""
+        """Judge without a peer: what leaves while the local queue pushes back is the capacity."""
         counters, now_s = observation.counters, observation.now_s
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
-        if (told := self._local.pushes_back(observation)) is None:
+        if (window := self._local.pushes_back(observation)) is None:
             return LinkState.CONGESTED if self._local.stands else LinkState.APP_LIMITED
-        pushes_back, sent = told
+        pushes_back, sent = window
         if pushes_back and sent > 0:
             self._belief.kind = CapacityKind.LOCAL
             self._belief.change(EstimatorEvent.LOCAL, now_s, sent, "local queue pushed back at this send rate")
@@ -340,7 +337,7 @@ class Estimator:
 
     @property
     def _outage_s(self) -> float:
-        """Silence that is an outage: more than a report that is lost (s)."""
+        """Silence that is an outage: longer than one lost report explains (s)."""
         return max(self._parameters.outage_s, 1.6 * self._schedule.quiet_s)
 
     @property
@@ -366,7 +363,7 @@ class Estimator:
         return self._trains.capacities(since_s, packet_overhead_s=self._overhead_s)
 
     def _surprise(self, now_s: float) -> float | None:
-        """Return what the last train saw, if that is far from what is believed (bytes/s)."""
+        """Return what the last train saw, if that is far from the capacity (bytes/s)."""
         last = self._capacities(now_s - self._parameters.agree_window_s)[-1:]
         return last[0] if last and abs(last[0] / self._capacity - 1) > self._parameters.surprise else None
 
@@ -391,9 +388,9 @@ class Estimator:
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,
-            cross_traffic_bytes_per_second=self._foreign_rate,
+            cross_traffic_bytes_per_second=self._cross_traffic_rate,
             packet_overhead_s=self._overhead_s,
-            # What is not answered in an outage is not known to be lost.
+            # In an outage nobody knows whether unanswered probes are lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),
             return_delay_s=None if is_out else self._peers.return_delay_s,
             events_by_kind=self._belief.events_by_kind,

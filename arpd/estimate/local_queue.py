@@ -1,4 +1,4 @@
-"""What this host alone can see of the link: its interface's counters, and the queue in front of it."""
+"""Queue of this host's own interface, and what leaves it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from arpd.model.interface import LinkCounters
     from arpd.model.observation import Observation
 
-_BLOCKED_SHARE = 0.2  # of the time: that long publishers waited for room in the socket
+_BLOCKED_SHARE = 0.2  # of the time: publishers waited for so long for room in the socket
 _SENT_WINDOW_S = 0.35
-_ANNOUNCED_S = 1.0  # how old what a publisher says of its waiting may be
+_ANNOUNCED_S = 1.0  # most age of an announced waiting time
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,47 +29,41 @@ class _Look:
 
 
 class LocalQueue:
-    """The queue of this host's interface, where the kernel shows one, and what leaves while it stands.
+    """Queue of this host's interface, where the kernel shows one, and what leaves while it stands.
 
     Parameters
     ----------
-    window_s : span over which sending is averaged when nobody else measures it (s)
+    window_s : span over which sending is averaged when no peer measures it (s)
     """
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
         self._backlog = StandingQueue()
         self._since: _Look | None = None
-        self._sent: deque[tuple[float, int]] = deque()  # when s, sent bytes
+        self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0
 
     @property
     def stands(self) -> bool:
-        """Whether the queue stood at every look lately: then the interface was never idle."""
+        """True when the queue stood at every recent look, so the interface was never idle."""
         return self.backlog_s > 0.0
 
     @property
     def sent_bytes_per_second(self) -> float:
-        """What left the interface lately (bytes/s), 0 while that is not known."""
+        """Rate at which bytes left the interface lately, 0 while unknown (bytes/s)."""
         span_s = self._sent[-1][0] - self._sent[0][0] if self._sent else 0.0
         return (self._sent[-1][1] - self._sent[0][1]) / span_s if span_s > 0.5 * _SENT_WINDOW_S else 0.0
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
-        """Look at the interface.
-
-        Parameters
-        ----------
-        burst_bytes : what may stand in its queue without being one
-        capacity : what is believed of the link (bytes/s)
-        """
+        """Note the counters of the interface; see `StandingQueue.delay_s` (bytes, bytes/s)."""
         self.handed_bytes, self.backlog_s = None, 0.0
         if counters is None or not counters.is_up:
             self._backlog.clear()
             self._sent.clear()
             return
         if self._sent and counters.tx_bytes < self._sent[-1][1]:
-            self._backlog.clear()  # made anew: it counts from zero
+            self._backlog.clear()  # the interface restarted and counts from zero
             self._sent.clear()
         left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
         self._sent.append((now_s, counters.tx_bytes))
@@ -81,7 +75,7 @@ class LocalQueue:
         self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
 
     def pushes_back(self, observation: Observation) -> tuple[bool, float] | None:
-        """Tell whether the interface could not keep up, and what it sent (bytes/s), once in a window; else None."""
+        """Return once per window whether the interface could not keep up, and its rate (bytes/s); otherwise None."""
         counters = observation.counters
         if counters is None:
             self._since = None
@@ -90,7 +84,7 @@ class LocalQueue:
             at_s=observation.now_s,
             sent_bytes=counters.tx_bytes,
             dropped=counters.tx_dropped,
-            # What stands on another host waits for that host's interface.
+            # Publishers on other hosts wait for their own interfaces.
             blocked_s={
                 (publisher.node, publisher.topic): publisher.blocked_s
                 for publisher in observation.publishers
@@ -98,7 +92,7 @@ class LocalQueue:
             },
         )
         since = self._since
-        # Longer than two windows ago somebody else measured, or the interface was down: that was another time.
+        # Longer than two windows ago a peer measured, or the interface was down, so the look does not count.
         if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * self._window_s:
             self._since = look
             return None
@@ -111,14 +105,14 @@ class LocalQueue:
 
 
 def _waited_s(since: _Look, look: _Look) -> float:
-    """Return how long publishers waited between two looks; who says more than that speaks of an earlier time (s)."""
+    """Return how long publishers waited between two looks; a longer announced wait began earlier (s)."""
     most_s = look.at_s - since.at_s + _ANNOUNCED_S
     waited = (blocked_s - since.blocked_s[who] for who, blocked_s in look.blocked_s.items() if who in since.blocked_s)
     return sum(each for each in waited if 0.0 < each <= most_s)
 
 
 _STANDING_S = 0.08
-_LEAST_RATE = 0.05  # of what is believed of the link: a queue nothing leaves is long, and not endless
+_LEAST_RATE = 0.05  # of the capacity: a queue that nothing leaves is long, and not endless
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +123,13 @@ class _Waiting:
 
 
 class StandingQueue:
-    """Looks at what waits before a link; what stands is the least of what was seen lately.
+    """Bytes that wait before a link; the least of the recent looks stands.
 
-    Messages of many topics that meet come and go within a look or two.
+    Messages of several topics that coincide come and go within a look or two.
 
     Parameters
     ----------
-    fresh_s : looks that are older, or further apart, say nothing of now (s)
+    fresh_s : looks that are older, or further apart, do not count (s)
     """
 
     def __init__(self, *, fresh_s: float = math.inf) -> None:
@@ -143,15 +137,9 @@ class StandingQueue:
         self._looks: deque[_Waiting] = deque()
 
     def note(self, now_s: float, *, waiting_bytes: float, left_bytes: float) -> None:
-        """Note a look.
-
-        Parameters
-        ----------
-        waiting_bytes : what waits (bytes)
-        left_bytes : what has left since the look before (bytes)
-        """
+        """Note the bytes that wait, and the bytes that left since the look before."""
         self._looks.append(_Waiting(now_s, waiting_bytes, left_bytes))
-        # As many looks as it takes to tell what stands from what passes.
+        # Keep as many looks as separate a standing queue from a burst.
         while len(self._looks) > 1 and now_s - self._looks[1].at_s >= _STANDING_S:
             self._looks.popleft()
 
@@ -160,12 +148,12 @@ class StandingQueue:
         self._looks.clear()
 
     def delay_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
-        """Return how long what waits will take to leave; 0 while it may be a burst of messages (s).
+        """Return how long the waiting bytes will take to leave; 0 while a burst of messages may explain them (s).
 
         Parameters
         ----------
-        burst_bytes : what may stand there without being a queue
-        capacity_bytes_per_second : what is believed of the link
+        burst_bytes : bytes that may stand without being a queue
+        capacity_bytes_per_second : capacity that is believed
         """
         looks = self._looks
         if not looks or now_s - looks[-1].at_s > self._fresh_s:

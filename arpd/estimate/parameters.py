@@ -1,4 +1,4 @@
-"""The constants of the estimator's rules."""
+"""Constants of the estimator's rules."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EstimatorParameters:
-    """Where they came from: a simulation study, then scripts/bench/estimate.py and the real link.
+    """Constants of the rules, from a simulation study, scripts/bench/estimate.py and the real link.
 
     Parameters
     ----------
-    queue_high_s, queue_low_s : a standing queue, and next to none (s)
+    queue_high_s, queue_low_s : a queue stands above the one, and is gone below the other (s)
     burst_cap_s : most that the largest message adds to both (s)
-    delivery_window_s, delay_window_s : over which delivery is averaged, and the least delay is looked for (s)
-    burst_bytes, burst_share : least backlog that counts (bytes), and part of the largest message that does not
-    down_interval_s, down_margin : a fall at most so often (s), and only to less than this part of the capacity
-    undo_window_s, undo_ratio : so long after a fall, trains that see this part of what was before undo it
-    agree_window_s, caution : two trains in this time (s) that see more are followed at once, to this part of the lesser
-    train_window_s, train_memory_s : trains of this time are one opinion; older ones than this are none (s)
-    up_after_down_s, climb_per_second : no rise so soon after a fall (s); most that one opinion moves the capacity
-    outage_s, outage_forget_s : silence that is an outage, and one that changes what was known (s)
+    delivery_window_s, delay_window_s : span of the mean delivery, and of the least delay (s)
+    burst_bytes, burst_share : backlog that is no queue: so many bytes, or this part of the largest message
+    down_interval_s, down_margin : least time between falls (s); a fall needs a delivery below this part of the capacity
+    undo_window_s, undo_ratio : time in which trains may undo a fall (s), and part of the earlier capacity they must see
+    agree_window_s, caution : span of two trains that agree on more (s), and part of the lesser to believe then
+    train_window_s, train_memory_s : span of trains that count together, and age at which a train is forgotten (s)
+    up_after_down_s, climb_per_second : time after a fall without *follow* (s), and the most it moves the capacity (1/s)
+    outage_s, outage_forget_s : silence that is an outage, and silence after which measurements are forgotten (s)
     peer_lost_s, resume_ratio : silence after which a peer is gone (s); part of the capacity believed after an outage
-    resume_patience_s : how long after an outage a queue says nothing of the capacity (s)
-    first_wait_s : how long the first plan waits for evidence (s)
-    local_window_s : without a peer, span over which sending is averaged (s)
-    clearly_more, fall_ratio : times the capacity: what is more than believed, and what is less
-    surprise : part by which a train may differ before it is confirmed at once
-    train_is_near_s : so long a train of ours may be part of what stands (s)
-    alone_climb_per_second : without a peer, where only a queue tells that it was too much
-    radio_share : most of a radio's bit rate that is ever left for data: 802.11 spends the rest on preambles,
-        contention and acknowledgements
+    resume_patience_s : time after an outage in which deliveries say nothing of the capacity (s)
+    first_wait_s : time that the first plan waits for evidence (s)
+    local_window_s : span over which sending is averaged without a peer (s)
+    clearly_more, fall_ratio : multiples of the capacity that count as more, and as less
+    surprise : relative difference at which a train is confirmed at once
+    train_is_near_s : age up to which a train of ours may be part of a backlog (s)
+    alone_climb_per_second : rise without a peer, where only a queue shows that it went too far (1/s)
+    radio_share : most of a radio's bit rate that carries data: 802.11 spends the rest on preambles, contention and
+        acknowledgements
     """
 
     queue_high_s: float = 0.100

@@ -1,4 +1,4 @@
-"""How long the queue in front of the link is, as one peer's reports show it."""
+"""Queue in front of the link, as the reports of peers show it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ _MISSING_PINGS = 5
 _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
 _LEAST_INTERVAL_S = 0.05  # a shorter one counts too few packets
 _STEADY_INTERVALS = 2
-_WAITED_S = 0.3  # longer than this a report did not wait for others of its kind
+_WAITED_S = 0.3  # a report that is later than this waited for the link, not behind other reports
 _RESUMING_S = 3.0
 _STEADY_RATIO = 0.85
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SentProbe:
-    """A probe that left.
+    """Probe that left.
 
     Parameters
     ----------
-    number : its number
-    sent_s : when (s)
-    handed_bytes : what the interface had been handed by then (bytes), None = not known
-    is_ping : whether it is a single packet, which is reported as soon as it arrives
+    number, sent_s : its number and departure (s)
+    handed_bytes : bytes handed to the interface before it, None = unknown
+    is_ping : True for a single packet, which is reported as soon as it arrives
     """
 
     number: int
@@ -44,19 +43,15 @@ class SentProbe:
 
 
 class QueueGauge:
-    """Three witnesses of the queue between this host and one peer, none of which needs the two clocks to agree.
-
-    And of the way back: a report's own one-way delay above its least of the last 10 s, which is what commands wait.
+    """Three witnesses of the queue between this host and one peer; none needs synchronised clocks.
 
     - *Delay*: the one-way delay of a ping above its least of the last 10 s. Exact, and late by the queue itself.
-    - *Overdue*: a ping that is under way for longer than usual; the queue is at least as long.
-    - *Bytes*: what the interface was handed since the last ping that arrived was sent, less what the peer received
-      since it arrived. In a FIFO that is exactly what stands between the two, half a second before a ping can tell.
-      But what is lost looks the same until the next ping comes through; so bytes may only raise an alarm.
+    - *Overdue*: a ping is on its way for longer than usual. The queue is at least that long.
+    - *Bytes*: the bytes handed to the interface since the departure of the last ping that arrived, less the bytes that
+      the peer received since its arrival. In a FIFO that is exactly the queue, half a second before a ping can show it.
+      Lost bytes look the same until the next ping arrives, so bytes may only raise an alarm.
 
-    Parameters
-    ----------
-    parameters : the windows
+    The way back has one witness: the one-way delay of a report above its least of the last 10 s. Commands wait as long.
     """
 
     def __init__(self, parameters: EstimatorParameters) -> None:
@@ -66,15 +61,15 @@ class QueueGauge:
         self.return_delay_s: float | None = None
         self._delays: deque[tuple[float, float]] = deque()
         self._return_delays: deque[tuple[float, float]] = deque()
-        self._usual_return_s = math.inf  # least return delay before what was measured was forgotten
-        self._resumed_s: float | None = -math.inf  # first report since then; None = it has yet to come
+        self._usual_return_s = math.inf  # least return delay before the last `forget`
+        self._resumed_s: float | None = -math.inf  # first report after `forget`, None until it comes
         self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
         self._under_way: deque[SentProbe] = deque(maxlen=100)
-        self._round_trips: deque[tuple[float, float]] = deque()  # when reported s, how long after sending s
-        self._since_ping: tuple[float, float] | None = None  # handed when it was sent, received since it came (bytes)
-        self._good_s = -math.inf  # when the last ping came that waited for nothing
-        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # what was on the way when it did (bytes)
-        self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # parts of what was handed over
+        self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
+        self._since_ping: tuple[float, float] | None = None  # bytes handed before it, received after it
+        self._good_s = -math.inf  # arrival of the last ping that met no queue
+        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # bytes on the way at such arrivals
+        self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # as parts of the bytes handed over
         self._backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S)
 
     def note_sent(self, probe: SentProbe) -> None:
@@ -82,7 +77,7 @@ class QueueGauge:
         self._under_way.append(probe)
 
     def forget(self) -> None:
-        """Start anew: what was measured was of another link, or of another queue."""
+        """Forget all measurements: they describe another link, or another queue."""
         self._usual_return_s = min((delay for _, delay in self._return_delays), default=self._usual_return_s)
         self._resumed_s = None
         self.delay_s = 0.0
@@ -98,11 +93,11 @@ class QueueGauge:
         self._backlog.clear()
 
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
-        """Note what a report says.
+        """Note a report.
 
         Parameters
         ----------
-        handed_bytes : what this host's interface has been handed by now (bytes), None = not known
+        handed_bytes : bytes handed to this host's interface by now, None = unknown
         """
         now_s = self.reported_s = report.received_at_s
         if not self._waited_out(report):
@@ -115,12 +110,12 @@ class QueueGauge:
         if self._since_ping is not None:
             self._since_ping = self._since_ping[0], self._since_ping[1] + report.rx_bytes
         round_trip_s = self._arrived(report.last_probe, now_s)
-        # What no probe of ours that is under way explains says nothing: a second peer of the same name, say.
+        # A delay that no ping of ours explains says nothing: it may come from a second peer of the same name.
         if report.delays_s and round_trip_s < math.inf:
-            # Round trips are on our own clock: what a step of the peer's clock adds to the delay is no queue. The least
-            # one waited for the report at most `PROMPT_S` longer than this one did.
+            # Round trips use our own clock, so they bound what a step of the peer's clock adds to a delay. The least
+            # round trip may include a wait for its report that is `PROMPT_S` longer than this one.
             most_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips) + PROMPT_S
-            # The smallest of a report: a late wake-up of the receiver can only add delay.
+            # The least of a report counts: a late wake-up of the receiver only adds delay.
             self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
                 self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
@@ -130,19 +125,19 @@ class QueueGauge:
         if handed_bytes is None or self._since_ping is None:
             return
         if self._missing and median(self._missing) > _MOST_MISSING:
-            self._backlog.clear()  # much of what this host sends goes elsewhere, or is lost: nobody knows what stands
+            self._backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
         if is_good:
             self._in_flight.append(outstanding)
-        # Without a queue, too, something is on the way, and what came since the ping did is not all counted yet.
+        # Some bytes are on the way even without a queue, and some arrivals since the ping are not counted yet.
         backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes)
 
     def _waited_out(self, report: PeerReport) -> bool:
-        """Whether a report waited for the end of an outage on its way: what it counts is not of the link that is now.
+        """Return whether a report waited for the end of an outage, so its counts describe the link before.
 
-        Only soon after the outage, for by then the peer's clock may have been set.
+        Later than `_RESUMING_S` the delay may come from a peer's clock that was set.
         """
         if self._resumed_s is None:
             self._resumed_s = report.received_at_s
@@ -151,19 +146,19 @@ class QueueGauge:
         return report.return_delay_s - self._usual_return_s > _WAITED_S
 
     def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
-        """Note a one-way delay, offset as it is, and return by how much it exceeds the least of late (s)."""
+        """Note a one-way delay with its unknown offset, and return its excess over the recent least (s)."""
         delays.append((now_s, delay_s))
         while now_s - delays[0][0] > self._parameters.delay_window_s:
             delays.popleft()
         return delay_s - min(delay for _, delay in delays)
 
     def _arrived(self, last_probe: int, now_s: float) -> float:
-        """Settle every probe up to a number, and return the last one's round trip (s)."""
+        """Settle every probe up to a number, and return the round trip of the last ping (s)."""
         round_trip_s = math.inf
         while self._under_way and self._under_way[0].number <= last_probe:
             probe = self._under_way.popleft()
             if not probe.is_ping:
-                continue  # its report waits for company
+                continue  # the report of a train waits for further probes
             round_trip_s = now_s - probe.sent_s
             self._round_trips.append((now_s, round_trip_s))
             if probe.number == last_probe:
@@ -174,7 +169,7 @@ class QueueGauge:
         return round_trip_s
 
     def _note_missing(self, probe: SentProbe) -> None:
-        """Note how much of what was handed over between two pings did not arrive between them: in a FIFO, no queue."""
+        """Note the part of the bytes between two pings that did not arrive between them: in a FIFO, no queue."""
         if self._since_ping is None or probe.handed_bytes is None:
             return
         handed, received = self._since_ping
@@ -182,9 +177,9 @@ class QueueGauge:
             self._missing.append(1.0 - received / sent)
 
     def overdue_s(self, now_s: float) -> float:
-        """How much longer than usual the oldest unreported probe is under way: the queue is at least that long.
+        """Return how much longer than usual the oldest unreported ping is on its way; the queue is no shorter (s).
 
-        A queue delays the very pings that measure it; what has not arrived yet is the earliest evidence there is.
+        A queue delays the pings that measure it, so a missing ping is the earliest evidence.
         """
         oldest = next((probe for probe in self._under_way if probe.is_ping), None)
         if oldest is None or not self._round_trips:
@@ -193,19 +188,13 @@ class QueueGauge:
         return max(0.0, now_s - oldest.sent_s - usual_s)
 
     def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
-        """Return how long what has not arrived will take to arrive; 0 while it may be a burst of messages (s).
-
-        Parameters
-        ----------
-        burst_bytes : what may stand there without being a queue
-        capacity_bytes_per_second : what is believed of the link
-        """
+        """Return how long the missing bytes will take to arrive; see `StandingQueue.delay_s` (s)."""
         return self._backlog.delay_s(
             now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second
         )
 
     def is_steady(self, since_s: float) -> bool:
-        """Whether what arrived since then came at one rate: so serves a queue, and not an application or bad luck."""
+        """Return whether deliveries since then came at one rate, as from a queue and not from an application."""
         if self._good_s > since_s:
             return False
         rates = [
@@ -216,69 +205,56 @@ class QueueGauge:
         return len(rates) >= _STEADY_INTERVALS and min(rates) >= _STEADY_RATIO * max(rates) > 0
 
     def delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
-        """Return what the peer received in the last intervals that began since then: bytes/s and packets/s."""
+        """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""
         counted = [each for each in self._deliveries if each[0] - each[1] >= since_s]
         covered_s = sum(interval_s for _, interval_s, _, _ in counted)
         if covered_s <= 0:
             return 0.0, 0.0
-        return (
-            sum(size for _, _, size, _ in counted) / covered_s,
-            sum(packets for *_, packets in counted) / covered_s,
-        )
+        return sum(size for _, _, size, _ in counted) / covered_s, sum(packets for *_, packets in counted) / covered_s
 
 
 class PeerGauges:
-    """One gauge for each peer: what they receive adds up, and the longest queue counts.
-
-    Parameters
-    ----------
-    parameters : the windows, and the silence after which a peer is forgotten
-    """
+    """Gauges of all peers: what they receive adds up, and the longest queue counts."""
 
     def __init__(self, parameters: EstimatorParameters) -> None:
         self._parameters = parameters
-        self._gauges: dict[str, QueueGauge] = {}  # by name, the one heard for the longest first
+        self._gauges: dict[str, QueueGauge] = {}  # by name, the one heard for longest first
 
     def __len__(self) -> int:
         return len(self._gauges)
 
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> QueueGauge:
-        """Note a report, forget who is silent, and return the gauge of who is not.
-
-        Parameters
-        ----------
-        handed_bytes : what this host's interface has been handed by now (bytes), None = not known
-        """
+        """Note a report, forget silent peers, and return the gauge of the peer; see `QueueGauge.digest`."""
         self._gauges = {
             name: gauge
             for name, gauge in self._gauges.items()
             if report.received_at_s - gauge.reported_s <= self._parameters.outage_forget_s or name == report.peer
         }
         gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge(self._parameters))
-        # With several, the bytes that one did not receive may be another's.
+        # With several peers, bytes that one did not receive may be another's.
         gauge.digest(report, handed_bytes=handed_bytes if len(self._gauges) == 1 else None)
         return gauge
 
     def is_first(self, name: str) -> bool:
-        """Whether no other peer was heard for longer."""
+        """Return whether no other peer has been heard for longer."""
         return next(iter(self._gauges), "") == name
 
     def note_sent(self, probe: SentProbe) -> None:
-        """Note a probe that leaves; it crosses the link once for each peer."""
+        """Note a probe that leaves; it crosses the link once per peer."""
         for gauge in self._gauges.values():
             gauge.note_sent(probe)
 
     def forget(self) -> None:
-        """Start anew with every peer: what was measured was of another link, or of another queue."""
+        """Forget all measurements of every peer."""
         for gauge in self._gauges.values():
             gauge.forget()
 
     def delay_s(self, now_s: float) -> float:
-        """Return what the longest queue delays a ping, or has delayed one by now that has not arrived (s)."""
+        """Return the delay of a ping by the longest queue, also of one that has not arrived yet (s)."""
         return max((max(gauge.delay_s, gauge.overdue_s(now_s)) for gauge in self._gauges.values()), default=0.0)
 
     def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
-        """Return how long what has not arrived will take to arrive; see `QueueGauge.backlog_s` (s)."""
+        """Return how long the missing bytes of the longest queue will take to arrive (s)."""
         each = (
             gauge.backlog_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second)
             for gauge in self._gauges.values()
@@ -286,15 +262,15 @@ class PeerGauges:
         return max(each, default=0.0)
 
     def is_steady(self, since_s: float) -> bool:
-        """Whether what arrived at any of them since then came at one rate: so serves a queue."""
+        """Return whether deliveries to any peer since then came at one rate, as from a queue."""
         return any(gauge.is_steady(since_s) for gauge in self._gauges.values())
 
     def delivery(self, since_s: float) -> tuple[float, float]:
-        """Return what all received in the last intervals that began since then: bytes/s and packets/s."""
+        """Return what all peers received in the last intervals that began since then (bytes/s, packets/s)."""
         each = [gauge.delivery(since_s) for gauge in self._gauges.values()]
         return sum(size for size, _ in each), sum(packets for _, packets in each)
 
     @property
     def return_delay_s(self) -> float | None:
-        """What the longest queue on the way back delays a report; None while none tells (s)."""
+        """Delay of a report by the longest queue on the way back; None while unknown (s)."""
         return max((d for gauge in self._gauges.values() if (d := gauge.return_delay_s) is not None), default=None)

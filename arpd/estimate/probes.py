@@ -1,4 +1,4 @@
-"""When to probe the link, and with how much, within one per cent of what it carries."""
+"""Schedule of the probes, within one per cent of the capacity, and their loss."""
 
 from __future__ import annotations
 
@@ -13,31 +13,29 @@ from arpd.model.wire import probe_wire_bytes
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_QUIET_PINGS = 1.2  # a peer that hears a ping in time says nothing in between
+_QUIET_PINGS = 1.2  # periods of the pings; a peer that receives a ping in time sends nothing in between
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeParameters:
-    """How probing divides its share of the link.
+    """Shares, sizes and periods of the probes.
 
     Parameters
     ----------
-    share : of the capacity, for probes and the reports they provoke
-    pings_share : of the capacity, for pings and their reports alone
+    share : part of the capacity for probes and the reports they cause
+    pings_share : part of the capacity for pings and their reports alone
     report_bytes : a report on the wire (bytes)
     ping_s, ping_most_s : least and most time between pings (s)
     ping_bytes : payload of a ping (bytes)
-    outage_ping_s, outage_ping_bytes : the same while the link is out
-    packet_bytes, small_packet_bytes : payload of a train's packets, and of those of a train of small ones (bytes)
+    outage_ping_s, outage_ping_bytes : time between pings, and their payload, while the link is out
+    packet_bytes, small_packet_bytes : payload of the packets of a train, and of a train of small packets (bytes)
     train_s, train_least_packets, train_most_packets : length of a train in link time (s), and its bounds
     small_packets : packets of a train of small ones
-    calm_s, urgent_s, confirm_s : least time between trains, while the belief is doubtful, and after a train that
-        contradicts it (s)
-    first_s : the same before there is any belief (s)
-    train_most_s : most time between trains, whatever they cost: who never looks never learns that a link is better (s)
-    saved_s : unspent budget is kept for so long (s)
-    small_every : one in so many large trains is followed by one of small packets
-    pair_s : so soon after it (s)
+    first_s, calm_s, urgent_s, confirm_s : least time between trains before any measurement, in general, while the
+        capacity is doubtful, and after a train that contradicts it (s)
+    train_most_s : most time between trains at any cost, because only a train shows that a link became better (s)
+    saved_s : span of the budget that can be saved (s)
+    small_every, pair_s : one in so many large trains is followed by one of small packets, after this time (s)
     """
 
     share: float = 0.0095
@@ -48,9 +46,7 @@ class ProbeParameters:
     ping_bytes: int = 16
     outage_ping_s: float = 0.5
     outage_ping_bytes: int = 200
-    packet_bytes: int = (
-        1_200  # with its 16 bytes of layout just a datagram of its own, `arpd.model.wire.FRAGMENT_BYTES`
-    )
+    packet_bytes: int = 1_200  # and 16 bytes of layout: just one datagram, `arpd.model.wire.FRAGMENT_BYTES`
     small_packet_bytes: int = 16
     train_s: float = 0.005
     train_least_packets: int = 4
@@ -67,14 +63,10 @@ class ProbeParameters:
 
 
 class ProbeSchedule:
-    """Pings for the queue, trains for the capacity; trains live on a token bucket of link bytes.
+    """Schedules pings for the queue and trains for the capacity; a token bucket of link bytes pays for trains.
 
-    Calm trains spend a part of the budget. The rest is saved for the moments after a fall or a surprise, when several
-    of them within a few seconds are worth most.
-
-    Parameters
-    ----------
-    parameters : the budget and its division
+    Calm trains spend a part of the budget. The rest is saved for the seconds after a fall or a surprise, when several
+    trains are worth most.
     """
 
     def __init__(self, parameters: ProbeParameters | None = None) -> None:
@@ -102,70 +94,69 @@ class ProbeSchedule:
         needs_pair: bool,
         copies: int,
     ) -> Iterator[ProbeRequest]:
-        """Yield what is to be sent now.
+        """Yield the probes to send now.
 
         Parameters
         ----------
-        capacity_bytes_per_second : what is believed of the link
-        is_measured : whether that was measured
-        is_out, is_free : whether the link is out; whether no queue stands, which a train would only lengthen
-        is_urgent : whether the belief is likely to be wrong
-        surprise_bytes_per_second : what the last train saw, if that contradicts the belief
-        needs_pair : whether the overhead of a packet is not known yet
-        copies : times each probe crosses the link: one for each peer
+        capacity_bytes_per_second : capacity that is believed
+        is_measured : True when it was measured
+        is_out, is_free : True while the link is out; True while no queue stands, which a train would only lengthen
+        is_urgent : True while the capacity is likely to be wrong
+        surprise_bytes_per_second : what the last train saw, if that contradicts the capacity
+        needs_pair : True while the overhead of a packet is unknown
+        copies : times that each probe crosses the link, once per peer
         """
-        t = self._parameters
+        p = self._parameters
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
-        ping_bytes = copies * probe_wire_bytes(t.ping_bytes) + copies * t.report_bytes
-        ping_s = min(t.ping_most_s, max(t.ping_s, ping_bytes / (t.pings_share * capacity_bytes_per_second)))
+        ping_bytes = copies * probe_wire_bytes(p.ping_bytes) + copies * p.report_bytes
+        ping_s = min(p.ping_most_s, max(p.ping_s, ping_bytes / (p.pings_share * capacity_bytes_per_second)))
         self.quiet_s = _QUIET_PINGS * ping_s
-        budget = (
-            max(0.1 * t.share, t.share - ping_bytes / ping_s / capacity_bytes_per_second) * capacity_bytes_per_second
-        )
+        share = max(0.1 * p.share, p.share - ping_bytes / ping_s / capacity_bytes_per_second)
+        budget = share * capacity_bytes_per_second
         is_surprised = surprise_bytes_per_second is not None
-        # A train that is to confirm another is long enough for what that one saw.
+        # A train that confirms another one is long enough for the capacity that one saw.
         expected = max(capacity_bytes_per_second, surprise_bytes_per_second or 0.0)
-        packets = math.ceil(t.train_s * expected / t.packet_bytes)
-        packets = max(t.train_least_packets, min(t.train_most_packets, packets))
-        cost = copies * packets * probe_wire_bytes(t.packet_bytes)
-        # What was saved on a better link stays: right after a fall it buys the trains that see the link return.
-        room = max(2.0 * cost, t.saved_s * budget, self._saved_bytes)
+        packets = math.ceil(p.train_s * expected / p.packet_bytes)
+        packets = max(p.train_least_packets, min(p.train_most_packets, packets))
+        cost = copies * packets * probe_wire_bytes(p.packet_bytes)
+        # Savings of a better link stay: right after a fall they pay for the trains that see the link return.
+        room = max(2.0 * cost, p.saved_s * budget, self._saved_bytes)
         self._saved_bytes = min(self._saved_bytes + budget * elapsed_s, room)
         if now_s >= self._ping_at_s:
-            self._ping_at_s = now_s + (t.outage_ping_s if is_out else ping_s)
-            yield self._request(1, t.outage_ping_bytes if is_out else t.ping_bytes)
+            self._ping_at_s = now_s + (p.outage_ping_s if is_out else ping_s)
+            yield self._request(1, p.outage_ping_bytes if is_out else p.ping_bytes)
         if is_out or not is_free:
             return
         if now_s >= self._small_at_s:
             self._small_at_s = math.inf
-            self._spend(copies * t.small_packets * probe_wire_bytes(t.small_packet_bytes), is_measured=is_measured)
-            yield self._request(t.small_packets, t.small_packet_bytes)
+            self._spend(copies * p.small_packets * probe_wire_bytes(p.small_packet_bytes), is_measured=is_measured)
+            yield self._request(p.small_packets, p.small_packet_bytes)
         elif now_s - self._train_at_s >= self._pause_s(
             cost, is_measured=is_measured, is_urgent=is_urgent, is_surprised=is_surprised
         ):
             self._train_at_s = now_s
-            self._is_confirming = is_surprised  # one surprise is confirmed on credit
+            self._is_confirming = is_surprised  # the first confirmation is on credit
             self._spend(cost, is_measured=is_measured)
             self._trains += 1
-            if needs_pair or self._trains % t.small_every == 0:
-                self._small_at_s = now_s + t.pair_s
-            yield self._request(packets, t.packet_bytes)
+            if needs_pair or self._trains % p.small_every == 0:
+                self._small_at_s = now_s + p.pair_s
+            yield self._request(packets, p.packet_bytes)
 
     def _spend(self, cost: float, *, is_measured: bool) -> None:
-        # What the first trains cost beyond the budget is the price of knowing anything, and not paid back.
+        # The first trains may exceed the budget, and this debt is not paid back.
         self._saved_bytes = self._saved_bytes - cost if is_measured else max(0.0, self._saved_bytes - cost)
 
     def _pause_s(self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool) -> float:
-        """Return how long to wait between two trains (s)."""
-        t = self._parameters
+        """Return the least time between two trains (s)."""
+        p = self._parameters
         if not is_measured:
-            return t.first_s
+            return p.first_s
         can_pay = self._saved_bytes >= cost
         if is_surprised and (can_pay or not self._is_confirming):
-            return t.confirm_s
+            return p.confirm_s
         if is_urgent and can_pay:
-            return t.urgent_s
-        return t.calm_s if can_pay else t.train_most_s
+            return p.urgent_s
+        return p.calm_s if can_pay else p.train_most_s
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:
         self._probes += 1
@@ -173,24 +164,24 @@ class ProbeSchedule:
 
 
 _WINDOW_S = 20.0  # 250 packets on a fast link, 50 on a slow one
-_LEAST_PACKETS = 20  # fewer tell nothing
+_LEAST_PACKETS = 20  # fewer show nothing
 _MOST_SENT = 1000  # probes remembered: a minute and more
-_OVERTAKING = 32  # packets that may come after the first of a later probe, or twice; more is a peer that started anew
+_OVERTAKING = 32  # packets that may arrive late or twice; more means that the peer restarted
 _COUNTS = 2**32  # on the wire
 
 
 class ProbeLoss:
-    """Share of the probe packets of the last seconds that never reached a peer.
+    """Share of recent probe packets that never reached a peer.
 
-    A peer counts the packets of all probes before the last one whose first packet it has. As probes overtake nobody on
-    the link, what it lacks of those is lost; what is under way belongs to the last one or to later ones. Counts go on
-    and on, so that reports may be lost.
+    A peer counts the packets of all probes before the last one whose first packet it has. Probes do not overtake each
+    other on the link, so the missing ones of those are lost; packets on their way belong to later probes. Counts are
+    cumulative, so lost reports do not matter.
     """
 
     def __init__(self) -> None:
         self._sent = 0  # packets so far
-        self._sent_before: dict[int, int] = {}  # by number of the probe: packets of all before it
-        self._marks: dict[str, deque[tuple[float, int, int]]] = {}  # by peer: when s, packets sent, packets it has
+        self._sent_before: dict[int, int] = {}  # packets of all earlier probes, by number of the probe
+        self._marks: dict[str, deque[tuple[float, int, int]]] = {}  # time s, packets sent, packets it has; by peer
 
     def note_sent(self, request: ProbeRequest) -> None:
         """Note a probe that leaves."""
@@ -200,7 +191,7 @@ class ProbeLoss:
             del self._sent_before[next(iter(self._sent_before))]
 
     def digest(self, report: PeerReport) -> None:
-        """Note what a report counts; one of a peer that does not count says nothing."""
+        """Note the count of a report; peers of an older version send none."""
         sent = self._sent_before.get(report.last_probe)
         if sent is None or report.probe_packets is None:
             return
@@ -211,11 +202,11 @@ class ProbeLoss:
             if received > sent - sent_then + _OVERTAKING:
                 marks.clear()
             elif sent <= sent_then:
-                return  # nothing new, or overtaken by a later report
+                return  # nothing new, or a later report came first
         marks.append((report.received_at_s, sent, report.probe_packets))
 
     def ratio(self, now_s: float) -> float | None:
-        """Return the share that was lost, of all peers together; None when too few packets were sent to tell."""
+        """Return the lost share over all peers; None when too few packets were sent."""
         sent = received = 0
         for peer, marks in tuple(self._marks.items()):
             while marks and now_s - marks[0][0] > _WINDOW_S:

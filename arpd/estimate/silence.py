@@ -1,4 +1,4 @@
-"""Whether a silent peer means a silent link."""
+"""Silence of the peers: a dead peer or a dead link."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ if TYPE_CHECKING:
     from arpd.model.interface import LinkCounters
 
 _LATELY_S = 0.3
-_USUAL_S = 5.0  # time constant of what is usual
-_LEAST_HZ = 30.0  # packets; fewer tell nothing within `_LATELY_S`, and some are the peer's own reports
-_PART = 0.5  # of the usual
+_USUAL_S = 5.0  # time constant of the usual rate
+_LEAST_HZ = 30.0  # packets; fewer show nothing within `_LATELY_S`, and some are the peer's own reports
+_PART = 0.5  # of the usual rate
 _UNDER_WAY_S = 1.0  # what was on its way when the peer fell silent has arrived by then
 _LONG_S = 5.0
-_BROADCAST_HZ = 0.5  # packets; a host that reads anything acknowledges more often, and its DDS announces itself beside
+_BROADCAST_HZ = 0.5  # packets; a host that reads anything acknowledges more often, and its DDS announces itself
 _TRICKLE_S = 3.0
-# A full frame takes 0.3 s of it, and any ping or report that waits for one is late enough for an outage
+# A full frame takes 0.3 s at this rate; a ping or report behind one is late enough for an outage.
 _TRICKLE_BYTES_PER_SECOND = 5_000.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Departures:
-    """What had left the interface by a time, and whether more wanted to."""
+    """Counters of what left the interface, and whether more waited."""
 
     at_s: float
     sent_bytes: int
@@ -34,28 +34,23 @@ class _Departures:
 
 
 class Silence:
-    """Tells a peer that has died from a link that carries nothing: over one that works, readers go on to acknowledge.
+    """Distinguishes a dead peer from a dead link: over a link that works, readers keep acknowledging.
 
-    What counts is packets that the interface receives, beside how many it received while the peer was heard. Too few
-    of them tell nothing, and the link is then taken for silent; for good only while next to nothing passes, be it one
-    way only.
+    It compares the packets that the interface receives with their usual number while a peer was heard. Where they are
+    too few to judge by, the silence is an outage for some seconds, and for longer only while next to nothing passes in
+    one direction.
     """
 
     def __init__(self) -> None:
-        self._looks: deque[tuple[float, int]] = deque()  # when s, packets received
+        self._looks: deque[tuple[float, int]] = deque()  # time s, packets received
         self._usual_hz = 0.0
-        self._was_heard = False  # a peer, ever
-        self._unheard_s: float | None = None  # since when none is
-        self._quiet: tuple[float, int] | None = None  # from then on, s and packets, everything that arrives counts
-        self._departures: deque[_Departures] = deque()  # since then
+        self._was_heard = False  # any peer, ever
+        self._unheard_s: float | None = None  # since when no peer is heard
+        self._quiet: tuple[float, int] | None = None  # start s and packets of the span that counts
+        self._departures: deque[_Departures] = deque()  # in that span
 
     def note(self, now_s: float, counters: LinkCounters | None, *, is_usual: bool) -> None:
-        """Look at the interface.
-
-        Parameters
-        ----------
-        is_usual : whether the peer is heard
-        """
+        """Note the counters of the interface; ``is_usual`` is True while a peer is heard."""
         if counters is None or not counters.is_up:
             self._looks.clear()
             self._unheard_s = self._quiet = None
@@ -72,7 +67,7 @@ class Silence:
 
     @property
     def is_answered(self) -> bool:
-        """Whether about as many packets as usual arrived lately."""
+        """True when about as many packets as usual arrived lately."""
         if not self._looks or (span_s := self._looks[-1][0] - self._looks[0][0]) < 0.5 * _LATELY_S:
             return False
         lately_hz = (self._looks[-1][1] - self._looks[0][1]) / span_s
@@ -80,12 +75,12 @@ class Silence:
 
     @property
     def is_cut(self) -> bool:
-        """Whether next to nothing passes, be it one way only: then there is no link, or nobody behind it."""
+        """True while next to nothing passes in one direction: there is no link, or nobody behind it."""
         return self.has_received_nothing or self.has_sent_nothing
 
     @property
     def has_received_nothing(self) -> bool:
-        """Whether next to nothing has arrived since a peer was heard."""
+        """True when next to nothing has arrived since a peer was heard."""
         if self._quiet is None or not self._looks:
             return False
         (since_s, before), (now_s, packets) = self._quiet, self._looks[-1]
@@ -93,12 +88,12 @@ class Silence:
 
     @property
     def has_sent_nothing(self) -> bool:
-        """Whether next to nothing leaves although more waits: a trickle of packets is no link, and no capacity."""
+        """True when next to nothing leaves although more waits: a trickle is no capacity."""
         if self._quiet is None or not self._departures:
             return False
         oldest, newest = self._departures[0], self._departures[-1]
         span_s = newest.at_s - oldest.at_s
-        # A packet dropped now and then is a bad moment of a link that is hardly used.
+        # A few drops are a bad moment of an idle link, so drops must outnumber departures.
         is_refused = newest.dropped - oldest.dropped > newest.sent_packets - oldest.sent_packets
         wants_more = is_refused or all(each.waits for each in self._departures)
         return (

@@ -1,4 +1,4 @@
-"""What probe trains say of the link: its capacity, and what a packet costs beyond its bytes."""
+"""Capacity of the link and overhead of a packet, as probe trains show them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from arpd.model.probing import Train
 
-_SENDER_LIMITED = 0.8  # a train that arrives as it left says that the link takes that long at most
+_SENDER_LIMITED = 0.8  # a train that arrives as it left: the link takes no longer than that
 _SMALL = 0.5  # of the size of a large packet
-_PAIR_S = 1.0  # a small and a large train this close saw the same link
+_PAIR_S = 1.0  # a small and a large train this close together saw the same link
 _PAIRS = 15
 _LEAST_PAIRS = 5
-_SLOWER = 2.0  # times the time of a packet now
+_SLOWER = 2.0  # a pair counts up to this multiple of the present packet time
 _MOST_OVERHEAD = 0.8
-_LATE = 3
-# Less than either is what jitter makes of nothing; 802.11 spends 100 us and more on a packet of its own.
+_LATE = 3  # large trains whose fastest one counts
+# Jitter alone reads as less than these; 802.11 spends at least 100 us on a packet.
 _LEAST_OVERHEAD_S = 50e-6
 _LEAST_OVERHEAD = 0.03  # of the time a large packet takes
 
@@ -33,10 +33,10 @@ class TrainLog:
     """Readings of trains, newest last.
 
     A packet of s bytes takes T(s) = t_ovh + s/C of the link's time (docs/design.md, The program). Large packets alone
-    cannot tell the two apart; a train of small ones right after one of large ones can: t_ovh = (T_small·s_large −
-    T_large·s_small) / (s_large − s_small). What others send in between only makes a train longer: so the least T_large
-    of late is taken, and of what the pairs then say the second least, for one that saw the link change between its
-    halves may say less.
+    cannot separate the two; a train of small ones right after one of large ones can: t_ovh = (T_small·s_large −
+    T_large·s_small) / (s_large − s_small). Other traffic between the packets only makes a train longer, so the least
+    recent T_large counts. Among the pairs the second least t_ovh counts: a link that changes inside one pair may make
+    that pair read too little.
 
     Parameters
     ----------
@@ -51,12 +51,7 @@ class TrainLog:
         self._overheads: deque[tuple[float, bool, float]] = deque(maxlen=_PAIRS)
 
     def note(self, train: Train, now_s: float, *, copies: int = 1) -> None:
-        """Note a train that a report brought.
-
-        Parameters
-        ----------
-        copies : times each of its packets crossed the link, one for each peer
-        """
+        """Note a train of a report; each of its packets crossed the link ``copies`` times, once per peer."""
         if train.packets < 1 or train.duration_s <= 0 or train.payload_bytes <= 0:
             return
         reading = _Reading(
@@ -72,18 +67,18 @@ class TrainLog:
         elif now_s - large.at_s <= _PAIR_S:
             least = min(each.packet_s for each in list(self._large)[-_LATE:])
             if reading.packet_s > least:
-                return  # a small packet takes no longer than a large one: there was something in between
+                return  # a small packet is never slower than a large one, so other traffic came in between
             excess = reading.packet_s * large.packet_bytes - least * reading.packet_bytes
             is_bound = train.sent_s >= _SENDER_LIMITED * train.duration_s
             self._overheads.append((excess / (large.packet_bytes - reading.packet_bytes), is_bound, least))
 
     def clear(self) -> None:
-        """Forget the capacity; what a packet costs is the radio's, and stays."""
+        """Forget the capacities; the overhead of a packet depends on the radio, and stays."""
         self._large.clear()
 
     @property
     def packet_overhead_s(self) -> float:
-        """t_ovh, 0 until it is known and while it is too little to tell from jitter (s)."""
+        """t_ovh; 0 until it is known, and while jitter may explain it (s)."""
         if (last := self._last) is None or len(known := self._known(last)) < _LEAST_PAIRS:
             return 0.0
         overhead_s, is_bound, _ = sorted(known)[1]
@@ -93,23 +88,20 @@ class TrainLog:
 
     @property
     def needs_pairs(self) -> bool:
-        """Whether too few pairs tell the overhead on a link of this speed."""
+        """True while too few pairs show the overhead on a link of this speed."""
         return not self._large or len(self._known(self._large[-1])) < _LEAST_PAIRS
 
     def _known(self, last: _Reading) -> list[tuple[float, bool, float]]:
-        """Return the pairs that tell the overhead on a link as fast as the last reading.
-
-        On a slow link the jitter of a pair is as long as the overhead on a fast one.
-        """
+        """Return the pairs of a link as fast as now: jitter on a slow link is as long as the overhead on a fast one."""
         return [each for each in self._overheads if each[2] <= _SLOWER * last.packet_s]
 
     @property
     def newest_s(self) -> float | None:
-        """When the newest train of large packets was reported (s)."""
+        """Time of the newest report of a train of large packets (s)."""
         return self._large[-1].at_s if self._large else None
 
     def capacities(self, since_s: float, *, packet_overhead_s: float) -> list[float]:
-        """Return what large trains since then saw, newest last: C = s / (T − t_ovh) (bytes/s)."""
+        """Return the capacities that large trains since then saw, newest last: C = s / (T − t_ovh) (bytes/s)."""
         return [
             reading.packet_bytes / max(reading.packet_s - packet_overhead_s, 0.1 * reading.packet_s)
             for reading in self._large

@@ -1,4 +1,4 @@
-"""What this host sees of its own interface: a queue that stands, and what leaves while it does."""
+"""Queue of this host's own interface, and what leaves while it stands."""
 
 from dataclasses import replace
 
@@ -7,30 +7,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimate.local_queue import LocalQueue
-from arpd.model.endpoints import Direction, PublisherState
-from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.endpoints import Direction
+from arpd.model.interface import InterfaceState
+from tests.sample_link import INTERFACE, observation
+from tests.sample_publishers import publisher
 
 TICK_S = 0.1
 WINDOW_S = 1.0
 BURST = 15_000.0
 RATE = 500_000.0  # bytes/s
-PUBLISHER = PublisherState(
-    node="/n",
-    topic="/t",
-    type_name="t",
-    direction=Direction.SENSING,
-    payload_bytes=100.0,
-    source_rate_hz=10.0,
-    published=0,
-    depth=1,
-    baseline_depth=1,
-    remote_readers=1,
-)
+PUBLISHER = publisher("/n", "/t")
 
 
 class Host:
-    """An interface that sends `RATE`, looked at every 100 ms."""
+    """An interface that sends at `RATE`, read every 100 ms."""
 
     def __init__(self):
         self.queue = LocalQueue(WINDOW_S)
@@ -44,35 +34,19 @@ class Host:
     def look(self, backlog=0, *, rate=RATE, after_s=TICK_S, is_there=True):
         self.now_s += after_s
         self.sent += round(rate * after_s)
-        counters = LinkCounters(
-            interface="w",
-            rx_bytes=0,
-            tx_bytes=self.sent,
-            rx_packets=0,
-            tx_packets=0,
-            tx_dropped=self.dropped,
-            state=self.state,
-            backlog_bytes=backlog,
+        counters = replace(
+            INTERFACE, tx_bytes=self.sent, tx_dropped=self.dropped, state=self.state, backlog_bytes=backlog
         )
         self.counters = counters if is_there else None
         self.queue.update(self.counters, self.now_s, burst_bytes=BURST, capacity=RATE)
         return self.queue
 
     def pushes_back(self):
-        return self.queue.pushes_back(
-            Observation(
-                now_s=self.now_s,
-                counters=self.counters,
-                reports=(),
-                publishers=(replace(self.publisher, blocked_s=self.blocked_s),),
-                memory=MemoryState(total_bytes=1, available_bytes=1),
-                sensing_topics=0,
-                actuation_topics=0,
-            )
-        )
+        waiting = replace(self.publisher, blocked_s=self.blocked_s)
+        return self.queue.pushes_back(observation(self.now_s, counters=self.counters, publishers=(waiting,)))
 
-    def told(self, ticks=11, **looks):
-        """Return what is told in a while, nothing left out."""
+    def windows(self, ticks=11, **looks):
+        """Return the results of all windows that end meanwhile."""
         out = []
         for _ in range(ticks):
             self.look(**looks)
@@ -81,7 +55,7 @@ class Host:
 
 
 def test_a_queue_that_stands_is_as_long_as_it_takes_to_leave():
-    """Seen at look after look, its bytes count at the rate at which they leave."""
+    """A queue seen at every look lasts as long as its bytes take to leave."""
     host = Host()
     for _ in range(5):
         queue = host.look(100_000)
@@ -93,7 +67,7 @@ def test_a_queue_that_stands_is_as_long_as_it_takes_to_leave():
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 10**7), st.integers(0, 10**7)), min_size=3, max_size=30))
 def test_a_queue_that_was_short_a_moment_ago_does_not_stand(peaks):
-    """Messages that meet are no queue, however long it is for a moment."""
+    """Messages that coincide are no queue, at any length for a moment."""
     host = Host()
     for first, second in peaks:
         host.look(first)
@@ -103,13 +77,13 @@ def test_a_queue_that_was_short_a_moment_ago_does_not_stand(peaks):
 
 
 def test_one_look_is_no_queue():
-    """A queue seen once says nothing of how it was a moment before."""
+    """A queue seen once says nothing about the moment before."""
     host = Host()
     assert not host.look(10**6).stands
 
 
-def test_a_kernel_that_tells_no_backlog_shows_no_queue():
-    """Where there is no qdisc to ask, what was sent is what was handed over."""
+def test_without_a_known_backlog_there_is_no_queue():
+    """Where the kernel shows no backlog, the bytes sent are the bytes handed over."""
     host = Host()
     for _ in range(5):
         queue = host.look(None)
@@ -118,7 +92,7 @@ def test_a_kernel_that_tells_no_backlog_shows_no_queue():
 
 
 def test_an_interface_that_sends_nothing_has_a_queue_of_finite_length():
-    """At a standstill the time is that at a small part of the capacity."""
+    """At a standstill the bytes count at a small part of the capacity."""
     host = Host()
     for _ in range(5):
         queue = host.look(50_000, rate=0.0)
@@ -127,7 +101,7 @@ def test_an_interface_that_sends_nothing_has_a_queue_of_finite_length():
 
 @pytest.mark.parametrize("state", [InterfaceState.DOWN, InterfaceState.NO_CARRIER, None])
 def test_an_interface_that_is_gone_has_no_queue(state):
-    """Gone, down or without a carrier it tells nothing, and afterwards a queue must stand anew."""
+    """Without an interface, or while it is down, there is no queue, and afterwards a queue must stand again."""
     host = Host()
     for _ in range(5):
         host.look(100_000)
@@ -138,8 +112,8 @@ def test_an_interface_that_is_gone_has_no_queue(state):
     assert not host.look(100_000).stands
 
 
-def test_counters_that_start_anew_are_no_rate():
-    """An interface made anew counts from zero: no look before that is compared with one after it."""
+def test_counters_that_restart_are_no_rate():
+    """Looks before a restart of the interface are not compared with later ones."""
     host = Host()
     for _ in range(5):
         host.look(100_000)
@@ -150,62 +124,62 @@ def test_counters_that_start_anew_are_no_rate():
     assert queue.backlog_s == pytest.approx(100_000 / RATE, rel=1e-3)
 
 
-# -- what a host learns alone
+# -- windows
 
 
 def test_nothing_pushes_back_on_an_interface_that_keeps_up():
-    """Once in a window it is told what left, and that all of it could."""
+    """Once per window the result has the rate, and that the interface kept up."""
     host = Host()
-    host.told(1)
-    ((pushes_back, sent),) = host.told(10)
+    host.windows(1)
+    ((pushes_back, sent),) = host.windows(10)
     assert not pushes_back
     assert sent == pytest.approx(RATE, rel=1e-3)
 
 
 @pytest.mark.parametrize("how", ["queue", "dropped", "blocked"])
-def test_an_interface_that_cannot_keep_up_tells_its_rate(how):
-    """A standing queue, a dropped packet, publishers that wait for room: each says that what left is what could."""
+def test_an_interface_that_cannot_keep_up_shows_its_rate(how):
+    """A standing queue, a dropped packet, or waiting publishers show that the rate is the limit."""
     host = Host()
-    host.told(1)
+    host.windows(1)
     host.dropped += how == "dropped"
     host.blocked_s += 0.5 * (how == "blocked")
-    ((pushes_back, sent),) = host.told(10, backlog=100_000 if how == "queue" else 0)
+    ((pushes_back, sent),) = host.windows(10, backlog=100_000 if how == "queue" else 0)
     assert pushes_back
     assert sent == pytest.approx(RATE, rel=1e-3)
 
 
 def test_a_publisher_that_leaves_takes_its_waiting_along():
-    """Less waiting than before is no waiting."""
+    """A waiting time that falls is no waiting."""
     host = Host()
     host.blocked_s = 40.0
-    host.told(1)
+    host.windows(1)
     host.blocked_s = 0.0
-    ((pushes_back, _),) = host.told(10)
+    ((pushes_back, _),) = host.windows(10)
     assert not pushes_back
 
 
 @pytest.mark.parametrize("other", [{"node": "/m"}, {"direction": Direction.ACTUATION}, {}])
 def test_waiting_of_another_time_or_place_is_none(other):
-    """Of a publisher that was not there before, one on another host, or one that was silent while it waited."""
+    """A new publisher, one on another host, and a wait longer than the window do not count."""
     host = Host()
     host.publisher = replace(PUBLISHER, direction=other.get("direction", Direction.SENSING))
-    host.told(1)
+    host.windows(1)
     host.publisher = replace(PUBLISHER, **other)
     host.blocked_s += 0.5 if other else 12.0
-    ((pushes_back, _),) = host.told(10)
+    ((pushes_back, _),) = host.windows(10)
     assert not pushes_back
 
 
-@pytest.mark.parametrize("mishap", ["gone", "anew"])
+@pytest.mark.parametrize("mishap", ["gone", "restart"])
 def test_a_window_with_a_mishap_in_it_is_none(mishap):
-    """What was sent before an interface went or was made anew is not compared with what was sent after."""
+    """Bytes sent before an interface disappeared or restarted are not compared with later ones."""
     host = Host()
-    assert len(host.told(6)) == 0
-    if mishap == "anew":
+    assert len(host.windows(6)) == 0
+    if mishap == "restart":
         host.sent = host.dropped = 0
-    host.told(1, is_there=mishap == "anew")
-    assert host.told(9) == []
-    ((pushes_back, sent),) = host.told(4)
+    host.windows(1, is_there=mishap == "restart")
+    assert host.windows(9) == []
+    ((pushes_back, sent),) = host.windows(4)
     assert not pushes_back
     assert sent == pytest.approx(RATE, rel=1e-3)
 
@@ -224,23 +198,23 @@ def test_a_window_with_a_mishap_in_it_is_none(mishap):
         max_size=60,
     )
 )
-def test_whatever_the_counters_do_it_is_a_length_and_a_rate(looks):
-    """Counters that fall, stand still, vanish or are read twice at once: no exception, and nothing negative."""
+def test_any_counters_give_a_length_and_a_rate(looks):
+    """Counters that fall, stand still, vanish or are read twice at once give no exception and nothing negative."""
     host = Host()
     for look in looks:
         host.sent = max(0, host.sent)
         queue = host.look(**look)
         assert 0.0 <= queue.backlog_s < float("inf")
-        told = host.pushes_back()
-        assert told is None or 0.0 <= told[1] < float("inf")
+        window = host.pushes_back()
+        assert window is None or 0.0 <= window[1] < float("inf")
 
 
 def test_a_window_with_an_outage_in_it_is_none():
-    """What left before an interface lost its carrier is not averaged over the time in which nothing could."""
+    """Bytes that left before an outage are not averaged over the time of the outage."""
     host = Host()
-    host.told(3)
+    host.windows(3)
     host.now_s += 10.0
     host.dropped += 1
-    for pushes_back, sent in host.told(12):
+    for pushes_back, sent in host.windows(12):
         assert not pushes_back
         assert sent == pytest.approx(RATE, rel=1e-3)

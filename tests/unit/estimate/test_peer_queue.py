@@ -1,4 +1,4 @@
-"""The queue as one peer's reports show it: exact where it can be, and quiet where it cannot."""
+"""Queue as the reports of one peer show it: exact where possible, and otherwise silent."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from arpd.estimate.parameters import EstimatorParameters
 from arpd.estimate.peer_queue import QueueGauge, SentProbe
 from arpd.model.probing import PeerReport
 
-TUNING = EstimatorParameters()
+PARAMETERS = EstimatorParameters()
 RATE = 500_000.0  # bytes/s, of the link
 IDLE_S = 0.004  # one way with nothing in front
 
@@ -19,13 +19,13 @@ class Fifo:
     """A sender, a link of `RATE`, and a peer that reports whenever a ping arrives."""
 
     def __init__(self, *, clock_s=0.0, is_counted=True):
-        self.gauge = QueueGauge(TUNING)
-        self.clock_s = clock_s  # what the peer's clock is ahead
+        self.gauge = QueueGauge(PARAMETERS)
+        self.clock_s = clock_s  # lead of the peer's clock
         self.now_s = 100.0
         self.queue = 0.0  # bytes that stand before the link
         self._is_counted = is_counted
         self._handed = 7_000_000.0  # as the interface counts
-        self._received, self._told = 0.0, 0  # by the link; in reports
+        self._received, self._reported = 0.0, 0  # by the link; in reports
         self._reported_s = self.now_s
         self._sent = self._last = 0  # numbers of probes
         self._waiting = []  # pings: number, when sent, bytes in front
@@ -43,7 +43,7 @@ class Fifo:
         self._handed += size
 
     def run(self, duration_s):
-        """Let the link work, with a report for every ping that arrives."""
+        """Let the link carry bytes, with a report for every ping that arrives."""
         end_s = self.now_s + duration_s
         while self._waiting and (at_s := self.now_s + self._waiting[0][2] / RATE) <= end_s:
             self._carry(at_s)
@@ -53,8 +53,8 @@ class Fifo:
         self._carry(end_s)
 
     def report(self, *delays_s):
-        received = round(self._received) - self._told
-        self._told += received
+        received = round(self._received) - self._reported
+        self._reported += received
         interval_s, self._reported_s = max(1e-6, self.now_s - self._reported_s), self.now_s
         self.gauge.digest(
             PeerReport(
@@ -76,7 +76,7 @@ class Fifo:
         self.run(duration_s)
 
     def wait(self, duration_s, size=0.0):
-        """Send data, and report what came of it; no ping leaves."""
+        """Send data and report what arrives; no ping leaves."""
         self.send(size)
         self.run(duration_s)
         self.report()
@@ -105,7 +105,7 @@ CLOCKS = st.sampled_from([0.0, -3.0e9, 17.5])
 @settings(deadline=None)
 @given(LOADS, CLOCKS)
 def test_a_ping_tells_how_long_it_waited(loads, clock_s):
-    """However the clocks differ, the delay above that of an empty queue is the time of what stood in front."""
+    """At any clock offset, the delay above that of an empty queue is the time of the bytes in front."""
     fifo = Fifo(clock_s=clock_s)
     fifo.cycle()
     for load in loads:
@@ -117,7 +117,7 @@ def test_a_ping_tells_how_long_it_waited(loads, clock_s):
 
 @pytest.mark.parametrize("step_s", [-1e6, -0.3, 0.3, 1e6])
 def test_a_step_of_the_peers_clock_is_at_most_the_round_trip(step_s):
-    """What a step adds to a delay never looks like more than the time that passed here."""
+    """The round trip by our clock bounds what a step adds to a delay."""
     fifo = Fifo()
     for _ in range(20):
         fifo.cycle(0.02 * RATE)
@@ -129,8 +129,8 @@ def test_a_step_of_the_peers_clock_is_at_most_the_round_trip(step_s):
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 0.3), min_size=3, max_size=30), st.floats(0.0, 3.0))
-def test_what_is_overdue_will_have_waited_at_least_as_long(waits_s, standing_s):
-    """A ping under way longer than usual is behind a queue at least as long as the excess, and tells so at once."""
+def test_an_overdue_ping_waits_behind_a_queue_of_that_length(waits_s, standing_s):
+    """A ping on its way for longer than usual shows at once a queue at least as long as the excess."""
     fifo = Fifo()
     for wait_s in waits_s:
         fifo.send(wait_s * RATE)
@@ -148,8 +148,8 @@ def test_what_is_overdue_will_have_waited_at_least_as_long(waits_s, standing_s):
 
 
 def test_before_any_ping_nothing_is_overdue():
-    """What is usual is not known before the first round trip, nor after everything was forgotten."""
-    gauge = QueueGauge(TUNING)
+    """Before the first round trip nothing is usual."""
+    gauge = QueueGauge(PARAMETERS)
     assert gauge.overdue_s(5.0) == 0.0
     gauge.note_sent(SentProbe(number=1, sent_s=0.0, handed_bytes=None))
     assert gauge.overdue_s(5.0) == 0.0
@@ -161,19 +161,19 @@ def test_before_any_ping_nothing_is_overdue():
 @settings(deadline=None)
 @given(LOADS, CLOCKS, st.lists(st.floats(1e3, 0.5 * RATE * 0.1), min_size=4, max_size=10))
 def test_bytes_tell_the_queue_before_a_ping_can(loads, clock_s, growth):
-    """What was handed over and did not arrive stands in the queue, to the byte, while pings wait in it."""
+    """Bytes that were handed over and did not arrive are exactly the queue, while pings wait in it."""
     fifo = Fifo(clock_s=clock_s)
     fifo.cycle()
     for load in loads:
         fifo.cycle(load)
     for load in growth:
         fifo.wait(0.1, RATE * 0.1 + load)
-    # What was on the way at the last good ping is on the way now, too, and no queue.
+    # Bytes that were on the way at the last good ping are no queue.
     assert fifo.backlog_s() == pytest.approx(fifo.queue / RATE, abs=1e-3 + max(loads) / RATE)
 
 
 def test_lost_bytes_raise_an_alarm_until_the_next_ping():
-    """What was lost looks like a queue for as long as no ping says otherwise, and not a moment longer."""
+    """Lost bytes look like a queue until the next ping arrives."""
     fifo = Fifo()
     for _ in range(5):
         fifo.cycle(0.5 * RATE * 0.1)
@@ -187,7 +187,7 @@ def test_lost_bytes_raise_an_alarm_until_the_next_ping():
 
 
 def test_a_burst_of_messages_is_no_queue():
-    """Up to what the largest messages put in front of the link at once, bytes say nothing; from there all of it."""
+    """Bytes within a burst of the largest messages are no queue; above that, all of them count."""
     fifo = Fifo()
     fifo.cycle()
     for _ in range(4):
@@ -199,7 +199,7 @@ def test_a_burst_of_messages_is_no_queue():
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 0.9 * RATE * 0.1), min_size=5, max_size=40))
 def test_messages_that_pass_before_the_next_ones_come_are_no_queue(sizes):
-    """However much is sent at once, a queue that was empty a moment ago does not stand."""
+    """A queue that was empty a moment ago does not stand, at any size of messages."""
     fifo = Fifo()
     fifo.cycle()
     for size in sizes:
@@ -210,7 +210,7 @@ def test_messages_that_pass_before_the_next_ones_come_are_no_queue(sizes):
 
 
 def test_a_link_that_carries_nothing_still_has_a_queue_of_some_length():
-    """Without anything arriving, the time is that at a small part of the capacity, and finite."""
+    """When nothing arrives, the bytes count at a small part of the capacity, so the time is finite."""
     fifo = Fifo()
     fifo.cycle()
     fifo.send(40_000)
@@ -220,8 +220,8 @@ def test_a_link_that_carries_nothing_still_has_a_queue_of_some_length():
     assert fifo.backlog_s(capacity=RATE) == pytest.approx(40_000 / (0.05 * RATE))
 
 
-def test_bytes_of_a_while_ago_say_nothing():
-    """Half a second without a report is too old to go by."""
+def test_old_bytes_do_not_count():
+    """After half a second without a report, bytes say nothing."""
     fifo = Fifo()
     fifo.cycle()
     for _ in range(4):
@@ -234,7 +234,7 @@ def test_bytes_of_a_while_ago_say_nothing():
 @settings(deadline=None)
 @given(LOADS)
 def test_without_counters_only_pings_speak(loads):
-    """An interface that cannot be read takes the bytes away, and nothing else."""
+    """Without counters of the interface, delays still count."""
     fifo = Fifo(is_counted=False)
     fifo.cycle()
     for load in loads:
@@ -247,8 +247,8 @@ def test_without_counters_only_pings_speak(loads):
     assert fifo.gauge.delay_s == pytest.approx(in_front / RATE, abs=1e-5)
 
 
-def test_what_was_forgotten_is_learnt_anew():
-    """After `forget` the first ping is the least there is: no queue, no bytes, nothing overdue, nothing delivered."""
+def test_after_forget_measuring_starts_again():
+    """After `forget` there is no queue, no backlog and no delivery, and the next ping has the least delay."""
     fifo = Fifo()
     for _ in range(10):
         fifo.cycle(1.5 * RATE * 0.1)
@@ -267,8 +267,8 @@ def test_what_was_forgotten_is_learnt_anew():
 @settings(deadline=None)
 @given(st.lists(st.floats(0.02, 0.25), min_size=1, max_size=30), st.floats(1e3, 1e8))
 def test_delivery_is_bytes_over_the_time_they_took(intervals_s, rate):
-    """At a steady rate, intervals of whatever length read that rate."""
-    gauge = QueueGauge(TUNING)
+    """At a steady rate, intervals of any length show that rate."""
+    gauge = QueueGauge(PARAMETERS)
     now_s = 10.0
     for interval_s in intervals_s:
         now_s += interval_s
@@ -279,8 +279,8 @@ def test_delivery_is_bytes_over_the_time_they_took(intervals_s, rate):
 
 
 def test_a_peer_that_slept_reports_one_long_interval():
-    """A host that was suspended tells of all that time at once: that is its delivery, and what was before is gone."""
-    gauge = QueueGauge(TUNING)
+    """The long interval of a suspended host is its delivery, and replaces earlier ones."""
+    gauge = QueueGauge(PARAMETERS)
     for at_s in (1.0, 1.1, 1.2):
         gauge.digest(steadily(4e5, at_s, 0.1), handed_bytes=None)
     gauge.digest(steadily(1e3, 21.2, 20.0), handed_bytes=None)
@@ -288,9 +288,9 @@ def test_a_peer_that_slept_reports_one_long_interval():
 
 
 def test_delivery_follows_within_its_window():
-    """A window after the rate changed, nothing of the old one is left."""
-    gauge = QueueGauge(TUNING)
-    steps = round(TUNING.delivery_window_s / 0.1) + 1
+    """One window after a change of the rate, the old rate does not count."""
+    gauge = QueueGauge(PARAMETERS)
+    steps = round(PARAMETERS.delivery_window_s / 0.1) + 1
     for step in range(20):
         rate = 4e5 if step < 20 - steps else 1e5
         gauge.digest(steadily(rate, 0.1 * step, 0.1), handed_bytes=None)
@@ -298,8 +298,8 @@ def test_delivery_follows_within_its_window():
 
 
 def test_delivery_since_a_moment_leaves_out_what_began_before():
-    """Intervals that began before are demand, and those after are capacity; with none of them it is nothing."""
-    gauge = QueueGauge(TUNING)
+    """Only intervals that began after a moment count; without any, the delivery is 0."""
+    gauge = QueueGauge(PARAMETERS)
     for step in range(10):
         gauge.digest(steadily(1e5 if step < 9 else 3e5, 0.1 * step, 0.1), handed_bytes=None)
     assert gauge.delivery(0.75)[0] == pytest.approx(3e5)
@@ -311,8 +311,8 @@ def test_delivery_since_a_moment_leaves_out_what_began_before():
     [((3e5, 3e5), True), ((3e5, 2.8e5), True), ((3e5, 1.5e5), False), ((0.0, 0.0), False), ((3e5,), False)],
 )
 def test_only_an_even_stream_is_steady(rates, is_steady):
-    """A queue is served at one rate: two intervals that differ are an application's, and one is no evidence."""
-    gauge = QueueGauge(TUNING)
+    """A queue is served at one rate: two different intervals come from an application, and one is no evidence."""
+    gauge = QueueGauge(PARAMETERS)
     gauge.digest(steadily(9e5, 1.0, 0.1), handed_bytes=None)
     for step, rate in enumerate(rates, start=1):
         gauge.digest(steadily(rate, 1.0 + 0.1 * step, 0.1), handed_bytes=None)
@@ -330,7 +330,7 @@ def steadily(rate, now_s, interval_s):
 
 
 def test_a_train_is_not_overdue():
-    """Its report waits for company, so only pings tell how long a queue is."""
+    """The report of a train waits for further probes, so only pings can be overdue."""
     fifo = Fifo()
     for _ in range(5):
         fifo.cycle()
@@ -340,7 +340,7 @@ def test_a_train_is_not_overdue():
 
 @pytest.mark.parametrize("elsewhere", [0.5, 0.95])
 def test_what_goes_elsewhere_is_no_queue(elsewhere):
-    """Bytes to another host than the peer never arrive there: nobody knows then what stands."""
+    """When bytes go to another host than the peer, the queue is unknown."""
     fifo = Fifo()
     for _ in range(20):
         fifo.ping()
@@ -356,7 +356,7 @@ def test_what_goes_elsewhere_is_no_queue(elsewhere):
 
 
 def answer(gauge, number, *, way_back_s, clock_s):
-    """Send a ping each tenth of a second; its report takes that long to come back."""
+    """Send a ping every 100 ms, and return the delay that its report shows."""
     sent_s = 0.1 * number
     gauge.note_sent(SentProbe(number=number, sent_s=sent_s, handed_bytes=None))
     gauge.digest(
@@ -373,26 +373,26 @@ def answer(gauge, number, *, way_back_s, clock_s):
 
 @given(ways_back_s=st.lists(st.floats(0.001, 0.05), min_size=1, max_size=90), clock_s=CLOCKS)
 def test_the_way_back_is_measured_above_its_least(ways_back_s, clock_s):
-    """A queue on the way back shows whatever the clocks say, and none on the way there is seen."""
-    gauge = QueueGauge(TUNING)
+    """A queue on the way back shows at any clock offset, and shows none on the way there."""
+    gauge = QueueGauge(PARAMETERS)
     for number, way_back_s in enumerate(ways_back_s, 1):
-        told = answer(gauge, number, way_back_s=way_back_s, clock_s=clock_s)
-    assert told == pytest.approx(ways_back_s[-1] - min(ways_back_s), abs=2e-6)
+        excess_s = answer(gauge, number, way_back_s=way_back_s, clock_s=clock_s)
+    assert excess_s == pytest.approx(ways_back_s[-1] - min(ways_back_s), abs=2e-6)
     assert gauge.delay_s == pytest.approx(0.0, abs=2e-6)
 
 
 @pytest.mark.parametrize("step_s", [-300.0, 300.0])
 def test_a_step_of_a_clock_is_no_queue_on_the_way_back(step_s):
-    """Round trips, on one clock, bound what the other clock may claim."""
-    gauge = QueueGauge(TUNING)
+    """Round trips by our clock bound what a step of a clock adds."""
+    gauge = QueueGauge(PARAMETERS)
     for number in range(1, 60):
-        told = answer(gauge, number, way_back_s=0.004, clock_s=0.0 if number < 30 else step_s)
-        assert 0.0 <= told <= 0.021
+        excess_s = answer(gauge, number, way_back_s=0.004, clock_s=0.0 if number < 30 else step_s)
+        assert 0.0 <= excess_s <= 0.021
 
 
-def test_a_peer_that_does_not_tell_leaves_the_way_back_unknown():
-    """And so does one that was forgotten."""
-    gauge = QueueGauge(TUNING)
+def test_without_a_return_delay_the_way_back_is_unknown():
+    """The way back is unknown before a report with a return delay, and after `forget`."""
+    gauge = QueueGauge(PARAMETERS)
     gauge.digest(steadily(1e5, 1.0, 0.1), handed_bytes=None)
     assert gauge.return_delay_s is None
     assert answer(gauge, 20, way_back_s=0.004, clock_s=0.0) == 0.0
@@ -402,24 +402,13 @@ def test_a_peer_that_does_not_tell_leaves_the_way_back_unknown():
 
 @pytest.mark.parametrize(("waited_s", "after_s", "counts"), [(2.0, 0.2, False), (0.1, 0.2, True), (2.0, 5.0, True)])
 def test_a_report_that_waited_out_an_outage_delivers_nothing(waited_s, after_s, counts):
-    """What it counted was before; later on, such a delay may be a clock that was set."""
-    gauge = QueueGauge(TUNING)
+    """Its bytes belong to the link before; much later such a delay may come from a clock that was set."""
+    gauge = QueueGauge(PARAMETERS)
 
     def report(number, now_s, return_delay_s):
         gauge.note_sent(SentProbe(number=number, sent_s=now_s - 0.01, handed_bytes=None))
-        gauge.digest(
-            PeerReport(
-                peer="p",
-                received_at_s=now_s,
-                interval_s=0.1,
-                rx_bytes=10_000,
-                rx_packets=10,
-                delays_s=(0.005,),
-                last_probe=number,
-                return_delay_s=return_delay_s,
-            ),
-            handed_bytes=None,
-        )
+        sent = replace(steadily(1e5, now_s, 0.1), delays_s=(0.005,), last_probe=number, return_delay_s=return_delay_s)
+        gauge.digest(sent, handed_bytes=None)
 
     report(1, 100.0, 7.0)
     gauge.forget()

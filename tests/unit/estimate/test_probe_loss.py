@@ -1,4 +1,4 @@
-"""The share of probe packets that never arrived: exact, whatever is under way and whichever reports are lost."""
+"""Loss of probe packets: exact, with packets on their way and with lost reports."""
 
 from random import Random
 
@@ -12,12 +12,12 @@ from arpd.observe.receiver import Receiver
 
 
 class Peer:
-    """A receiver behind a link that loses packets, and reports what it has; it began long before."""
+    """A receiver behind a link that loses packets; it has counted packets of earlier daemons."""
 
     def __init__(self, name="ceddp", *, counted=0):
         self.name = name
         self.receiver = Receiver()
-        self.receiver._received = counted  # by probes of daemons before this one
+        self.receiver._received = counted  # from earlier daemons
 
     def hear(self, request, arriving):
         for index in arriving:
@@ -42,7 +42,7 @@ def request(number, packets=1):
 
 
 def play(probes, *, counted=0, peers=1):
-    """Send probes of so many packets, of which so many are lost; return the gauge after the last report."""
+    """Send probes given by their packets and losses; return the loss after the last report."""
     loss, everybody = ProbeLoss(), [Peer(f"peer {i}", counted=counted) for i in range(peers)]
     for number, (packets, lost) in enumerate(probes, 1):
         loss.note_sent(request(number, packets))
@@ -58,7 +58,7 @@ def play(probes, *, counted=0, peers=1):
     peers=st.integers(1, 3),
 )
 def test_what_is_lost_is_counted_to_the_packet(probes, counted, peers):
-    """Of all probes between the first and the last that arrived, the ratio is exact; counts may wrap."""
+    """The ratio is exact over the probes between the first and the last that arrived; counts may wrap."""
     probes = [(1, 0), *probes, (1, 0)]  # a ping before and after: the second settles everything
     ratio = play(probes, counted=counted, peers=peers).ratio(len(probes) * 0.1)
     sent, lost = (sum(column) for column in zip(*probes[:-1], strict=True))
@@ -69,7 +69,7 @@ def test_what_is_lost_is_counted_to_the_packet(probes, counted, peers):
 
 
 def test_what_is_under_way_is_not_lost():
-    """However many probes wait in a queue, none of them counts before a later one has arrived."""
+    """Probes that wait in a queue count only when a later one has arrived."""
     loss, peer = ProbeLoss(), Peer()
     for number in range(1, 101):
         loss.note_sent(request(number, 4))
@@ -83,7 +83,7 @@ def test_what_is_under_way_is_not_lost():
 
 
 def test_a_train_whose_packets_arrive_now_is_not_lost():
-    """A report in the middle of a train does not count its other half as lost."""
+    """A report in the middle of a train does not count the rest of it as lost."""
     loss, peer = ProbeLoss(), Peer()
     for number in range(1, 30):
         loss.note_sent(request(number, 24))
@@ -94,7 +94,7 @@ def test_a_train_whose_packets_arrive_now_is_not_lost():
 
 
 def test_a_report_that_is_lost_takes_nothing_with_it():
-    """Counts go on: the next report tells what the lost ones told."""
+    """Counts are cumulative, so the next report includes the lost ones."""
     loss, peer, random = ProbeLoss(), Peer(), Random(1)
     for number in range(1, 101):
         loss.note_sent(request(number))
@@ -104,8 +104,8 @@ def test_a_report_that_is_lost_takes_nothing_with_it():
     assert loss.ratio(10.0) == pytest.approx(24 / 98)
 
 
-def test_a_peer_that_starts_anew_does_not_look_like_loss():
-    """Its count begins at zero again; what it heard before is forgotten, and then it counts as before."""
+def test_a_peer_that_restarts_does_not_look_like_loss():
+    """After a restart of the peer the earlier counts are forgotten, and loss is measured again."""
     loss, peer = play([(1, 0)] * 60), Peer("peer 0")
     assert loss.ratio(6.0) == 0.0
     for number in range(61, 101):
@@ -117,7 +117,7 @@ def test_a_peer_that_starts_anew_does_not_look_like_loss():
 
 
 def test_an_older_peer_says_nothing():
-    """A report without the count leaves the loss unknown, and a peer that counts still does."""
+    """A report without a count leaves the loss unknown, and does not disturb other peers."""
     loss = play([(1, 0)] * 40)
     old = PeerReport(peer="old", received_at_s=4.0, interval_s=0.1, rx_bytes=0, rx_packets=0, last_probe=40)
     loss.digest(old)
@@ -130,15 +130,15 @@ def test_an_older_peer_says_nothing():
 
 
 def test_loss_that_is_over_is_forgotten_within_the_window():
-    """Half of the packets lost for ten seconds, none afterwards: after twenty more nothing of it is left."""
+    """Losses older than 20 s do not count."""
     probes = [(4, 2)] * 100 + [(4, 0)] * 150
     assert play(probes).ratio(25.0) == pytest.approx(0.13, abs=0.03)
     assert play([*probes, *[(4, 0)] * 60]).ratio(31.0) == 0.0
-    assert play(probes).ratio(50.0) is None  # nobody has reported for longer than the window
+    assert play(probes).ratio(50.0) is None  # no report within the window
 
 
 def test_what_is_remembered_is_bounded():
-    """A day of probes that nobody answers takes no more memory than a minute of them."""
+    """Unanswered probes take bounded memory."""
     loss = ProbeLoss()
     for number in range(1, 20_000):
         loss.note_sent(request(number))
