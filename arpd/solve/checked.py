@@ -1,6 +1,6 @@
-"""Back ends for the DEPTH/DEADLINE program, one module each, and the judge that checks their answers.
+"""Checked back ends of the program: every answer is compared with ``exact``.
 
-Importing this package loads neither osqp nor cvxpy; ``load`` does, when that back end is asked for.
+Importing this module loads neither osqp nor cvxpy; `load` imports the library of the back end it returns.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 def load(backend: Backend) -> Solver:
-    """Return a new solver of that kind, importing its library if it has one."""
+    """Return a new solver of a back end, and import its library if it has one."""
     solver: Solver
     match backend:
         case Backend.EXACT:
@@ -43,10 +43,10 @@ def load(backend: Backend) -> Solver:
 
 
 class CheckedSolver:
-    """A back end whose every answer is compared with ``exact``, which takes over when it fails or differs.
+    """Back end whose every answer is compared with ``exact``, which takes over when it fails or differs.
 
-    Where both agree, the back end has the credit and what is published is the exact number that its floats are near:
-    whether a deadline is one nanosecond longer must not hang on a solver's last digit, nor on which solver it was.
+    Where both agree, the back end gets the credit, and the exact number near its floats is published. So no deadline
+    depends on the last digit of a solver, or on the choice of the solver.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class CheckedSolver:
 
     @property
     def name(self) -> Backend:
-        """The back end that answers first."""
+        """Back end that answers first."""
         return self._solver.name
 
     @property
@@ -71,32 +71,32 @@ class CheckedSolver:
 
     @property
     def disagreements(self) -> int:
-        """Answers that passed the residual check and still differed from ``exact``."""
+        """Number of answers that passed the residual check and still differed from ``exact``."""
         return self._disagreements
 
     def note_infeasible(self) -> None:
-        """Count a problem that analysis found infeasible before any back end was called."""
+        """Count a problem that analysis found infeasible, so no back end was called."""
         self._outcomes[self.name, Infeasible.kind] += 1
 
     def solve(self, problem: ShareProblem) -> tuple[WaterFill, Backend]:
-        """Return the exact shares of a feasible ``problem``, and the back end that found them."""
-        if verdict := infeasibility(problem):
-            raise ValueError(f"the problem must be feasible: {verdict.reason}")
-        filling = water_fill(problem)
+        """Return the exact shares of a feasible ``problem``, and the back end that gets the credit."""
+        if infeasible := infeasibility(problem):
+            raise ValueError(f"the problem must be feasible: {infeasible.reason}")
+        fill = water_fill(problem)
         if self.name is not Backend.EXACT:
             outcome = self._ask(problem)
             self._outcomes[self.name, outcome.kind] += 1
             if isinstance(outcome, Solved):
-                if not disagreement(outcome.values, filling.shares()):
-                    return filling, self.name
+                if not disagreement(outcome.values, fill.shares()):
+                    return fill, self.name
                 self._disagreements += 1
         self._outcomes[Backend.EXACT, Solved.kind] += 1
-        return filling, Backend.EXACT
+        return fill, Backend.EXACT
 
     def _ask(self, problem: ShareProblem) -> Outcome:
         try:
             return self._solver.solve(problem)
-        except Exception as error:  # whatever a library throws, exact has the answer already
+        except Exception as error:  # a library may raise anything; exact has the answer already
             if (reason := f"{self.name}: {type(error).__name__}: {error}") != self._fault:
                 self._fault = reason
                 log.exception("%s; exact takes over", reason)

@@ -1,6 +1,6 @@
-"""cvxpy: the readable statement of the mathematics, for teaching and cross-checks rather than for the tick.
+"""cvxpy: the readable statement of the mathematics, for teaching and cross-checks, not for the tick.
 
-Import this module only when cvxpy is asked for: it costs about 2 s and 113 MiB.
+Import this module only on demand: it costs about 2 s and 113 MiB.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from arpd.solve.scaling import Frame, ShareUnits, settled
 if TYPE_CHECKING:
     from arpd.solve.eq4 import Eq4Problem
 
-#: DAQP is an active-set method (Arnström, Bemporad & Axehill, IEEE TAC 2022), so that this back end shares no algorithm
-#: with the other two, and lands on the constraints: of 7,000 problems with weights over six decades it left none
-#: unsolved and none off by 1e-6. It is dense; beyond a hundred topics the interior-point method Clarabel takes over,
+#: DAQP is an active-set method (Arnström, Bemporad & Axehill, IEEE TAC 2022). So this back end shares no algorithm with
+#: the other two, and its answers lie on the constraints: of 7,000 problems with weights over six decades it left none
+#: unsolved and none off by 1e-6. It is dense; above a hundred topics the interior-point method Clarabel takes over,
 #: which loses some digits of shares that just touch a bound.
 MOST_DENSE = 100
 CLARABEL: dict[str, Any] = {"solver": cp.CLARABEL, "tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
@@ -27,7 +27,7 @@ DAQP: dict[str, Any] = {"solver": cp.DAQP, "primal_tol": 1e-10}
 
 
 class CvxpySolver:
-    """A parametrised (DPP) problem per number of topics; weights and bounds are its Parameters."""
+    """Parametrised (DPP) problem per number of topics; weights and bounds are its Parameters."""
 
     name = Backend.CVXPY
 
@@ -37,8 +37,8 @@ class CvxpySolver:
 
     def solve(self, problem: ShareProblem) -> Outcome:
         """Solve ``problem`` and re-check the residuals of the answer."""
-        if verdict := infeasibility(problem):
-            return verdict
+        if infeasible := infeasibility(problem):
+            return infeasible
         if (known := settled(problem)) is not None:
             return Solved(values=tuple(known))
         if self._count != len(problem.weights):
@@ -62,7 +62,7 @@ class CvxpySolver:
             self._problem.solve(**(DAQP if self._count <= MOST_DENSE else CLARABEL))
         except (cp.error.SolverError, ValueError) as error:
             return SolverFailed(reason=f"cvxpy: {type(error).__name__}: {error}")
-        if self._problem.status != cp.OPTIMAL:  # .value is filled even then
+        if self._problem.status != cp.OPTIMAL:  # .value is set even then
             return SolverFailed(reason=f"cvxpy: {self._problem.status}")
         point = self._problem.var_dict["z"].value / root
         return checked(problem, units.shares(frame, point), solver="cvxpy")
@@ -95,7 +95,7 @@ def solve_eq4(problem: Eq4Problem) -> Outcome:
 
 
 def _state(count: int) -> Any:
-    """State the problem of ``Frame`` for so many topics, in z = √p·x.
+    """State the problem of ``Frame`` for a number of topics, in z = √p·x.
 
     With x itself, cvxpy would add variables without curvature, and DAQP would smooth them at the cost of six digits.
     """

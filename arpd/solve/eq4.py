@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Eq4Status(StrEnum):
-    """Whether Eq. (4) has a solution."""
+    """Existence of a solution of Eq. (4)."""
 
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"
@@ -57,17 +57,17 @@ class Eq4Problem:
             raise ValueError(f"depths {self.min_depth}..{self.max_depth} must be a range that starts at 1 or above")
 
     def depth_limit(self, rate_hz: Fraction) -> Fraction:
-        """Largest D that (3) and its upper bound allow at a rate; below Dmin where there is none (samples)."""
+        """Return the largest D that (3) and Dmax allow at a rate; below Dmin where none is feasible (samples)."""
         limit = self.max_depth * rate_hz / rational(self.max_rate_hz) - self.min_depth
         return min(Fraction(self.max_depth), limit)
 
     def vertex(self) -> tuple[Fraction, Fraction]:
-        """Exact optimum (R*, D*) if there is one: (2) bounds R alone, and D may only grow with R, so both are tight."""
+        """Return the optimum (R*, D*), if any: (2) bounds R alone, and D may only grow with R, so both are tight."""
         rate = rational(self.max_rate_hz) / self.topics - rational(self.min_rate_hz)
         return rate, self.depth_limit(rate)
 
     def checked(self, point: Sequence[float], *, solver: str) -> Outcome:
-        """Turn a library's (R, D) into an outcome: ``Solved`` only if every constraint holds to ``TOLERANCE``."""
+        """Return the outcome of a library's (R, D): ``Solved`` only if every constraint holds to ``TOLERANCE``."""
         rate, depth = point[0] / self.max_rate_hz, point[1] / self.max_depth
         rate_floor, depth_floor = self.min_rate_hz / self.max_rate_hz, self.min_depth / self.max_depth
         slacks = (
@@ -85,18 +85,18 @@ class Eq4Problem:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Eq4Solution:
-    """The answer to Eq. (4); every number is 0 when it is infeasible.
+    """Answer to Eq. (4); every number is 0 when it is infeasible.
 
     Parameters
     ----------
-    status : whether there is an optimum
-    rate_hz, depth : the real optimum R*, D* as the back end gave it (Hz, samples)
+    status : existence of an optimum
+    rate_hz, depth : the real optimum R*, D* of the back end (Hz, samples)
     rate_hz_floor, depth_floor : ⌊R*⌋ and ⌊D*⌋ of the exact vertex, the paper's Table 2
     deadline_ns : ⌈1e9 / R*⌉ (ns)
     depth_applied : depth that keeps (3) at the rate of that whole period (samples)
     binding : the constraints that hold with equality, or the one that cannot be met and why
-    backend : the back end the real optimum came from
-    agreed : whether the back end asked for agreed with the exact vertex; when not, ``backend`` is ``exact``
+    backend : source of the real optimum
+    agreed : True when the requested back end agreed with the exact vertex; otherwise ``backend`` is ``exact``
     """
 
     status: Eq4Status
@@ -112,13 +112,13 @@ class Eq4Solution:
 
 
 def solve_eq4(problem: Eq4Problem, backend: Backend = Backend.EXACT) -> Eq4Solution:
-    """Solve Eq. (4) with ``backend``; the exact vertex decides feasibility and floors and checks the answer.
+    """Solve Eq. (4) with ``backend``; the exact vertex decides feasibility and floors, and checks the answer.
 
-    Feasibility is analytic: R* is the largest rate (2) allows, and (3) allows the largest depth there, so Eq. (4) has
-    a solution if and only if this one point satisfies the lower bounds.
+    Feasibility is analytic: R* is the largest rate that (2) allows, and (3) allows the largest depth there, so Eq. (4)
+    has a solution if and only if this one point satisfies the lower bounds.
 
-    The applied depth is ⌊D⌋ at the rate of the whole period, so (3) holds by construction. Only where (3) leaves
-    exactly Dmin at R* can no whole period satisfy it; there the depth stays Dmin, off by less than 1e-6 samples.
+    The applied depth is ⌊D⌋ at the rate of the whole period, so (3) holds by construction. Where (3) leaves exactly
+    Dmin at R*, no whole period satisfies it; the depth then stays Dmin, off by less than 1e-6 samples.
     """
     rate, depth = problem.vertex()
     if refusal := _refusal(problem, rate, depth):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class ActiveBound(Enum):
-    """Where a share stands."""
+    """Bound at which a share is, or the common level."""
 
     LOW = "at its floor"
     LEVEL = "at the common level"
@@ -23,27 +23,27 @@ class ActiveBound(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WaterFill:
-    """The exact solution of a share problem: e_i = lo_i, ν·w_i or hi_i, according to where i stands.
+    """Exact solution of a share problem: e_i = lo_i, ν·w_i or hi_i, as ``bounds`` says.
 
     Parameters
     ----------
-    problem : what was solved
-    level : ν = level[0]/level[1], the common level of those that stand at it (1/whole per weight)
-    stands : where each share stands
+    problem : the problem it solves
+    level : ν = level[0]/level[1], the common level (1/whole per weight)
+    bounds : bound of each share, or the common level
     """
 
     problem: ShareProblem
     level: tuple[int, int]
-    stands: tuple[ActiveBound, ...]
+    bounds: tuple[ActiveBound, ...]
 
     def ratios(self) -> list[tuple[int, int]]:
         """Return every share exactly, as numerator and denominator (1/whole)."""
         p, (numerator, denominator) = self.problem, self.level
         return [
             (numerator * weight, denominator)
-            if stand is ActiveBound.LEVEL
-            else (low if stand is ActiveBound.LOW else high, 1)
-            for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
+            if bound is ActiveBound.LEVEL
+            else (low if bound is ActiveBound.LOW else high, 1)
+            for weight, low, high, bound in zip(p.weights, p.lo, p.hi, self.bounds, strict=True)
         ]
 
     def shares(self) -> tuple[float, ...]:
@@ -51,14 +51,14 @@ class WaterFill:
         p, level = self.problem, self.level[0] / (self.level[1] * self.problem.whole)
         return tuple(
             [
-                level * weight if stand is ActiveBound.LEVEL else (low if stand is ActiveBound.LOW else high) / p.whole
-                for weight, low, high, stand in zip(p.weights, p.lo, p.hi, self.stands, strict=True)
+                level * weight if bound is ActiveBound.LEVEL else (low if bound is ActiveBound.LOW else high) / p.whole
+                for weight, low, high, bound in zip(p.weights, p.lo, p.hi, self.bounds, strict=True)
             ]
         )
 
 
 class ExactSolver:
-    """The closed form as a back end; never ``SolverFailed``."""
+    """Closed form as a back end; it never returns ``SolverFailed``."""
 
     name = Backend.EXACT
 
@@ -70,20 +70,20 @@ class ExactSolver:
 def water_fill(problem: ShareProblem) -> WaterFill:
     """Return e_i = clip(ν·w_i, lo_i, hi_i) with the largest ν that keeps Σ e_i ≤ B.
 
-    Variable fixing (Bitran & Hax 1981; Kiwiel 2008): pour what is left evenly over the undecided. If the ceilings cut
-    off more than the floors add, the level will only rise, so whoever stands at the ceiling now stays there; if less,
-    it will only fall, so whoever stands at the floor stays there; if both are equal, this is the solution. Every
-    round decides at least one, and half a dozen rounds decide thousands. Nothing but whole numbers is compared and
-    summed, so there is no tolerance, and no order of the topics that could matter.
+    Variable fixing (Bitran & Hax 1981; Kiwiel 2008): pour what is left evenly over the undecided shares. If the
+    ceilings cut off more than the floors add, the level will only rise, so every share at its ceiling stays there. If
+    they cut off less, the level will only fall, so every share at its floor stays there. If both are equal, this is the
+    solution. Every round decides at least one share, and about six rounds decide thousands. All comparisons and sums
+    use whole numbers, so there is no tolerance, and the order of the topics does not matter.
 
     Parameters
     ----------
     problem : a feasible one, Σ lo_i ≤ B
     """
     weights, lo, hi = problem.weights, problem.lo, problem.hi
-    stands = [ActiveBound.LEVEL] * len(weights)
+    bounds = [ActiveBound.LEVEL] * len(weights)
     undecided, left, weight = list(range(len(weights))), problem.budget, sum(weights)
-    while undecided:  # invariant: left and weight are what the undecided share, weight > 0
+    while undecided:  # invariant: left and weight belong to the undecided, weight > 0
         above, below, between = [], [], []
         surplus = 0  # of the ceilings over the floors (1/whole·weight)
         for i in undecided:
@@ -98,15 +98,15 @@ def water_fill(problem: ShareProblem) -> WaterFill:
                 between.append(i)
         if surplus >= 0:
             for i in above:
-                stands[i] = ActiveBound.HIGH
+                bounds[i] = ActiveBound.HIGH
                 left -= hi[i]
                 weight -= weights[i]
         if surplus <= 0:
             for i in below:
-                stands[i] = ActiveBound.LOW
+                bounds[i] = ActiveBound.LOW
                 left -= lo[i]
                 weight -= weights[i]
         if surplus == 0:
             break
         undecided = between + (below if surplus > 0 else above)
-    return WaterFill(problem=problem, level=(left, max(1, weight)), stands=tuple(stands))
+    return WaterFill(problem=problem, level=(left, max(1, weight)), bounds=tuple(bounds))

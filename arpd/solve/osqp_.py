@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 #: ADMM stops at each of these in turn and OSQP polishes, until the polished point passes our own check.
 _STEPS = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
-#: A polished point passes a check a hundred times stricter than needed; only where none does, a lesser one will do.
+#: A polished point passes a check a hundred times stricter than needed; a lesser one counts only where none does.
 _STRICT = 1000
-#: First from where the last problem ended; then from zero, with another ρ to begin with.
+#: First from the end of the last problem; then from zero, with these values of ρ.
 _RESTARTS: tuple[float | None, ...] = (None, 0.01, 1000.0, 1.0, 100.0)
-#: Statements of the same problem, tried in turn. Where the budget all but meets the floors or the ceilings, one in 500
-#: problems over six decades fails as the first, one in 2,000 as the second, and hardly any as both.
+#: Statements of the same problem, tried in turn. Where the budget nearly equals the floors or the ceilings, one in 500
+#: problems over six decades fails in the first statement, one in 2,000 in the second, and hardly any in both.
 _STATEMENTS: tuple[tuple[float, Callable[[ShareUnits, ShareProblem], Frame]], ...] = (
     (BLEND, ShareUnits.from_nothing),
     (BLEND, ShareUnits.from_floors),
     (0.5, ShareUnits.from_floors),
     (0.5, ShareUnits.from_nothing),
 )
-#: ρ adapts at a fixed interval of iterations, so the same sequence of problems takes the same course. The problem is
-#: feasible, so OSQP's search for a proof that it is not is off: it found some.
+#: ρ adapts at a fixed interval of iterations, so the same sequence of problems takes the same course. Every problem is
+#: feasible, so OSQP's search for proofs of infeasibility is off: it found some.
 OPTIONS: dict[str, float | int | bool] = {
     "rho": 10.0,
     "adaptive_rho": True,
@@ -62,10 +62,10 @@ OPTIONS_EQ4 = OPTIONS | {"rho": 1.0, "eps_abs": 1e-6, "adaptive_rho_tolerance": 
 
 
 class OsqpSolver:
-    """Keeps one factorisation for as long as the weights stay, updates only q, l and u, and starts where it ended.
+    """Keeps one factorisation while the weights stay, updates only q, l and u, and starts where it ended.
 
-    (G1) and (G2) have the same weights, so one workspace serves both. Warm starts make the last digits depend on the
-    problems before; what is published does not, see ``CheckedSolver``.
+    (G1) and (G2) have the same weights, so one workspace serves both. After warm starts the last digits depend on
+    earlier problems; published numbers do not, see ``CheckedSolver``.
     """
 
     name = Backend.OSQP
@@ -76,8 +76,8 @@ class OsqpSolver:
 
     def solve(self, problem: ShareProblem) -> Outcome:
         """Solve ``problem`` and re-check the residuals of the answer."""
-        if verdict := infeasibility(problem):
-            return verdict
+        if infeasible := infeasibility(problem):
+            return infeasible
         if (known := settled(problem)) is not None:
             return Solved(values=tuple(known))
         if problem.weights != self._weights:
@@ -97,7 +97,7 @@ class OsqpSolver:
                         best = checked(problem, shares, solver="osqp")
         except (osqp.OSQPException, ValueError) as error:
             best = SolverFailed(reason=f"osqp: {type(error).__name__}: {error}")
-        self._workspaces = {}  # whatever it was, the next problem does not start from there
+        self._workspaces = {}  # the next problem does not start from here
         return best
 
 
@@ -120,7 +120,7 @@ class _Workspace:
         self._eps = _STEPS[0]
 
     def points(self, frame: Frame) -> Iterator[NDArray[np.float64]]:
-        """Yield what OSQP calls solved, better and better, until the caller is content."""
+        """Yield the points that OSQP calls solved, with ever smaller eps."""
         self._osqp.update(q=frame.slope, l=np.concatenate(([1.0], frame.lower)), u=np.concatenate(([1.0], frame.upper)))
         count = len(frame.slope)
         for rho in _RESTARTS:
@@ -132,7 +132,7 @@ class _Workspace:
                     self._osqp.update_settings(eps_abs=eps)
                     self._eps = eps
                 result = self._osqp.solve(raise_error=False)
-                # Necessary, not sufficient: solved again without new data, OSQP keeps the status it had.
+                # Necessary, not sufficient: without new data OSQP keeps its old status.
                 if result.info.status_val == osqp.SolverStatus.OSQP_SOLVED:
                     yield result.x
 
@@ -140,10 +140,9 @@ class _Workspace:
 def solve_eq4(problem: Eq4Problem) -> Outcome:
     """Solve Eq. (4) in the shares e = R/Rmax and g = D/Dmax; return (R, D).
 
-    The LP as printed makes OSQP fail (its columns differ by Dmax/Rmax and it has no curvature). The vertex of
-    Eq. (4) is greater in both coordinates than any other feasible point: (2) bounds R alone and (3) lets D grow with
-    R. So every objective that increases in both picks it, and this one is strictly convex:
-    min (e² + g²)/2 − (e + g), rising for e, g < 1.
+    OSQP fails on the LP as printed (its columns differ by Dmax/Rmax and it has no curvature). The vertex of Eq. (4) is
+    greater in both coordinates than any other feasible point: (2) bounds R alone and (3) lets D grow with R. So every
+    objective that increases in both picks it. This one is strictly convex: min (e² + g²)/2 − (e + g), for e, g < 1.
     """
     rate_floor = problem.min_rate_hz / problem.max_rate_hz
     depth_floor = problem.min_depth / problem.max_depth

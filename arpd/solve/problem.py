@@ -1,4 +1,4 @@
-"""The one problem every back end solves, and the one typed outcome each of them returns."""
+"""Problem that every back end solves, and the typed outcome that each returns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 #: Shares are fractions of the whole link, so one absolute tolerance fits every topic (docs/design.md, The program).
 TOLERANCE = 1e-6
-#: A topic that needs 1e-5 of the link would hide a 10 % error below ``TOLERANCE``; this one it cannot hide.
+#: A topic that needs 1e-5 of the link would hide a 10 % error below ``TOLERANCE``, but not below this one.
 RELATIVE_TOLERANCE = 1e-3
 #: Shares too small for the relative tolerance to mean anything.
 _NOISE = 1e-12
@@ -21,21 +21,21 @@ _NOISE = 1e-12
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShareProblem:
-    """Divide one budget over weighted, bounded shares: (G1) of the link, (G2) of memory (docs/design.md, The program).
+    """Division of a budget into weighted, bounded shares: (G1) and (G2) (docs/design.md, The program).
 
-    ``min Σ e_i²/(2 w_i) − κ Σ e_i  s.t.  Σ e_i ≤ B, lo_i ≤ e_i ≤ hi_i`` with κ ≥ max hi_i / w_i, so that no share
-    stops growing for any reason but a constraint. Its solution is e_i = clip(ν·w_i, lo_i, hi_i): weighted
-    proportional-fair and weighted max-min at once.
+    ``min Σ e_i²/(2 w_i) − κ Σ e_i  s.t.  Σ e_i ≤ B, lo_i ≤ e_i ≤ hi_i`` with κ ≥ max hi_i / w_i, so only a constraint
+    stops a share from growing. Its solution is e_i = clip(ν·w_i, lo_i, hi_i): weighted proportional-fair and weighted
+    max-min at once.
 
-    Every number is whole, in units that the caller chose so that no digit is lost; a back end that works in floats
-    divides by ``whole``.
+    Every number is whole, in units of the caller that lose no digit; a back end that works in floats divides by
+    ``whole``.
 
     Parameters
     ----------
     weights : w_i > 0, in any common unit
     lo, hi : bounds of the shares, 0 ≤ lo_i ≤ hi_i (1/whole)
     budget : B > 0 (1/whole)
-    whole : what a share of 1 is, > 0
+    whole : units in a share of 1, > 0
     """
 
     weights: tuple[int, ...]
@@ -47,7 +47,7 @@ class ShareProblem:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Solved:
-    """A vector of shares whose residuals were checked by us, not only by the library that returned it."""
+    """Vector of shares whose residuals arpd checked, not only the library that returned it."""
 
     kind: ClassVar[str] = "solved"
     values: tuple[float, ...]
@@ -55,7 +55,7 @@ class Solved:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Infeasible:
-    """No vector can satisfy the constraints; found analytically, never from a solver's status."""
+    """Constraints that no vector can satisfy, by analysis and never by the status of a solver."""
 
     kind: ClassVar[str] = "infeasible"
     reason: str
@@ -63,7 +63,7 @@ class Infeasible:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SolverFailed:
-    """The back end has no usable answer: a status other than solved, or residuals that do not hold."""
+    """Back end without a usable answer: a status other than solved, or residuals that do not hold."""
 
     kind: ClassVar[str] = "failed"
     reason: str
@@ -73,7 +73,7 @@ Outcome = Solved | Infeasible | SolverFailed
 
 
 class Solver(Protocol):
-    """A back end; ``name`` is its name in settings, metrics and ``Allocation.backend``."""
+    """Back end; ``name`` is its name in settings, metrics and ``Allocation.backend``."""
 
     name: Backend
 
@@ -83,7 +83,7 @@ class Solver(Protocol):
 
 
 def infeasibility(problem: ShareProblem) -> Infeasible | None:
-    """Return why ``problem`` has no solution, None when it has one: the floors alone decide."""
+    """Return why ``problem`` has no solution, None when it has one; only the floors decide."""
     floors = sum(problem.lo)
     if floors > problem.budget:
         needed, budget = floors / problem.whole, problem.budget / problem.whole
@@ -92,12 +92,12 @@ def infeasibility(problem: ShareProblem) -> Infeasible | None:
 
 
 def checked(problem: ShareProblem, values: Sequence[float], *, solver: str, parts: int = 10) -> Outcome:
-    """Turn a library's vector into an outcome: ``Solved`` only if it is feasible and optimal.
+    """Return the outcome of a library's vector: ``Solved`` only if it is feasible and optimal.
 
     Parameters
     ----------
-    solver : whose vector it is, for the reason of a failure
-    parts : what the tolerances are divided by: small misses of many shares add up
+    solver : name of the library, for the reason of a failure
+    parts : divisor of the tolerances, because small misses of many shares add up
     """
     if len(values) != len(problem.lo) or any(math.isnan(value) for value in values):
         return SolverFailed(reason=f"{solver}: not one number per topic")
@@ -111,7 +111,7 @@ def checked(problem: ShareProblem, values: Sequence[float], *, solver: str, part
 
 
 def infeasible_by(problem: ShareProblem, values: Sequence[float]) -> float:
-    """Largest violation of any constraint (share)."""
+    """Return the largest violation of any constraint (share)."""
     return max(
         math.fsum(values) - problem.budget / problem.whole,
         *(lo / problem.whole - value for lo, value in zip(problem.lo, values, strict=True)),
@@ -121,10 +121,10 @@ def infeasible_by(problem: ShareProblem, values: Sequence[float]) -> float:
 
 
 def at_level(problem: ShareProblem, values: Sequence[float]) -> list[float]:
-    """Return clip(ν·w_i, lo_i, hi_i) at the level ν these shares stand at: of an optimum, the shares themselves.
+    """Return clip(ν·w_i, lo_i, hi_i) at the level ν of these shares; for an optimum these are the shares themselves.
 
-    ν is taken from the share that is farthest from both its bounds: on that one the solver's noise tells least. Where
-    all stand on bounds, the highest of those at their ceilings will do.
+    The share farthest from both its bounds gives ν, because the solver's noise matters least there. Where all are at
+    bounds, the highest one at its ceiling gives ν.
     """
     whole, heaviest = problem.whole, max(problem.weights)
     rows = [
@@ -143,12 +143,7 @@ def at_level(problem: ShareProblem, values: Sequence[float]) -> list[float]:
 
 
 def disagreement(values: Sequence[float], reference: Sequence[float], *, parts: int = 1) -> bool:
-    """Whether two answers differ by more than the tolerances, absolute or relative, in any share.
-
-    Parameters
-    ----------
-    parts : what the tolerances are divided by
-    """
+    """Return whether two answers differ in any share by more than the tolerances, which ``parts`` divides."""
     return any(
         parts * abs(value - truth) > min(TOLERANCE, RELATIVE_TOLERANCE * max(truth, _NOISE))
         for value, truth in zip(values, reference, strict=True)

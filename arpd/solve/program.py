@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Division:
-    """How one budget was divided.
+    """Division of one budget.
 
     Parameters
     ----------
     values : share of the link (1/units.share) or depth (samples) per row
-    bindings : what stopped each value
+    bindings : what stops each value
     backend : back end that answered
     given_up : what was given up, in words
     """
@@ -49,28 +49,28 @@ class Program:
 
     With identical topics, η = 1, ρ = Rmin, no latency budget and ample memory this is Eq. (4) of the paper.
 
-    Everything is counted in whole numbers (``demand.Units``), so nothing is lost to binary noise before the last step,
-    and that one is safe: ⌈1e9/R⌉ can only lower a rate, ⌊D⌋ can only lower a depth, and both budgets are sums.
+    All numbers are whole (``rows.Units``), so binary noise loses nothing before the last step. That step is safe:
+    ⌈1e9/R⌉ can only lower a rate, ⌊D⌋ can only lower a depth, and both budgets are sums.
 
-    Infeasibility is decided before any solver runs, and the answer gives way in this order, by no more than it must,
-    so that no rate rises while the capacity falls:
+    Analysis decides infeasibility before any solver runs. The program then gives up, in this order and by no more than
+    it must, so no rate rises while the capacity falls:
 
-    1. δ: where τ_i·R_i − δ_i would be below Dmin_i, the depth is Dmin_i. Every slow topic on a fast link meets
-       this, and nobody loses anything by it: it shows as ``depth_binding`` FLOOR and is not called degraded.
+    1. δ: where τ_i·R_i − δ_i is below Dmin_i, the depth is Dmin_i. Every slow topic on a fast link meets this and loses
+       nothing: ``depth_binding`` is FLOOR, and the answer is not degraded.
     2. ρ, the rate reserve.
-    3. the floors ℓ_i, class by class in ascending weight, down to 0 (paused); for memory, Dmin_i down to 1.
+    3. The floors ℓ_i, class by class in ascending weight, down to 0 (paused); for memory, Dmin_i down to 1.
 
     Σ e_i never exceeds η.
 
     Parameters
     ----------
-    settings : the operator's choice of back end
+    settings : choice of the back end
     headroom : η, the share of the capacity that may be planned, 0..1
-    packet_overhead_s : t_ovh, link time per packet beyond its bytes (s)
+    packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
     backend : back end for this program alone; None = the one in ``settings``
     rate_reserve : ρ_i as a multiple of ℓ_i; the paper's is 1, the daemon's 0 because η reserves already
     depth_reserve : δ_i as a multiple of Dmin_i; the paper's is 1
-    clock : monotonic clock that times a solve (s); without one ``Allocation.solve_s`` stays 0
+    clock : monotonic clock for ``Allocation.solve_s``, which stays 0 without one (s)
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Program:
     def of(
         cls, settings: Settings, *, backend: Backend | None = None, clock: Callable[[], float] = lambda: 0.0
     ) -> Program:
-        """Return the program that a configuration asks for, live or offline."""
+        """Return the program of a configuration, live or offline."""
         return cls(
             settings=settings.program,
             headroom=settings.link.headroom,
@@ -121,7 +121,7 @@ class Program:
 
     @property
     def disagreements(self) -> int:
-        """Answers that ``exact`` contradicted since this program was made."""
+        """Number of answers that ``exact`` contradicted since this program was made."""
         return self._solver.disagreements
 
     def solve(
@@ -134,20 +134,20 @@ class Program:
     ) -> Allocation:
         """Divide the link and the memory among ``topics``.
 
-        ``deadline_ns`` of the answer is the bare period ⌈1e9/R⌉, 0 for a paused topic; the planner multiplies the
-        slack in. A topic that cannot be given any rate is paused: rate 0, ``deadline_ns`` 0, depth at its floor.
+        ``deadline_ns`` of the answer is the bare period ⌈1e9/R⌉, without the slack of a plan. A topic that gets no rate
+        is paused: rate 0, ``deadline_ns`` 0, depth at its floor.
 
         Parameters
         ----------
-        capacity_bytes_per_second : C, after foreign traffic and before headroom, ≥ 0 (bytes/s)
-        topics : the demand, one row each
-        memory_budget_bytes : M, what all histories together may take, ≥ 0 (bytes)
-        packet_overhead_s : t_ovh as measured, ≥ 0; None = the one this program was made with (s)
+        capacity_bytes_per_second : C, after cross traffic and before headroom, ≥ 0 (bytes/s)
+        topics : rows of the program
+        memory_budget_bytes : M, memory that all histories may take, ≥ 0 (bytes)
+        packet_overhead_s : measured t_ovh, ≥ 0; None = that of this program (s)
         """
         overhead_s = self._packet_overhead_s if packet_overhead_s is None else packet_overhead_s
         question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes, overhead_s)
         if self._last is not None and self._last[0] == question:
-            return self._last[1]  # most ticks bring nothing new, and exact arithmetic is most of a tick's cost
+            return self._last[1]  # most ticks bring nothing new, and exact arithmetic is most of their cost
         started = self._clock()
         for name, value in (
             ("capacity", capacity_bytes_per_second),
@@ -178,9 +178,9 @@ class Program:
         return self._published(rows, link, memory, level)
 
     def _divide_link(self, rows: list[Row]) -> _Division:
-        """(G1): a share of the link per row."""
+        """Solve (G1): a share of the link per row."""
         whole_link = rows[0].units.share
-        usable = whole_link * self._headroom[0] // self._headroom[1]  # exact: the units were chosen for it
+        usable = whole_link * self._headroom[0] // self._headroom[1]  # exact in these units
         needed = sum(r.lo for r in rows)
         reserve = self._rate_reserve * needed
         if needed + reserve > usable:
@@ -193,17 +193,17 @@ class Program:
             budget=usable - reserve,
             whole=whole_link,
         )
-        filling, backend = self._solver.solve(problem)
+        fill, backend = self._solver.solve(problem)
         bindings = [
             r.ceiling
-            if stand is ActiveBound.HIGH or r.lo == r.hi
-            else (Binding.FLOOR if stand is ActiveBound.LOW and r.lo else Binding.LINK)
-            for r, stand in zip(rows, filling.stands, strict=True)
+            if bound is ActiveBound.HIGH or r.lo == r.hi
+            else (Binding.FLOOR if bound is ActiveBound.LOW and r.lo else Binding.LINK)
+            for r, bound in zip(rows, fill.bounds, strict=True)
         ]
-        return _Division(values=filling.ratios(), bindings=bindings, backend=backend)
+        return _Division(values=fill.ratios(), bindings=bindings, backend=backend)
 
     def _divide_memory(self, rows: list[Row], link: _Division, memory_budget: Ratio) -> _Division:
-        """(G2): a depth per row, given the rates."""
+        """Solve (G2): a depth per row, given the rates."""
         (*slots, budget), _ = whole([*(decimal(r.topic.slot_bytes) for r in rows), memory_budget])
         needed = sum(slot * r.topic.min_depth for slot, r in zip(slots, rows, strict=True))
         if needed > budget:
@@ -221,22 +221,22 @@ class Program:
             budget=budget * SAMPLE,
             whole=max(1, budget * SAMPLE),
         )
-        filling, backend = self._solver.solve(problem)
+        fill, backend = self._solver.solve(problem)
         values: list[Ratio] = []
         bindings: list[Binding] = []
-        for i, (r, (taken, parts), stand) in enumerate(zip(rows, filling.ratios(), filling.stands, strict=True)):
-            if stand is ActiveBound.HIGH or problem.lo[i] == problem.hi[i]:
+        for i, (r, (taken, parts), bound) in enumerate(zip(rows, fill.ratios(), fill.bounds, strict=True)):
+            if bound is ActiveBound.HIGH or problem.lo[i] == problem.hi[i]:
                 values.append((caps[i], SAMPLE))
                 bindings.append(r.depth_binding(justified[i]))
             else:
                 values.append((taken, parts * slots[i] * SAMPLE))
-                bindings.append(Binding.FLOOR if stand is ActiveBound.LOW else Binding.MEMORY)
+                bindings.append(Binding.FLOOR if bound is ActiveBound.LOW else Binding.MEMORY)
         return _Division(values=values, bindings=bindings, backend=backend)
 
     def _published(self, rows: list[Row], link: _Division, memory: _Division, level: float) -> Allocation:
-        """Round both divisions to whole nanoseconds and samples, and put them into one answer.
+        """Round both divisions to whole nanoseconds and samples, and join them in one answer.
 
-        The depth is floored last, from the rate of the whole period, so (3) holds by construction.
+        The depth is rounded down last, from the rate of the whole period, so (3) holds by construction.
         """
         topics = []
         for i, r in enumerate(rows):
@@ -269,7 +269,7 @@ class Program:
 
 
 def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _Division:
-    """Give up the rate reserve, then floors; what is left of the floors is all the link carries."""
+    """Give up the rate reserve, then floors; the link carries only what remains of the floors."""
     left = give_up([r.lo for r in rows], [r.weight for r in rows], needed - usable)
     notes = [f"rate reserve {_left((max(0, usable - needed), reserve))}"] if reserve else []
     notes += [f"rate floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
@@ -286,7 +286,7 @@ def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _D
 
 
 def _cut_depths(rows: list[Row], slots: list[int], *, needed: int, budget: int) -> _Division:
-    """Give up depth floors down to one sample, which is the least a history can hold."""
+    """Give up depth floors down to one sample, the least that a history can hold."""
     spare = [slot * (r.topic.min_depth - 1) for slot, r in zip(slots, rows, strict=True)]
     left = give_up(spare, [r.weight for r in rows], needed - budget)
     notes = [f"depth floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
@@ -305,7 +305,7 @@ def _cut_depths(rows: list[Row], slots: list[int], *, needed: int, budget: int) 
 
 
 def _paused(topics: Sequence[Topic]) -> Allocation:
-    """Answer for a link that carries nothing: every topic waits, none loses its depth floor."""
+    """Answer for a link that carries nothing: every topic pauses and keeps its depth floor."""
     for topic in topics:
         refuse_nonsense(topic)
     return Allocation(
@@ -333,16 +333,12 @@ def _paused(topics: Sequence[Topic]) -> Allocation:
 
 def _empty(level: float) -> Allocation:
     return Allocation(
-        topics=(),
-        status=AllocationStatus.EMPTY,
-        binding=Binding.NOTHING,
-        capacity_bytes_per_second=level,
-        backend=Backend.EXACT,
+        topics=(), status=AllocationStatus.EMPTY, binding=Binding.NOTHING, capacity_bytes_per_second=level
     )
 
 
 def _overall(link: _Division, memory: _Division) -> Binding:
-    """Return the constraint to relax first: the link if any topic lacks rate, then memory, then the wishes."""
+    """Return the constraint to relax first: the link if any topic lacks rate, then memory, then desired rates."""
     if {Binding.LINK, Binding.FLOOR} & set(link.bindings):
         return Binding.LINK
     if Binding.MEMORY in memory.bindings or memory.given_up:

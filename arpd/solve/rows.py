@@ -1,4 +1,4 @@
-"""What the topics ask of the link and of memory, in whole numbers: the rows of the program.
+"""Rows of the program in whole numbers: what topics ask of the link and of memory.
 
 Design: docs/design.md, The program.
 """
@@ -17,14 +17,14 @@ from arpd.model.plan import NANOSECONDS_PER_SECOND
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Parts of a sample in which history is counted. Rounding down to a part first and to a sample later is rounding down
-#: to a sample, so no depth falls through binary noise; and every topic's history is a multiple of the same part.
+#: Parts of a sample that count history. Rounding down to a part and then to a sample equals rounding down to a sample,
+#: so no depth falls through binary noise, and every topic's history is a multiple of the same part.
 SAMPLE = 1 << 64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Units:
-    """The parts in which ``Row`` counts, chosen so that everything is whole.
+    """Parts in which ``Row`` counts, chosen so every number is whole.
 
     Parameters
     ----------
@@ -45,18 +45,18 @@ class Units:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Row:
-    """One topic's wishes, reconciled with each other and with the link.
+    """Preferences of one topic, reconciled with each other and with the link.
 
     Parameters
     ----------
-    topic : where the row comes from
-    units : what the whole numbers count
+    topic : source of the row
+    units : units of the whole numbers
     weight : w_i (1/weight)
     cost : a_i = k_i·t_ovh + s_i/C = 1/Rmax_i, link time per message, > 0 (1/time s)
     lo, hi : a_i·ℓ_i and a_i·u_i, the shares at the floor and at the desired rate (1/share)
-    ceiling : what a topic at ``hi`` lacks for more: a wish, or the link, when the wish was for more than all of it
-    window_s : τ_i = Dmax_i/Rmax_i = Dmax_i·a_i, capped by the latency budget: what a full history stands for (s)
-    window : whether the link or the latency budget sets τ_i
+    ceiling : what stops a topic at ``hi``: its desired rate, or the link when that rate needs more than all of it
+    window_s : τ_i = Dmax_i/Rmax_i = Dmax_i·a_i, capped by the latency budget: the time a full history stands for (s)
+    window : what sets τ_i, the link or the latency budget
     """
 
     topic: Topic
@@ -71,59 +71,50 @@ class Row:
 
     @property
     def max_rate_hz(self) -> float:
-        """Rmax_i = 1/a_i, the rate with the link to itself (Hz)."""
+        """Rmax_i = 1/a_i, the rate of a topic that has the link to itself (Hz)."""
         return self.units.time / self.cost
 
     def rate_hz(self, share: Ratio) -> Ratio:
-        """R_i = e_i/a_i, the rate that a share of the link carries (Hz).
-
-        Parameters
-        ----------
-        share : e_i (1/share)
-        """
+        """Return R_i = e_i/a_i, the rate that a share e_i of the link carries, in 1/share (Hz)."""
         return share[0], share[1] * self.cost * self.units.rate
 
     def justified(self, rate_hz: Ratio, *, reserve: int) -> int:
-        """Return τ_i·R_i − δ_i, the history that Eq. (3) and (G2) allow at a rate (1/SAMPLE).
-
-        Parameters
-        ----------
-        reserve : δ_i as a multiple of Dmin_i
-        """
+        """Return τ_i·R_i − δ_i, the history that Eq. (3) and (G2) allow at a rate; δ_i = reserve·Dmin_i (1/SAMPLE)."""
         samples = self.window_s[0] * rate_hz[0] * SAMPLE // (self.window_s[1] * rate_hz[1])
         return samples - reserve * self.topic.min_depth * SAMPLE
 
     def depth_cap(self, justified: int) -> int:
-        """Most history the topic may have: what is justified, within Dmin_i..Dmax_i (1/SAMPLE).
+        """Return the most history of the topic: what is justified, within Dmin_i..Dmax_i (1/SAMPLE).
 
-        Where the floor and the reserve δ collide, δ gives way by exactly as much as it must. That keeps the cap
-        continuous and monotone in the rate; dropping δ at once would make a slower topic deeper.
+        Where the floor and the reserve δ collide, δ shrinks by exactly as much as it must. So the cap is continuous and
+        monotone in the rate; dropping δ at once would make a slower topic deeper.
         """
         return max(self.topic.min_depth * SAMPLE, min(self.topic.max_depth * SAMPLE, justified))
 
     def depth_binding(self, justified: int) -> Binding:
-        """Return what holds the depth at its cap; Eq. (3) ties history to the topic's part of the link."""
+        """Return what stops the depth at its cap; Eq. (3) ties history to the topic's part of the link."""
         if justified < self.topic.min_depth * SAMPLE:
             return Binding.FLOOR
         return Binding.MAX_DEPTH if justified >= self.topic.max_depth * SAMPLE else self.window
 
 
 def rows_of(topics: Sequence[Topic], *, capacity: Ratio, packet_overhead: Ratio, parts: int) -> list[Row]:
-    """Reconcile the topics' wishes, and find units in which all of them are whole.
+    """Reconcile the topics' preferences, and find units in which all of them are whole.
 
     Parameters
     ----------
     capacity : C > 0 (bytes/s)
     packet_overhead : t_ovh (s)
-    parts : a number by which a share of 1 must be divisible
+    parts : number that must divide a share of 1
     """
     for topic in topics:
         refuse_nonsense(topic)
     weights, weight_scale = whole([decimal(topic.weight) for topic in topics])
     sizes, size_scale = whole([decimal(topic.wire_bytes) for topic in topics])
     floors, floor_scale = whole([decimal(topic.min_rate_hz) for topic in topics])
-    wishes, wish_scale = whole([decimal(_finite(topic.desired_rate_hz)) for topic in topics])
-    rate_scale = math.lcm(floor_scale, wish_scale)
+    rates = [0.0 if math.isinf(topic.desired_rate_hz) else topic.desired_rate_hz for topic in topics]
+    desired, desired_scale = whole([decimal(rate_hz) for rate_hz in rates])
+    rate_scale = math.lcm(floor_scale, desired_scale)
     # a_i = k_i·t + s_i/C over the common denominator of t, of the sizes and of C
     units = Units(time=packet_overhead[1] * size_scale * capacity[0] * parts, rate=rate_scale, weight=weight_scale)
     per_packet = packet_overhead[0] * size_scale * capacity[0] * parts
@@ -135,23 +126,23 @@ def rows_of(topics: Sequence[Topic], *, capacity: Ratio, packet_overhead: Ratio,
             weight=weight,
             cost=topic.packets * per_packet + size * per_byte,
             floor=floor * (rate_scale // floor_scale),
-            wish=wish * (rate_scale // wish_scale),
+            desired=rate * (rate_scale // desired_scale),
         )
-        for topic, weight, size, floor, wish in zip(topics, weights, sizes, floors, wishes, strict=True)
+        for topic, weight, size, floor, rate in zip(topics, weights, sizes, floors, desired, strict=True)
     ]
 
 
-def _row(topic: Topic, units: Units, *, weight: int, cost: int, floor: int, wish: int) -> Row:
-    """Reconcile one topic's wishes.
+def _row(topic: Topic, units: Units, *, weight: int, cost: int, floor: int, desired: int) -> Row:
+    """Reconcile the preferences of one topic.
 
-    A desired rate of ``inf`` means no wish: Rmax_i, what the link carries of this topic alone. One of 0 means that
-    nothing was measured yet: the floor. A floor above the desired rate is lowered to it, for a deadline shorter than
-    the source's own period would be missed for ever.
+    A desired rate of ``inf`` means Rmax_i, what the link carries of this topic alone. A desired rate of 0 means that
+    nothing was measured yet, so the floor counts. A floor above the desired rate falls to it, because the source would
+    miss every deadline shorter than its own period.
     """
     if math.isinf(topic.desired_rate_hz):
         lo, wanted = cost * floor, units.share
     else:
-        ceiling = wish or floor
+        ceiling = desired or floor
         lo, wanted = cost * min(floor, ceiling), cost * ceiling
     link = topic.max_depth * cost, units.time
     budget = link if topic.latency_budget_s is None else decimal(topic.latency_budget_s)
@@ -169,12 +160,8 @@ def _row(topic: Topic, units: Units, *, weight: int, cost: int, floor: int, wish
     )
 
 
-def _finite(rate_hz: float) -> float:
-    return 0.0 if math.isinf(rate_hz) else rate_hz
-
-
 def refuse_nonsense(topic: Topic) -> None:
-    """Raise ``ValueError`` naming the topic and the field when a number is none the program can use."""
+    """Raise ``ValueError`` with topic and field when the program cannot use a number."""
     finite = {
         "min_rate_hz": topic.min_rate_hz,
         "slot_bytes": topic.slot_bytes,
@@ -199,7 +186,7 @@ def give_up(amounts: Sequence[int], weights: Sequence[int], deficit: int) -> dic
 
     Returns
     -------
-    Weight class → the part of it that is left, 0..1, only for the classes that lose something.
+    Weight class → its remaining part, 0..1, only for the classes that lose something.
     """
     left: dict[int, Ratio] = {}
     totals: dict[int, int] = {}
@@ -213,34 +200,34 @@ def give_up(amounts: Sequence[int], weights: Sequence[int], deficit: int) -> dic
     return left
 
 
-#: A numerator and a denominator > 0, in whatever terms: a ``Fraction`` spends most of its time on the lowest ones.
+#: A numerator and a denominator > 0, not reduced: a ``Fraction`` spends most of its time on reducing them.
 Ratio = tuple[int, int]
-#: DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t); what publishes less often does not publish.
+#: DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t); a slower topic counts as paused.
 _LONGEST_PERIOD_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
 
 
 @lru_cache(maxsize=8192)
 def decimal(value: float) -> Ratio:
-    """Return the decimal a person would read in ``value``: 0.85 is 17/20, not the nearest binary fraction."""
+    """Return the decimal that a person reads in ``value``: 0.85 is 17/20, not the nearest binary fraction."""
     return Fraction(repr(float(value))).as_integer_ratio()
 
 
 def rational(value: float) -> Fraction:
-    """Return the same as a ``Fraction``."""
+    """Return `decimal` as a ``Fraction``."""
     return Fraction(*decimal(value))
 
 
 def whole(values: Sequence[Ratio]) -> tuple[list[int], int]:
-    """Return the values as whole multiples of 1/scale, and that scale: sums and comparisons are exact, and cheap."""
+    """Return the values as whole multiples of 1/scale, and that scale; sums and comparisons are exact and cheap."""
     scale = math.lcm(*(denominator for _, denominator in values))
     return [numerator * (scale // denominator) for numerator, denominator in values], scale
 
 
 def period_ns(rate_hz: Ratio) -> int:
-    """Shortest whole period that is not faster than the rate: ⌈1e9 / R⌉ (ns); 0 for a paused topic.
+    """Return the shortest whole period that is not faster than the rate: ⌈1e9 / R⌉ (ns); 0 for a paused topic.
 
     Rounding the period up can only lower the rate, and every constraint on the link, Eq. (2) as well as (G1), loosens
-    as R falls: what was feasible stays so. A period longer than a DDS duration can be is a pause, too.
+    as R falls, so a feasible rate stays feasible. A period above the longest DDS duration is a pause, too.
     """
     numerator, denominator = rate_hz
     if numerator <= 0:
@@ -250,5 +237,5 @@ def period_ns(rate_hz: Ratio) -> int:
 
 
 def rate_of(period: int) -> Ratio:
-    """Rate Rq of a whole period in ns (Hz); 0 for a paused topic."""
+    """Return the rate of a whole period in ns (Hz); 0 for a paused topic."""
     return (NANOSECONDS_PER_SECOND, period) if period else (0, 1)

@@ -1,4 +1,4 @@
-"""The share problem in the units in which a numerical solver gets it right."""
+"""Share problem in units that a numerical solver solves accurately."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
 
     from arpd.solve.problem import ShareProblem
 
-#: How far the units follow the weights: 0 = one unit for all, 1 = units in which all shares have the same curvature.
-#: With 1, ADMM slows down with the lightest topic's part of all weight, a millionth over the six decades a
-#: configuration admits; with 0, the curvatures spread and small shares come out wrong. Of 24,000 random problems over
-#: six decades OSQP left 0.7 % unsolved at 0.75 and 0.05 % at 0.5, none at 0.2, and got 4 % wrong at 0.
+#: Exponent of the weights in the units: 0 = one unit for all, 1 = units in which all shares have the same curvature.
+#: With 1, ADMM slows down with the lightest topic's part of all weight, which may be a millionth in a configuration.
+#: With 0, the curvatures spread and small shares come out wrong. Of 24,000 random problems over six decades OSQP left
+#: 0.7 % unsolved at 0.75 and 0.05 % at 0.5, none at 0.2, and got 4 % wrong at 0.
 BLEND = 0.2
 _BILLION = 10**9
 
 
 def settled(problem: ShareProblem) -> list[float] | None:
-    """Return the shares where analysis alone knows them: all floors when nothing is left, all ceilings when all fit.
+    """Return the shares where analysis knows them: all floors when nothing is left, all ceilings when all fit.
 
-    Both to a billionth of the budget: what is closer than that is degenerate for a solver in floats, which would spend
-    its digits on a difference far below ``TOLERANCE``.
+    Both hold to a billionth of the budget. A closer problem is degenerate for a solver in floats, which would spend its
+    digits on a difference far below ``TOLERANCE``.
     """
     if (problem.budget - sum(problem.lo)) * _BILLION <= problem.budget:
         known = problem.lo
@@ -39,8 +39,8 @@ def settled(problem: ShareProblem) -> list[float] | None:
 class Frame:
     """``min Σ p_i·x_i²/2 + Σ q_i·x_i  s.t.  Σ r_i·x_i = 1, l ≤ x ≤ u``, where e_i = o_i + t·r_i·x_i.
 
-    κ only says that whatever can be handed out is. Where ``settled`` knows no answer that is all of B, and the
-    equality says it without a slope whose size would swamp the curvature.
+    κ only makes the shares take all that they can. Where ``settled`` knows no answer, that is all of B. The equality
+    states this without a slope whose size would swamp the curvature.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShareUnits:
-    """The part of the statement that depends on the weights alone.
+    """Part of the statement that depends on the weights alone.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class ShareUnits:
         return cls(curvature=curvature * steepness, row=np.sqrt(parts), steepness=steepness, weights=relative)
 
     def from_nothing(self, problem: ShareProblem) -> Frame:
-        """Measure shares from 0 in parts of the budget: no slope at all."""
+        """Measure shares from 0 in parts of the budget; there is no slope."""
         room = _reachable(problem)
         lower = np.array([low / problem.budget for low in problem.lo])
         upper = np.array(
@@ -100,10 +100,10 @@ class ShareUnits:
         )
 
     def from_floors(self, problem: ShareProblem) -> Frame:
-        """Measure shares from their floors in parts of what is left: right where little is left.
+        """Measure shares from their floors in parts of what is left; accurate where little is left.
 
-        A share at its floor already has the level lo/w. Those levels are the slope, from the lowest one up; where a
-        floor is above any level that can be reached it stays there whatever its slope.
+        A share at its floor already has the level lo/w. Those levels, from the lowest one up, are the slope; a share
+        whose floor is above every reachable level stays there at any slope.
         """
         room, reachable = problem.budget - sum(problem.lo), _reachable(problem)
         span = np.array([min(high - low, reachable) / room for low, high in zip(problem.lo, problem.hi, strict=True)])
@@ -120,17 +120,17 @@ class ShareUnits:
         )
 
     def shares(self, frame: Frame, point: NDArray[np.float64]) -> list[float]:
-        """Return the shares e of a point x, put inside its bounds first."""
+        """Return the shares e of a point x, clipped to its bounds."""
         inside = np.clip(point, frame.lower, frame.upper)
         shares: list[float] = (frame.origin + frame.unit * self.row * inside).tolist()
         return shares
 
 
 def _reachable(problem: ShareProblem) -> int:
-    """Return how far above its floor a ceiling is kept: a little more than anybody can get (1/whole).
+    """Return the most that a ceiling may exceed its floor: a little more than any share can get (1/whole).
 
-    Uncut, such ceilings cost digits (5 % of wide problems came out wrong); cut exactly to what can be reached, one of
-    them would repeat the budget, and what is then degenerate cannot be polished.
+    Uncut ceilings cost digits (5 % of wide problems came out wrong). A ceiling cut exactly to the reachable repeats the
+    budget, and such a degenerate problem cannot be polished.
     """
     room = problem.budget - sum(problem.lo)
     return room + max(1, room // 8)

@@ -1,4 +1,4 @@
-"""From live publishers, or from what the configuration assumes of them, to the rows of the program."""
+"""Rows of the program, from live publishers or from what the configuration assumes."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _LEAST_BUDGET_BYTES = 2.0**20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Traffic:
-    """What the publishers of one topic bring to the link.
+    """Load that the publishers of one topic put on the link.
 
     Parameters
     ----------
     topic : topic name
     payload_bytes : serialized size of a sample, > 0 (bytes)
-    source_rate_hz : rate the application publishes at, 0 = silent (Hz)
-    copies : times each sample crosses the link: once per remote reader of each publisher
+    source_rate_hz : rate at which the application publishes, 0 = silent (Hz)
+    copies : times that each sample crosses the link: once per remote reader of each publisher
     """
 
     topic: str
@@ -38,7 +38,7 @@ class Traffic:
 
 
 def topics_to_plan(publishers: Iterable[PublisherState], settings: Settings) -> tuple[Topic, ...]:
-    """Return one row per topic that crosses the link and has been seen to publish, sorted by name."""
+    """Return one row per topic that crosses the link and has published, sorted by name."""
     return rows_of_traffic(measured_traffic(publishers), settings)
 
 
@@ -48,10 +48,7 @@ def rows_of_traffic(traffic: Iterable[Traffic], settings: Settings) -> tuple[Top
 
 
 def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...]:
-    """Return what crosses the link, of topics that have been seen to publish.
-
-    Several publishers of one topic are one entry: it costs what all of them put on the link.
-    """
+    """Return the traffic of topics that cross the link and have published, all publishers of a topic together."""
     by_topic: dict[str, list[PublisherState]] = {}
     for publisher in publishers:
         if publisher.direction is not Direction.LOCAL and publisher.payload_bytes > 0:
@@ -68,27 +65,27 @@ def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...
 
 
 def assumed_traffic(settings: Settings) -> tuple[Traffic, ...]:
-    """Return what the configuration says of topics nobody has measured, with one remote reader each."""
+    """Return the traffic that the configuration assumes, with one remote reader per topic."""
     return tuple(
-        Traffic(topic=name, payload_bytes=wishes.payload_bytes, source_rate_hz=wishes.source_rate_hz)
-        for name, wishes in settings.topics.items()
-        if wishes.payload_bytes is not None and wishes.source_rate_hz is not None
+        Traffic(topic=name, payload_bytes=preferences.payload_bytes, source_rate_hz=preferences.source_rate_hz)
+        for name, preferences in settings.topics.items()
+        if preferences.payload_bytes is not None and preferences.source_rate_hz is not None
     )
 
 
 def memory_budget_bytes(memory: MemoryState, settings: ProgramSettings) -> float:
-    """M of (G2): the configured budget, less when the host runs short (bytes)."""
+    """Return M of (G2): the configured budget, less when the host runs short of memory (bytes)."""
     spare = memory.available_bytes - settings.memory_reserve_bytes
     return max(_LEAST_BUDGET_BYTES, min(settings.memory_budget_bytes, spare))
 
 
 def _row(traffic: Traffic, settings: Settings) -> Topic:
-    wishes = settings.topic(traffic.topic)
+    preferences = settings.topic(traffic.topic)
     source_hz = traffic.source_rate_hz
-    desired_hz = source_hz if wishes.max_rate_hz is None else min(source_hz, wishes.max_rate_hz)
-    # A topic never asks for a floor above what its source publishes.
-    floor_hz = min(wishes.min_rate_hz, desired_hz) if desired_hz > 0 else wishes.min_rate_hz
-    # At the rate it has or wants: should it yield, fewer samples share a heartbeat, and the headroom covers that.
+    desired_hz = source_hz if preferences.max_rate_hz is None else min(source_hz, preferences.max_rate_hz)
+    # A floor never exceeds what the source publishes.
+    floor_hz = min(preferences.min_rate_hz, desired_hz) if desired_hz > 0 else preferences.min_rate_hz
+    # At a lower rate fewer samples share a heartbeat; the headroom covers that.
     size, packets = wire_size(traffic.payload_bytes, rate_hz=max(desired_hz, floor_hz))
     return Topic(
         name=traffic.topic,
@@ -96,10 +93,10 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
         packets=packets * traffic.copies,
         desired_rate_hz=max(desired_hz, floor_hz),
         min_rate_hz=floor_hz,
-        weight=wishes.weight,
-        min_depth=wishes.min_depth,
-        max_depth=wishes.max_depth,
-        latency_budget_s=wishes.latency_budget_s,
+        weight=preferences.weight,
+        min_depth=preferences.min_depth,
+        max_depth=preferences.max_depth,
+        latency_budget_s=preferences.latency_budget_s,
         # Measured on Fast DDS 2.14 (docs/design.md, DDS facts): 0.7 kB a slot and about 1.3 times the payload.
         slot_bytes=700.0 + 1.3 * traffic.payload_bytes,
     )

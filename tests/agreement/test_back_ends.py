@@ -1,4 +1,4 @@
-"""Every back end against the exact one, over everything a configuration and a link can ask for."""
+"""Every back end against the exact one, over all that a configuration and a link can ask for."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from arpd.solve.exact import water_fill
 from arpd.solve.problem import ShareProblem, Solved, SolverFailed
 
 WHOLE = 10**15
-#: The same at every run and on every machine, which hypothesis does not promise. What a back end cannot solve, one in
-#: ten thousand of the worst kind, is answered by `exact` and counted, and must not turn a change's CI red by chance.
+#: The same in every run and on every machine, which hypothesis does not promise. A back end fails on one in ten thousand
+#: problems of the worst kind, where `exact` answers; that must not fail a CI run by chance.
 INSTANCES = 5000
 
 
 def wide_problem(rng):
-    """Draw weights and ceilings over six decades, ties, floors that meet ceilings, budgets that all but bind."""
+    """Draw weights and ceilings over six decades, ties, floors at ceilings, and budgets that nearly bind."""
     count = rng.choice([1, 1, 2, 3, 4, 6, 8, 12, 20])
     weights = [rng.choice([round(10 ** rng.uniform(0, 6)), 1, 1000, 2000, 5000, 10**6]) for _ in range(count)]
     hi = [rng.choice([round(WHOLE / 10 ** rng.uniform(0, 6)), WHOLE, WHOLE // 10]) for _ in range(count)]
@@ -63,7 +63,7 @@ def test_every_back_end_agrees_with_exact(backend):
 @settings(deadline=None, max_examples=300)
 @given(seed=st.integers(0, 2**64))
 def test_a_back_end_is_right_or_says_that_it_failed(seed):
-    """Whatever OSQP calls solved is within 1e-6 of the exact answer in every share; it never cries infeasible."""
+    """An answer that OSQP calls solved is within 1e-6 of the exact one; OSQP never reports an infeasible problem."""
     problem = wide_problem(random.Random(seed))
     outcome = load(Backend.OSQP).solve(problem)
     assert isinstance(outcome, Solved | SolverFailed)

@@ -1,4 +1,4 @@
-"""The benchmark of the solvers, in brief: what it measures is what docs/results.md claims."""
+"""Short form of the solver benchmark: it measures what docs/results.md claims."""
 
 import json
 import subprocess
@@ -24,13 +24,13 @@ def bench(tmp_path_factory):
 
 @pytest.mark.parametrize(("side", "times"), [("OSQP, direct", 40), ("exact", 60)])
 def test_a_re_solve_for_twelve_topics_beats_the_papers_way(bench, side, times):
-    """In one interleaved run, OSQP is at least 40 times and exact at least 60 times as fast as a cvxpy problem anew."""
+    """In one interleaved run, OSQP is at least 40 and exact at least 60 times as fast as a new cvxpy problem."""
     (race,) = [race for race in bench["races"] if race["topics"] == 12]
     assert race["median_s"][PAPER] >= times * race["median_s"][side]
 
 
-def test_ours_fail_nowhere(bench):
-    """On the benchmark's instances every back end of ours is right."""
+def test_our_back_ends_never_fail(bench):
+    """Every back end of arpd is right on all instances of the benchmark."""
     for race in bench["races"]:
         assert {name: wrong for name, wrong in race["failed_or_wrong"].items() if name != PAPER and wrong} == {}
 

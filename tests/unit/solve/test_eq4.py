@@ -64,7 +64,7 @@ def test_whole_depth_at_a_rate_without_a_whole_period():
 
 
 def test_decimal_inputs_are_taken_as_written():
-    """0.3 / 3 - 0.05 is 0.05 exactly, so a floor of 0.05 is feasible although its binary value is not."""
+    """0.3 / 3 - 0.05 is exactly 0.05, so a floor of 0.05 is feasible although its binary value is not."""
     solution = solve_eq4(Eq4Problem(max_rate_hz=0.3, topics=3, min_rate_hz=0.05))
     assert solution.status is Eq4Status.OPTIMAL
     assert solution.deadline_ns == 20 * 10**9
@@ -119,7 +119,7 @@ def test_exact_vertex_is_feasible_and_cannot_be_improved(problem):
 @settings(deadline=None, max_examples=150)
 @given(problem=problems)
 def test_applied_values_keep_the_link_and_depth_constraints(problem):
-    """The applied period and depth satisfy (2) and (3) exactly, unless (3) leaves less than one sample of play."""
+    """The applied period and depth satisfy (2) and (3) exactly, unless the depth is Dmin."""
     solution = solve_eq4(problem)
     if solution.status is Eq4Status.OPTIMAL:
         rate = Fraction(*rate_of(solution.deadline_ns))
@@ -149,6 +149,6 @@ def test_osqp_agrees_with_the_vertex(problem):
     ],
 )
 def test_nonsense_is_refused(fields):
-    """A problem that means nothing is refused when it is made."""
+    """A problem outside its range is refused when it is made."""
     with pytest.raises(ValueError):
         Eq4Problem(**{"max_rate_hz": 100.0, "topics": 12, **fields})

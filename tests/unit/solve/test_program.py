@@ -1,4 +1,4 @@
-"""The per-topic program: (G1), (G2), degradation and rounding."""
+"""Program per topic: (G1), (G2), degradation and rounding."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_identical_topics_are_the_paper(backend, max_rate_hz):
     wire_bytes=st.integers(1, 100_000),
 )
 def test_identical_topics_are_eq4_exactly(count, max_rate_hz, min_rate_hz, depths, wire_bytes):
-    """Whatever the numbers, identical topics get the paper's R* and D* to the last bit, wherever Eq. (4) has any."""
+    """Identical topics get the paper's R* and D* to the last bit, wherever Eq. (4) has a solution."""
     min_depth, max_depth = depths
     topics = [
         topic(
@@ -165,7 +165,7 @@ def test_applied_values_are_feasible(topics, capacity, memory, overhead):
 @settings(deadline=None, max_examples=80)
 @given(topics=demands(), capacity=capacities)
 def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
-    """Every topic gets its floor when all floors fit below the headroom, and the answer is degraded when not."""
+    """Every topic gets its floor when all floors fit below the headroom; otherwise the answer is degraded."""
     allocation = program().solve(capacity, topics, AMPLE)
     floors = [min(row.min_rate_hz, row.desired_rate_hz or math.inf) for row in topics]
     needed = sum(cost(row, capacity) * rational(floor) for row, floor in zip(topics, floors, strict=True))
@@ -201,7 +201,7 @@ def test_rates_grow_with_capacity(topics, capacity, growth, overhead, reserve):
     reserve=st.integers(0, 1),
 )
 def test_what_is_planned_is_1_lipschitz_in_the_capacity(topics, capacity, growth, overhead, reserve):
-    """A change of the estimate moves all planned bytes together by no more than itself: noise is never amplified."""
+    """All planned bytes together change by no more than the estimate, so noise is never amplified."""
     solver = program(packet_overhead_s=overhead, rate_reserve=reserve)
     before, after = (solver.solve(c, topics, AMPLE) for c in (capacity, capacity * growth))
     moved = math.fsum(
@@ -225,7 +225,7 @@ def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, 
 @settings(deadline=None, max_examples=60)
 @given(topics=demands(), capacity=capacities, memory=memories)
 def test_every_back_end_plans_the_same(topics, capacity, memory):
-    """Which back end answers does not move a single bit of what is published."""
+    """The choice of the back end changes no bit of the published answer."""
     exact, osqp = (program(backend).solve(capacity, topics, memory) for backend in (Backend.EXACT, Backend.OSQP))
     assert replace(osqp, backend=Backend.EXACT) == exact
 
@@ -247,7 +247,7 @@ def test_weight_divides_the_link():
 
 
 def test_plenty_gives_every_topic_what_it_wants():
-    """On an ample link the rate is the desired one to the nanosecond, and the wish is what binds."""
+    """On an ample link the rate is the desired one to the nanosecond, and the desired rate binds."""
     allocation = program().solve(1e7, [topic(desired_rate_hz=10.0)], AMPLE)
     (row,) = allocation.topics
     assert (row.rate_hz, row.deadline_ns, row.binding) == (10.0, 100_000_000, Binding.DESIRED_RATE)
@@ -266,7 +266,7 @@ def test_plenty_gives_every_topic_what_it_wants():
     ],
 )
 def test_what_binds_the_depth(fields, memory, depth, binding):
-    """Depth is stopped by the link share, the latency budget, its floor or memory, and says by which."""
+    """Link share, latency budget, floor or memory stop the depth, and the binding says which."""
     allocation = program().solve(2e6, [topic(desired_rate_hz=10.0, **fields)], memory)
     (row,) = allocation.topics
     assert (row.depth_applied, row.depth_binding) == (depth, binding)
@@ -282,15 +282,15 @@ def test_depth_stops_at_its_maximum():
 
 @pytest.mark.parametrize("backend", [Backend.EXACT, Backend.OSQP])
 def test_memory_is_divided_by_weight(backend):
-    """When memory is short, its bytes are divided by weight and never overspent."""
+    """Short memory is divided by weight and never overspent."""
     topics = [topic("/a", slot_bytes=1000.0), topic("/b", slot_bytes=1000.0, weight=3.0)]
     allocation = program(backend).solve(2e5, topics, 40_000.0)
     assert [row.depth_applied for row in allocation.topics] == [10, 30]
     assert allocation.binding is Binding.MEMORY
 
 
-def test_heaviest_suffers_last():
-    """As the link fails, floors give way class by class in ascending weight, and the heaviest is cut last."""
+def test_the_heaviest_is_cut_last():
+    """As the link fails, floors are cut class by class in ascending weight."""
     topics = [topic(f"/w{w}", weight=w, min_rate_hz=10.0) for w in (1.0, 2.0, 5.0)]
     solver = program()
     for capacity in (34_000.0, 30_000.0, 23_000.0, 18_000.0, 11_000.0, 5_000.0, 100.0):
@@ -303,10 +303,10 @@ def test_heaviest_suffers_last():
 
 
 def test_degradation_is_named_and_counted():
-    """A degraded answer says which floors were cut and paused, pauses with deadline 0, and needs no solver."""
+    """A degraded answer names the cut floors, pauses with deadline 0, and needs no solver."""
     topics = [topic("/a", min_rate_hz=10.0), topic("/b", min_rate_hz=10.0, weight=2.0)]
     solver = program(Backend.OSQP, rate_reserve=1)
-    solver._solver._solver.solve = lambda problem: Solved(values=(0.0, 0.0))  # would be the answer if it were asked
+    solver._solver._solver.solve = lambda problem: Solved(values=(0.0, 0.0))  # a wrong answer, if it were called
     allocation = solver.solve(10_000.0, topics, AMPLE)
     paused, kept = allocation.topics
     assert (paused.rate_hz, paused.deadline_ns, paused.depth_applied) == (0.0, 0, 1)
@@ -318,8 +318,8 @@ def test_degradation_is_named_and_counted():
     assert solver.outcomes["osqp", "infeasible"] == 1
 
 
-def test_rate_reserve_gives_way_before_a_floor():
-    """Where floors fit but not their reserve, every topic has its floor and the reserve is what was cut."""
+def test_the_rate_reserve_is_cut_before_a_floor():
+    """Where floors fit and their reserve does not, every topic keeps its floor and the reserve is cut."""
     topics = [topic(f"/t{i}", min_rate_hz=10.0) for i in range(2)]
     allocation = program(headroom=1.0, rate_reserve=1).solve(30_000.0, topics, AMPLE)
     assert [row.rate_hz for row in allocation.topics] == [10.0, 10.0]
@@ -338,7 +338,7 @@ def test_memory_below_the_depth_floors_degrades():
 
 
 def test_no_topic_is_empty():
-    """No topic is a defined answer, not an error."""
+    """Without topics the answer is empty, not an error."""
     allocation = program().solve(1e6, [], AMPLE)
     assert (allocation.topics, allocation.status) == ((), AllocationStatus.EMPTY)
 
@@ -352,19 +352,19 @@ def test_no_capacity_pauses_everything(backend):
 
 
 def test_a_wish_below_the_floor_lowers_it():
-    """A source slower than its floor keeps its own period as deadline, which it can meet."""
+    """A source slower than its floor keeps its own period as deadline, so it meets the deadline."""
     (row,) = program().solve(1e6, [topic(desired_rate_hz=0.5, min_rate_hz=1.0)], AMPLE).topics
     assert (row.rate_hz, row.deadline_ns, row.binding) == (0.5, 2_000_000_000, Binding.DESIRED_RATE)
 
 
 def test_a_topic_without_a_measured_rate_gets_its_floor():
-    """A desired rate of 0 means nothing measured yet: the floor, not a pause."""
+    """A desired rate of 0 means that nothing was measured yet, so the topic gets its floor."""
     (row,) = program().solve(1e6, [topic(desired_rate_hz=0.0, min_rate_hz=2.0)], AMPLE).topics
     assert row.rate_hz == 2.0
 
 
 def test_a_disagreeing_back_end_does_not_reach_the_plan():
-    """A back end that lies is overruled, counted, and the allocation says that exact answered."""
+    """A wrong back end is overruled and counted, and the allocation says that exact answered."""
     solver = program()
 
     class Liar:
@@ -387,34 +387,37 @@ def test_a_solve_is_timed_by_the_given_clock():
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("change", "field"),
     [
-        {"weight": 0.0},
-        {"wire_bytes": math.nan},
-        {"wire_bytes": 0.0},
-        {"min_rate_hz": -1.0},
-        {"desired_rate_hz": math.nan},
-        {"min_depth": 0},
-        {"min_depth": 10, "max_depth": 5},
-        {"latency_budget_s": math.inf},
+        ({"weight": 0.0}, "weight"),
+        ({"wire_bytes": math.nan}, "wire_bytes"),
+        ({"wire_bytes": -1.0}, "wire_bytes"),
+        ({"wire_bytes": 0.0}, "wire_bytes"),
+        ({"min_rate_hz": -1.0}, "min_rate_hz"),
+        ({"min_rate_hz": math.inf}, "min_rate_hz"),
+        ({"desired_rate_hz": math.nan}, "desired_rate_hz"),
+        ({"min_depth": 0}, "depths 0..5000"),
+        ({"min_depth": 10, "max_depth": 5}, "depths 10..5"),
+        ({"latency_budget_s": -1.0}, "latency_budget_s"),
+        ({"latency_budget_s": math.inf}, "latency_budget_s"),
     ],
 )
 @pytest.mark.parametrize("capacity", [0.0, 1e6])
-def test_a_row_of_nonsense_is_refused_by_name(fields, capacity):
-    """A row the program cannot use raises an error that names the topic."""
-    with pytest.raises(ValueError, match="/odd"):
-        program().solve(capacity, [topic("/odd", **fields)], AMPLE)
+def test_nonsense_is_refused_by_name(change, field, capacity):
+    """The message names topic and field."""
+    with pytest.raises(ValueError, match=f"/odd: {field}"):
+        program().solve(capacity, [topic("/odd", **change)], AMPLE)
 
 
 @pytest.mark.parametrize("capacity", [-1.0, math.nan, math.inf])
 def test_capacity_must_be_a_number(capacity):
-    """A capacity that is no finite number is refused."""
+    """A capacity must be finite and not negative."""
     with pytest.raises(ValueError, match="capacity"):
         program().solve(capacity, [topic()], AMPLE)
 
 
 @pytest.mark.parametrize("fields", [{"headroom": 0.0}, {"headroom": 1.5}, {"rate_reserve": -1}])
-def test_a_program_of_nonsense_is_refused(fields):
-    """Headroom and reserves outside their range are refused when the program is made."""
+def test_headroom_and_reserves_have_a_range(fields):
+    """Values outside their range are refused when the program is made."""
     with pytest.raises(ValueError):
         program(**fields)

@@ -1,14 +1,13 @@
-"""What topics ask for, reconciled: no wish survives that the link or the source makes pointless."""
+"""Preferences of topics, reconciled with each other, the source and the link."""
 
 from dataclasses import replace
 from fractions import Fraction
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.model.allocation import Binding, Topic
-from arpd.solve.rows import SAMPLE, decimal, give_up, rational, refuse_nonsense, rows_of
+from arpd.solve.rows import SAMPLE, decimal, give_up, rational, rows_of
 
 TOPIC = Topic(name="/t", wire_bytes=1000.0, packets=1, desired_rate_hz=100.0, min_rate_hz=2.0)
 CAPACITY = 100_000.0
@@ -26,11 +25,11 @@ def hertz(row, share):
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(SIZES, RATES, RATES), min_size=1, max_size=5), st.floats(1e3, 1e8), st.floats(0.0, 0.1))
-def test_rows_are_the_equations_in_whole_numbers(wishes, capacity, overhead_s):
-    """Link time is a = k·t + s/C, lo = a·ℓ and hi = a·u in one unit for all topics, without losing a digit."""
+def test_rows_are_the_equations_in_whole_numbers(preferences, capacity, overhead_s):
+    """Link time is a = k·t + s/C, lo = a·ℓ and hi = a·u in one unit for all topics, to the last digit."""
     topics = [
         replace(TOPIC, wire_bytes=size, packets=3, desired_rate_hz=desired, min_rate_hz=least)
-        for size, desired, least in wishes
+        for size, desired, least in preferences
     ]
     for topic, row in zip(topics, make(*topics, capacity=capacity, overhead_s=overhead_s), strict=True):
         cost = 3 * rational(overhead_s) + rational(topic.wire_bytes) / rational(capacity)
@@ -56,7 +55,7 @@ def test_depth_cap_is_monotone_in_the_rate_and_within_bounds(one, other):
 @settings(deadline=None)
 @given(SIZES, st.fractions(0, 1000), st.integers(1, 5000), st.one_of(st.none(), st.floats(0.001, 100.0)))
 def test_justified_history_is_eq_3(wire_bytes, rate_hz, max_depth, budget_s):
-    """⌊τ·R − δ⌋ in whole samples is what exact arithmetic says, for every window."""
+    """⌊τ·R − δ⌋ in whole samples agrees with exact arithmetic, for every window."""
     (row,) = make(replace(TOPIC, wire_bytes=wire_bytes, max_depth=max_depth, latency_budget_s=budget_s))
     window = max_depth * rational(wire_bytes) / rational(CAPACITY)
     if budget_s is not None:
@@ -65,56 +64,10 @@ def test_justified_history_is_eq_3(wire_bytes, rate_hz, max_depth, budget_s):
 
 
 def test_a_desired_rate_without_bound_means_what_the_link_carries():
-    """No wish means Rmax, and what then holds the topic back is the link."""
+    """A desired rate of inf means Rmax, and the link then stops the topic."""
     (row,) = make(replace(TOPIC, desired_rate_hz=float("inf")))
     assert (hertz(row, row.hi), row.ceiling) == (100, Binding.LINK)
     assert make(replace(TOPIC, desired_rate_hz=99.0))[0].ceiling is Binding.DESIRED_RATE
-
-
-def test_an_unmeasured_source_gets_its_floor():
-    """A desired rate of 0 says that nothing was measured yet."""
-    (row,) = make(replace(TOPIC, desired_rate_hz=0.0))
-    assert hertz(row, row.hi) == 2
-
-
-def test_a_floor_above_the_source_is_lowered():
-    """A deadline shorter than the source's own period would be missed for ever."""
-    (row,) = make(replace(TOPIC, desired_rate_hz=1.0, min_rate_hz=5.0))
-    assert hertz(row, row.lo) == 1
-
-
-@pytest.mark.parametrize(
-    ("topic", "rate_hz", "binding"),
-    [
-        (replace(TOPIC, latency_budget_s=0.1), 50, Binding.LATENCY_BUDGET),
-        (replace(TOPIC, latency_budget_s=None), 50, Binding.LINK),
-        (replace(TOPIC, max_depth=3, latency_budget_s=None), 500, Binding.MAX_DEPTH),
-        (replace(TOPIC, min_depth=40, latency_budget_s=0.1), 50, Binding.FLOOR),
-    ],
-)
-def test_the_depth_says_what_holds_it(topic, rate_hz, binding):
-    """The binding names the constraint an operator would have to relax."""
-    (row,) = make(topic)
-    assert row.depth_binding(row.justified((rate_hz, 1), reserve=1)) is binding
-
-
-@pytest.mark.parametrize(
-    ("change", "field"),
-    [
-        ({"wire_bytes": float("nan")}, "wire_bytes"),
-        ({"wire_bytes": -1.0}, "wire_bytes"),
-        ({"wire_bytes": 0.0}, "wire_bytes"),
-        ({"min_rate_hz": float("inf")}, "min_rate_hz"),
-        ({"desired_rate_hz": float("nan")}, "desired_rate_hz"),
-        ({"weight": 0.0}, "weight"),
-        ({"latency_budget_s": -1.0}, "latency_budget_s"),
-        ({"min_depth": 9, "max_depth": 3}, "depths 9..3"),
-    ],
-)
-def test_nonsense_is_refused_by_name(change, field):
-    """The message names topic and field."""
-    with pytest.raises(ValueError, match=f"/t: {field}"):
-        refuse_nonsense(replace(TOPIC, **change))
 
 
 AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1, 2, 4, 16])), min_size=1, max_size=10)
@@ -123,7 +76,7 @@ AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1, 2, 4, 16])
 @settings(deadline=None)
 @given(AMOUNTS, st.integers(0, 500))
 def test_giving_up_takes_exactly_the_deficit_from_the_lightest_first(rows, deficit):
-    """The cut is the deficit or everything; a class is touched only when every lighter one is at nothing."""
+    """The cut is the deficit or everything; a class is cut only when every lighter one is at 0."""
     amounts, weights = [amount for amount, _ in rows], [weight for _, weight in rows]
     left = {weight: Fraction(*part) for weight, part in give_up(amounts, weights, deficit).items()}
     taken = sum(amount * (1 - left.get(weight, Fraction(1))) for amount, weight in rows)

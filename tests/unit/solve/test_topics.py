@@ -1,4 +1,4 @@
-"""From publishers, or from what the configuration assumes of them, to the rows of the program."""
+"""Rows of the program, from publishers or from what the configuration assumes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from arpd.model.wire import wire_size
 from arpd.solve.topics import (
     Traffic,
     assumed_traffic,
-    measured_traffic,
     memory_budget_bytes,
     rows_of_traffic,
     topics_to_plan,
@@ -27,10 +26,10 @@ def driver(topic="/scan", node="/driver", **fields):
     return publisher(node, topic, **{"payload_bytes": 6000.0, "rate_hz": 20.0, "remote_readers": 1, **fields})
 
 
-def test_a_row_says_what_a_topic_costs_and_wants():
-    """Wire bytes from the payload, the wish from the source, everything else from the configuration."""
-    wishes = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
-    (row,) = topics_to_plan([driver()], Settings(topics={"/scan": wishes}))
+def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
+    """Wire bytes come from the payload, the desired rate from the source, the rest from the configuration."""
+    preferences = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
+    (row,) = topics_to_plan([driver()], Settings(topics={"/scan": preferences}))
     size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
@@ -39,14 +38,14 @@ def test_a_row_says_what_a_topic_costs_and_wants():
 
 
 def test_an_assumed_topic_makes_the_row_of_a_measured_one():
-    """Same payload, same source and one remote reader are the same row, offline and in the daemon."""
-    wishes = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
-    settings = Settings(topics={"/scan": wishes})
+    """The same payload and source with one remote reader give the same row, offline and in the daemon."""
+    preferences = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
+    settings = Settings(topics={"/scan": preferences})
     assert rows_of_traffic(assumed_traffic(settings), settings) == topics_to_plan([driver()], settings)
 
 
 def test_only_topics_with_both_payload_and_source_rate_are_assumed():
-    """Half an assumption is none, and the defaults assume nothing."""
+    """A topic needs both values to be assumed, and the defaults have neither."""
     given = TopicSettings(payload_bytes=100.0, source_rate_hz=5.0)
     settings = Settings(
         topics={
@@ -60,14 +59,13 @@ def test_only_topics_with_both_payload_and_source_rate_are_assumed():
 
 
 def test_rows_are_sorted_by_name():
-    """Whatever the order they came in."""
+    """The order of the publishers does not matter."""
     publishers = [driver("/b"), driver("/a"), driver("/c")]
     assert [row.name for row in topics_to_plan(publishers, Settings())] == ["/a", "/b", "/c"]
-    assert [row.name for row in rows_of_traffic(measured_traffic(publishers), Settings())] == ["/a", "/b", "/c"]
 
 
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
-    """A copy per remote reader of each publisher, one at least; the largest payload and rate count."""
+    """Each publisher sends a copy per remote reader, at least one; the largest payload and rate count."""
     publishers = [
         driver(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
         driver(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
@@ -77,8 +75,8 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
     assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
 
 
-def test_what_does_not_cross_the_link_or_was_never_seen_is_not_planned():
-    """Local topics, and those whose payload nobody knows yet."""
+def test_local_and_unmeasured_topics_get_no_row():
+    """A topic needs a reader on another host and a known payload."""
     publishers = [driver("/local", direction=Direction.LOCAL), driver("/new", payload_bytes=0.0)]
     assert topics_to_plan(publishers, Settings()) == ()
 
@@ -96,7 +94,7 @@ def test_what_does_not_cross_the_link_or_was_never_seen_is_not_planned():
     ids=["source", "capped", "cap above source", "floor above source", "silent", "silent without a floor"],
 )
 def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
-    """Neither as a floor nor as a wish; a silent one keeps its floor."""
+    """Neither floor nor desired rate exceeds the source; a silent topic keeps its floor."""
     settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
     (row,) = topics_to_plan([driver(source_rate_hz=source_hz)], settings)
     assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
@@ -106,7 +104,7 @@ def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_
     ("available_mib", "budget_mib"), [(1000, 64), (160, 32), (128, 1), (0, 1)], ids=["ample", "short", "none", "empty"]
 )
 def test_histories_leave_the_host_its_reserve(available_mib, budget_mib):
-    """The configured budget, less when memory runs short, and never nothing."""
+    """The budget is the configured one, less when memory runs short, and at least 1 MiB."""
     memory = MemoryState(total_bytes=int(1000 * MIB), available_bytes=int(available_mib * MIB))
     settings = ProgramSettings(memory_budget_bytes=64 * MIB, memory_reserve_bytes=128 * MIB)
     assert memory_budget_bytes(memory, settings) == budget_mib * MIB
