@@ -1,1 +1,1 @@
-"""When a measured change becomes action: the gate, the level, the plan."""
+"""Governor: turns measured changes into a gate, a level and a plan."""

@@ -1,4 +1,4 @@
-"""When what was measured becomes action: the gate at every tick, the level (a QoS swap) rarely.
+"""Governor: turns measurements into action, the gate at every tick and the level (a QoS swap) rarely.
 
 Design: docs/design.md, The governor.
 """
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
-_GATE_CLOSED = 0.01  # floors are all that flows
+_GATE_CLOSED = 0.01  # only floors flow
 _DRAIN_S = 0.08  # a queue this far above the allowance closes the gate
-_FLAP_S = 15.0
-_FLAP_HOLD = 2.0
-_DEEP, _SHALLOW = 1.3, 8.0  # times the hold: for a fall to nearly nothing, and for a change that is barely one
-_LEAST_HOLD = 0.25  # times the hold, however urgent
-_LEAK = 0.25  # of the time below, off the time above
+_FLAP_S = 15.0  # after a rise; a fall in this time is flapping
+_FLAP_HOLD = 2.0  # times the hold, at least, for such a fall
+_DEEP, _SHALLOW = 1.3, 8.0  # times the hold: for a fall to nearly nothing, and for one barely out of the band
+_LEAST_HOLD = 0.25  # times the hold, in the most urgent case
+_LEAK = 0.25  # of the other time, subtracted from the time above
 _CALM_S = 60.0
 _DEMAND_CHANGE = 0.25
 _NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
 
 
 class Governor:
-    """Decides with two actuators: the gate, instant and free; the level, a swap that costs discovery and time.
+    """Decides on two actuators: the gate is instant and free; a new level costs swaps, so discovery and time.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Governor:
         self._settings = settings
         self._plan = _NO_PLAN
         self._below_since_s: float | None = None
-        self._above_s = 0.0  # time above, less some of the time not: a link that swings is used at its better half
+        self._above_s = 0.0  # less a part of the other time: a link that swings is used at its better half
         self._looked_at_s = -math.inf
         self._elapsed_s = 0.0
         self._demand_since_s: float | None = None
@@ -74,12 +74,12 @@ class Governor:
 
     @property
     def levels_by_cause(self) -> Mapping[str, int]:
-        """New plans so far, by cause."""
+        """Number of plans so far, by cause."""
         return dict(self._levels)
 
     @property
     def refusals_by_reason(self) -> Mapping[str, int]:
-        """Plan changes wanted but refused so far, by reason."""
+        """Number of refused plans so far, by reason."""
         return dict(self._refusals)
 
     def reconfigure(self, settings: Settings) -> None:
@@ -98,7 +98,7 @@ class Governor:
         publishers: Sequence[PublisherState],
         newest: int = 0,
     ) -> Decision:
-        """Decide gate and plan for this tick; ``newest`` is the newest plan that any reader announces."""
+        """Decide gate and plan for this tick; ``newest`` is the newest generation that any reader announces."""
         newest = min(MOST_GENERATION, max([newest, *(publisher.generation for publisher in publishers)]))
         self._elapsed_s, self._looked_at_s = max(0.0, min(1.0, now_s - self._looked_at_s)), now_s
         silent = {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
@@ -106,8 +106,8 @@ class Governor:
             return self._follow_memory(now_s, link, allocation, topics, newest, besides=silent)
         cause, refusal = self._cause(now_s, link, allocation, topics, publishers)
         if not cause and 0 < self._plan.generation < newest and allocation.topics and link.state != LinkState.OUTAGE:
-            # Of a daemon that has left or stepped back: what is older than its plan is refused. Whoever invents such
-            # plans one after the other must not make us follow as often.
+            # Endpoints have a newer plan of a daemon that left or stepped back, and refuse older ones. The dwell bounds
+            # how often invented generations cause a plan.
             if now_s - self._took_over_s >= self._settings.governor.dwell_s:
                 cause, self._took_over_s = "takeover", now_s
             else:
@@ -136,7 +136,7 @@ class Governor:
         )
 
     def stand_by(self) -> Decision:
-        """Plan nothing, and begin anew when called to `decide` again."""
+        """Plan nothing; the next `decide` starts without a plan."""
         self._plan = _NO_PLAN
         self._topics = self._seen = frozenset()
         return Decision(gate=1.0, plan=self._plan, level_changed=False, reason="", refusals=())
@@ -153,9 +153,9 @@ class Governor:
         *,
         besides: Collection[str],
     ) -> Decision:
-        """Give the plan in force the depths that memory allows, and leave its rates alone: the link has not changed.
+        """Give the plan in force the depths that memory allows; its rates stay, because the link has not changed.
 
-        No swap budget stands against it, nor an outage, in which histories fill.
+        Neither the swap budget nor an outage delays this: histories fill in an outage.
         """
         given = {row.name: row.depth_applied for row in allocation.topics if row.name not in besides}
         rows = {name: replace(row, depth=given.get(name, row.depth)) for name, row in self._plan.topics.items()}
@@ -178,11 +178,11 @@ class Governor:
         topics: Sequence[Topic],
         publishers: Sequence[PublisherState],
     ) -> tuple[str, str]:
-        """Return why a new plan is due (or empty) and why a wanted one is refused (or empty)."""
+        """Return the cause of a plan that is due, and the reason to refuse one; either may be empty."""
         if allocation.status is AllocationStatus.EMPTY:
             return "", ""
         if link.state is LinkState.OUTAGE and self._plan.generation > 0:
-            # The gate holds; a plan for a link that is gone would be a guess, and what is beyond it is only silent.
+            # The gate is closed. A plan for a lost link would be a guess, and topics beyond it are only silent.
             self._forget_changes()
             return "", ""
         names = frozenset(topic.name for topic in topics)
@@ -196,12 +196,12 @@ class Governor:
         return self._level_cause(now_s, link, allocation, topics)
 
     def _loses_readers(self, publishers: Sequence[PublisherState]) -> bool:
-        """Whether a reader asks for a deadline the plan does not keep: it is disconnected until the next plan."""
+        """Return whether a reader requests a shorter deadline than the plan offers, so it is disconnected."""
         requests = tightest_requests(publishers)
         return any(not keeps_its_readers(row, requests.get(topic, 0)) for topic, row in self._plan.topics.items())
 
     def _topics_cause(self, now_s: float, names: frozenset[str]) -> str:
-        """Debounce topics that come and go, so that a node that brings ten of them costs one plan."""
+        """Debounce topics that come and go, so a node with ten topics costs one plan."""
         if names != self._seen:
             self._seen, self._seen_since_s = names, now_s
         if now_s - self._seen_since_s < self._settings.governor.debounce_s:
@@ -235,28 +235,28 @@ class Governor:
         return "", ""
 
     def _planned(self, topics: Sequence[Topic]) -> list[tuple[Topic, TopicPlan]]:
-        """Pair the topics the plan in force has a row for with that row."""
+        """Pair every topic in the plan in force with its row."""
         return [(topic, row) for topic in topics if (row := self._plan.topics.get(topic.name)) is not None]
 
     def _packets_per_byte(self, topics: Sequence[Topic]) -> float:
-        """Packets for each byte of what the plan sends; 0 when it sends nothing."""
+        """Return the packets per byte that the plan sends; 0 when it sends nothing."""
         rates = [(topic, min(row.rate_hz, topic.desired_rate_hz)) for topic, row in self._planned(topics)]
         size = sum(topic.wire_bytes * rate_hz for topic, rate_hz in rates)
         return sum(topic.packets * rate_hz for topic, rate_hz in rates) / size if size > 0 else 0.0
 
     def _useful(self, level: float, overhead_s: float, packets_per_byte: float) -> float:
-        """Return what a level is worth to the topics of the plan when their packets cost ``overhead_s`` each (bytes/s).
+        """Return the part of a level left for the plan's topics when each packet costs ``overhead_s`` (bytes/s).
 
-        A byte of many small messages takes longer than one of a few large ones: R/(1 + t·C·Σk/Σs) for every byte.
+        A byte of many small messages takes longer than one of a few large ones: R/(1 + t·C·Σk/Σs).
         """
         return level / (1.0 + overhead_s * level / self._settings.link.headroom * packets_per_byte)
 
     def _down_hold_s(self, now_s: float, link: LinkEstimate, topics: Sequence[Topic], ratio: float) -> float:
-        """How long a fall must last before it is worth swaps: most of them pass, and the gate carries the link so long.
+        """Return how long a fall must last before it is worth swaps (s).
 
-        The deeper it is the shorter, for the gate cuts all topics alike, and only a plan knows their weights. Right
-        after a rise it is the longer the more often the link swung. Where the gate cannot help, since the floors of
-        the plan alone are more than the link carries, it is short.
+        Most falls pass, and the gate bridges them. A deep fall waits less, because the gate cuts all topics alike and
+        only a plan knows their weights. A fall right after a rise waits longer, more so when the link swung often.
+        When the floors of the plan alone exceed the link, the gate cannot help, and the wait is short.
         """
         g = self._settings.governor
         floors = sum(_link_bytes(topic, link) * row.min_rate_hz for topic, row in self._planned(topics))
@@ -276,10 +276,10 @@ class Governor:
         self._above_s = 0.0
 
     def _demand_moved(self, demand: Mapping[str, tuple[float, float]]) -> bool:
-        """Whether a source now wants something else than when the plan was made, and would get it.
+        """Return whether a source wants something else than when the plan was made, and would get it.
 
-        Rates that only followed the capacity are the level's business: what is left for large topics moves by far
-        more than the capacity does.
+        Rates that only follow the capacity do not count: what remains for large topics moves by far more than the
+        capacity.
         """
         return any(
             all(_differ(before, now) for before, now in zip(planned_for, demand[name], strict=True))
@@ -290,7 +290,7 @@ class Governor:
     def _next_plan(
         self, allocation: Allocation, topics: Sequence[Topic], publishers: Sequence[PublisherState], newest: int
     ) -> QosPlan:
-        # A restarted daemon finds publishers with a generation of its predecessor: never fall behind it.
+        # After a restart the rows of the predecessor count as the previous plan.
         return make_plan(
             allocation,
             topics,
@@ -332,7 +332,7 @@ class Governor:
     # -- the gate
 
     def _gate(self, link: LinkEstimate, topics: Sequence[Topic]) -> float:
-        """Factor on every paced rate, so that what is planned fits what the link carries now."""
+        """Return the factor on every paced rate that fits the plan to what the link carries now."""
         if link.state is LinkState.OUTAGE:
             return _GATE_CLOSED
         planned = sum(
@@ -343,13 +343,13 @@ class Governor:
             return 1.0
         usable = self._settings.link.headroom * link.available_bytes_per_second
         gate = min(1.0, usable / planned)
-        # The gate is free and instant, so it answers the first delayed ping, before the estimator is sure.
+        # The gate is free and instant, so it answers the first delayed ping, before the estimator is certain.
         excess_s = link.queue_delay_s - link.queue_allowance_s
         return max(_GATE_CLOSED, gate * min(1.0, 1.0 - excess_s / _DRAIN_S))
 
 
 def _inherited(publishers: Sequence[PublisherState]) -> dict[str, TopicPlan]:
-    """Return what a predecessor left in force, so that a restarted daemon swaps nothing that is near enough."""
+    """Return the rows that a predecessor left in force; a restarted daemon keeps those that are near enough."""
     return {
         publisher.topic: TopicPlan(
             rate_hz=publisher.rate_hz, min_rate_hz=0.0, deadline_ns=publisher.deadline_ns, depth=publisher.depth
@@ -360,12 +360,12 @@ def _inherited(publishers: Sequence[PublisherState]) -> dict[str, TopicPlan]:
 
 
 def _link_bytes(topic: Topic, link: LinkEstimate) -> float:
-    """Bytes the link could have carried in the time one message takes, its packets' overhead included."""
+    """Return the bytes that the link carries in the time of one message, with the overhead of its packets."""
     return topic.wire_bytes + topic.packets * link.packet_overhead_s * link.capacity_bytes_per_second
 
 
 def _urgency(capacity: float, level: float, up_ratio: float) -> float:
-    """Seconds that one second above the level counts: a small rise may be noise, and loses little while it waits."""
+    """Return the weight of time above the level: a small rise may be noise, and loses little by waiting."""
     return min(1.0, (capacity / (up_ratio * level)) ** 2 / _SHALLOW) if level > 0 else 1.0
 
 
@@ -374,7 +374,7 @@ def _changes_qos(old: TopicPlan | None, new: TopicPlan) -> bool:
 
 
 def _demand(topics: Sequence[Topic], allocation: Allocation) -> dict[str, tuple[float, float]]:
-    """Return what every topic wants of the link (bytes/s), and what it would get (Hz)."""
+    """Return what every topic wants of the link (bytes/s) and what it would get (Hz)."""
     wanted = {topic.name: topic.wire_bytes * topic.desired_rate_hz for topic in topics}
     return {row.name: (wanted[row.name], row.rate_hz) for row in allocation.topics}
 
@@ -384,7 +384,7 @@ def _differ(before: float, now: float) -> bool:
 
 
 def _since(holds: bool, since_s: float | None, now_s: float) -> float | None:  # noqa: FBT001 - a condition, not a mode
-    """Start, keep or clear the moment since which a condition holds."""
+    """Start, keep or clear the time since which a condition holds."""
     if not holds:
         return None
     return now_s if since_s is None else since_s

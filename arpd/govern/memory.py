@@ -1,4 +1,4 @@
-"""When depths follow the memory of the robot computer: down at once, up again late."""
+"""Memory of the robot computer: depths fall with it at once, and rise late."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from arpd.model.allocation import Allocation, Topic
     from arpd.model.plan import TopicPlan
 
-_EXCESS = 0.1  # of what the plan's histories may take: less is not worth swaps
-_SPACING_S = 1.0  # between two falls: memory that runs out is not followed sample by sample
-_ROOM = 0.25  # more than the plan's histories may take
-_CALM_S = 30.0  # there must have been so much room for that long
+_EXCESS = 0.1  # of what the plan's histories may take; less is not worth swaps
+_SPACING_S = 1.0  # between two falls, so memory that runs out causes few swaps
+_ROOM = 0.25  # beyond what the plan's histories may take
+_CALM_S = 30.0  # time with so much room before depths rise
 _MOST_CALM_S = 480.0
-_RELAPSE_S = 120.0  # depths that fall again so soon after they rose wait longer to rise the next time
+_RELAPSE_S = 120.0  # after a fall so soon after a rise, the next rise waits longer
 
 
 class MemoryWatch:
     """Compares what the histories under the plan in force may take with what the program gives them.
 
-    Falling depths keep the robot from running out of memory, so they wait for nothing. Rising ones are a convenience,
-    and what made memory short tends to come back: they wait for calm, each time longer.
+    A fall keeps the robot from running out of memory, so it waits for nothing. A rise is a convenience, and a shortage
+    of memory tends to return, so it waits for calm, each time longer.
     """
 
     def __init__(self) -> None:
@@ -42,14 +42,14 @@ class MemoryWatch:
         *,
         besides: Collection[str],
     ) -> bool:
-        """Whether the plan in force should have the allocation's depths now.
+        """Return whether the plan in force should take the depths of the allocation now.
 
         Parameters
         ----------
         now_s : monotonic clock (s)
-        allocation : what the program gives
-        planned : the topics of the plan in force, with their rows
-        besides : topics whose history does not fill: nobody publishes
+        allocation : answer of the program
+        planned : topics of the plan in force, with their rows
+        besides : topics that nobody publishes, so their histories do not fill
         """
         given = {row.name: row.depth_applied for row in allocation.topics if row.name not in besides}
         rows = [(topic.slot_bytes, row.depth, given[topic.name]) for topic, row in planned if topic.name in given]
@@ -67,18 +67,18 @@ class MemoryWatch:
         return now_s - self._room_since_s >= self._calm_s
 
     def note_depths(self, now_s: float, allocation: Allocation) -> None:
-        """Take in that the plan has these depths now because memory called for them."""
+        """Note that the plan has these depths now because memory called for them."""
         if self._room_since_s is not None:
             self._rose_s = now_s
         else:
-            if self._rose_s > self._fell_s:  # the first of a row of falls
+            if self._rose_s > self._fell_s:  # the first of several falls
                 has_relapsed = now_s - self._rose_s < _RELAPSE_S
                 self._calm_s = min(2 * self._calm_s, _MOST_CALM_S) if has_relapsed else _CALM_S
             self._fell_s = now_s
         self.note_plan(allocation)
 
     def note_plan(self, allocation: Allocation) -> None:
-        """Take in that there is a plan with these depths, whatever called for it."""
+        """Note a plan with these depths, from any cause."""
         self._room_since_s = None
         self._is_short = _is_bound(allocation)
 

@@ -1,4 +1,4 @@
-"""From an allocation to a plan, and from a plan to the ordered steps that bring the publishers there."""
+"""Plan for all topics, made from an allocation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
-# A topic that gets all it wants is paced above its source, so that jitter and a little growth are not throttled;
-# more growth than that is a change of demand, and a matter for the next plan.
+# A topic that gets its desired rate is paced above its source, so jitter and a little growth are not throttled. More
+# growth is a change of demand, and causes a new plan.
 _SOURCE_MARGIN = 1.25
-_SPARED_SHARE = 0.05
-_MOST_FLOORS = 0.5  # of what is planned: the gate can always take away the other half
+_SPARED_SHARE = 0.05  # of the link
+_MOST_FLOORS = 0.5  # of the plan; the gate can always take away the other half
 
 
 def make_plan(
@@ -31,9 +31,9 @@ def make_plan(
     generation: int,
     settings: Settings,
 ) -> QosPlan:
-    """Plan for all topics; a row that changes less than the deadband keeps its QoS, so that it is not swapped.
+    """Plan for all topics; a row that changes less than the deadband keeps its QoS, so it is not swapped.
 
-    A source that has fallen silent keeps its row: it costs nothing now, and must find its QoS when it returns.
+    A silent source keeps its row: it costs nothing now, and finds its QoS when it returns.
     """
     publishers = tuple(publishers)
     requested = tightest_requests(publishers)
@@ -45,13 +45,13 @@ def make_plan(
         if topic.name in spared:
             fresh = replace(fresh, min_rate_hz=fresh.rate_hz)
         if topic.name in silent:
-            # Nobody knows its period: a deadline would be a promise without a basis.
+            # Its period is unknown, so a deadline would have no basis.
             fresh = replace(fresh, deadline_ns=requested.get(topic.name, 0))
         kept = previous.topics.get(topic.name)
         if kept is not None and keeps_its_readers(kept, requested.get(topic.name, 0)):
             is_near = topic.name in silent or _within(kept, fresh, settings.governor.deadband)
             if is_near:
-                # A floor costs no swap: it follows what the link gives.
+                # A floor costs no swap, so it follows the allocation.
                 fresh = replace(kept, min_rate_hz=min(fresh.min_rate_hz, kept.rate_hz))
         rows[topic.name] = fresh
     _leave_room(rows, allocation)
@@ -59,7 +59,7 @@ def make_plan(
 
 
 def _leave_room(rows: dict[str, TopicPlan], allocation: Allocation) -> None:
-    """Lower floors that would leave the gate nothing to take away: a queue that no gate can drain stands for ever."""
+    """Lower floors that leave the gate too little to take away: it must be able to drain a queue."""
     floors = sum(rows[row.name].min_rate_hz / row.max_rate_hz for row in allocation.topics if row.max_rate_hz > 0)
     planned = sum(row.share for row in allocation.topics)
     if floors > _MOST_FLOORS * planned > 0:
@@ -69,10 +69,10 @@ def _leave_room(rows: dict[str, TopicPlan], allocation: Allocation) -> None:
 
 
 def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, settings: Settings) -> TopicPlan:
-    """QoS of one topic under an allocation.
+    """Return the row of one topic under an allocation.
 
-    The offered period is slack / R, so that jitter is not a missed deadline, and never longer than what a reader
-    requests: such a reader would silently disconnect (docs/design.md, DDS facts).
+    The offered period is slack / R, so jitter is not a missed deadline. It is never longer than a reader requests: such
+    a reader would disconnect silently (docs/design.md, DDS facts).
     """
     rate_hz = row.rate_hz
     if row.binding is Binding.DESIRED_RATE:
@@ -80,16 +80,13 @@ def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, setting
         rate_hz = min(_SOURCE_MARGIN * row.rate_hz, math.inf if most_hz is None else most_hz)
     deadline_ns = math.ceil(row.deadline_ns * settings.program.deadline_slack)
     plan = TopicPlan(
-        rate_hz=rate_hz,
-        min_rate_hz=min(topic.min_rate_hz, rate_hz),
-        deadline_ns=deadline_ns,
-        depth=row.depth_applied,
+        rate_hz=rate_hz, min_rate_hz=min(topic.min_rate_hz, rate_hz), deadline_ns=deadline_ns, depth=row.depth_applied
     )
     return plan if keeps_its_readers(plan, requested_deadline_ns) else replace(plan, deadline_ns=requested_deadline_ns)
 
 
 def _spared(allocation: Allocation) -> frozenset[str]:
-    """Return the smallest topics, together a few per cent of the link: gating them would free nothing."""
+    """Return the smallest topics, together 5 % of the link at most: gating them would free nothing."""
     spared: list[str] = []
     together = 0.0
     for row in sorted(allocation.topics, key=lambda row: (row.share, row.name)):
@@ -101,12 +98,11 @@ def _spared(allocation: Allocation) -> frozenset[str]:
 
 
 def tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:
-    """Return the tightest deadline readers request, per topic where one does (ns)."""
+    """Return the tightest deadline that readers request, for every topic with such a reader (ns)."""
     tightest: dict[str, int] = {}
     for publisher in publishers:
-        if publisher.requested_deadline_ns:
-            known = tightest.get(publisher.topic, publisher.requested_deadline_ns)
-            tightest[publisher.topic] = min(known, publisher.requested_deadline_ns)
+        if requested_ns := publisher.requested_deadline_ns:
+            tightest[publisher.topic] = min(requested_ns, tightest.get(publisher.topic, requested_ns))
     return tightest
 
 
@@ -114,6 +110,6 @@ def _within(kept: TopicPlan, fresh: TopicPlan, deadband: float) -> bool:
     def near(old: float, new: float) -> bool:
         return old == new or abs(new - old) <= deadband * max(old, new)
 
-    # One sample more or less is inside the band of a small depth.
+    # For a small depth one sample more or less is inside the band.
     same_depth = near(kept.depth, fresh.depth) or abs(kept.depth - fresh.depth) <= 1
     return near(kept.rate_hz, fresh.rate_hz) and same_depth and near(kept.deadline_ns, fresh.deadline_ns)

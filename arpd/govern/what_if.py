@@ -1,4 +1,4 @@
-"""What the daemon would plan for a link of a given capacity: its program and its planner, without a link."""
+"""Offline plans: the daemon's program and planner for a link of a given capacity."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from arpd.solve.topics import Traffic
 
 _NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
-_ROUNDING = 1e-9  # a rate that short of a bound is at it
+_ROUNDING = 1e-9  # a rate this close to a bound is at it
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedTopic:
-    """One topic: what it brings, what it asks for, what it is given, and the QoS its publisher would offer."""
+    """One topic: its traffic, its row, its allocation, and the QoS that its publisher would offer."""
 
     traffic: Traffic
     topic: Topic
@@ -43,29 +43,29 @@ class PlannedTopic:
 
     @property
     def has_its_wish(self) -> bool:
-        """Whether it gets all it desires."""
+        """True when it gets its desired rate."""
         return self.allocation.binding is Binding.DESIRED_RATE
 
     @property
     def is_below_floor(self) -> bool:
-        """Whether not even its floor could be kept."""
+        """True when it gets less than its floor."""
         return self.allocation.rate_hz < self.topic.min_rate_hz * (1 - _ROUNDING)
 
     @property
     def is_at_floor(self) -> bool:
-        """Whether it gets its floor and no more."""
+        """True when it gets its floor and no more."""
         return math.isclose(self.allocation.rate_hz, self.topic.min_rate_hz, rel_tol=_ROUNDING)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OfflinePlan:
-    """The plan for one capacity.
+    """Plan for one capacity.
 
     Parameters
     ----------
-    capacity_bytes_per_second : what the link carries for these topics, before headroom (bytes/s)
-    topics : one row per topic, sorted by name
-    allocation : the program's whole answer
+    capacity_bytes_per_second : capacity for these topics, before headroom (bytes/s)
+    topics : one entry per topic, sorted by name
+    allocation : whole answer of the program
     """
 
     capacity_bytes_per_second: float
@@ -74,23 +74,23 @@ class OfflinePlan:
 
     @property
     def link_share(self) -> float:
-        """Share of link time all topics take together (dimensionless)."""
+        """Share of link time that all topics take together (dimensionless)."""
         return sum(row.allocation.share for row in self.topics)
 
     @property
     def memory_bytes(self) -> float:
-        """Memory all full histories take together (bytes)."""
+        """Memory that all full histories take together (bytes)."""
         return sum(row.topic.slot_bytes * row.allocation.depth_applied for row in self.topics)
 
 
 class OfflinePlanner:
-    """Plans the same topics for one capacity after the other.
+    """Plans the same topics for any number of capacities.
 
     Parameters
     ----------
     settings : the configuration
-    traffic : what is to be planned for
-    publishers : those of them that were measured, for the deadlines their readers request
+    traffic : load of the topics to plan for
+    publishers : the measured ones among them, for the deadlines that their readers request
     backend : solver; None = the one in ``settings``
     """
 
@@ -109,7 +109,7 @@ class OfflinePlanner:
         self._program = Program.of(settings, backend=backend)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
-        """Return what the daemon's first plan would be on a link that carries so much.
+        """Return the daemon's first plan for a link of this capacity.
 
         Parameters
         ----------
@@ -130,12 +130,6 @@ class OfflinePlanner:
 
 
 def spread(low: float, high: float, points: int) -> tuple[float, ...]:
-    """Return ``points`` values at equal ratios from ``low`` to ``high``, both of them exactly.
-
-    Parameters
-    ----------
-    low, high : ends, 0 < low < high
-    points : how many, at least 2
-    """
+    """Return ``points`` ≥ 2 values at equal ratios from ``low`` > 0 to ``high``, with both ends exact."""
     between = (low * (high / low) ** (step / (points - 1)) for step in range(1, points - 1))
     return (low, *between, high)

@@ -1,4 +1,4 @@
-"""The governor: the gate answers at once, the level rarely, and neither without a reason."""
+"""Governor: the gate answers at once, the level rarely, and neither without a reason."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -33,7 +33,7 @@ def announced(topic, generation=0):
 
 
 class Run:
-    """A governor, ticked every 100 ms over a capacity."""
+    """A governor that ticks every 100 ms on a given capacity."""
 
     def __init__(self, generation=0, topics=TOPICS, newest=0, **governor):
         self.settings = Settings(governor=GovernorSettings(**governor))
@@ -60,7 +60,7 @@ class Run:
         return [self.tick(capacity, **link) for _ in range(round(seconds * 10))]
 
     def until_changed(self, capacity, *, limit_s=60.0, **link):
-        """Tick until the level changes; return after how long, and why."""
+        """Tick until the level changes; return the time that took, and the cause."""
         started_s = self.now_s
         while self.now_s - started_s < limit_s:
             if (decision := self.tick(capacity, **link)).level_changed:
@@ -68,7 +68,7 @@ class Run:
         return limit_s, ""
 
     def planned(self, capacity=1e6):
-        """Bring it to its first plan, and past its dwell."""
+        """Pass the first plan and its dwell."""
         self.ticks(8.0, capacity)
         assert self.governor.plan.generation > 0
         return self
@@ -79,7 +79,7 @@ def changes(decisions):
 
 
 def test_the_first_plan_waits_for_the_topics_to_settle():
-    """One plan for all topics, after they have been the same for the debounce time."""
+    """All topics get one plan once they have been the same for the debounce time."""
     run = Run()
     assert not changes(run.ticks(0.9))
     assert changes(run.ticks(0.5)) == ["start"]
@@ -87,7 +87,7 @@ def test_the_first_plan_waits_for_the_topics_to_settle():
 
 
 def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
-    """Ten topics that come within a second would cost one plan, not ten."""
+    """Topics that come or go within a second cost one plan together."""
     run = Run().planned()
     run.topics = TOPICS[:2]
     assert not changes(run.ticks(0.5))
@@ -96,7 +96,7 @@ def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
 
 
 def test_without_topics_nothing_is_planned():
-    """No topic, no plan, an open gate."""
+    """Without topics there is no plan, and the gate is open."""
     run = Run(topics=())
     decisions = run.ticks(5.0)
     assert not changes(decisions)
@@ -106,14 +106,14 @@ def test_without_topics_nothing_is_planned():
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(0.82, 1.18), min_size=5, max_size=60))
 def test_inside_the_band_the_level_stays(factors):
-    """Capacity that wanders within 0.8 to 1.2 of the level never swaps anything."""
+    """A capacity within 0.8 to 1.2 of the level never causes a plan."""
     run = Run().planned()
     for factor in factors:
         assert not changes(run.ticks(0.5, 1e6 * factor))
 
 
-def test_a_short_dip_is_the_gates_business():
-    """A fall shorter than the hold time closes the gate in proportion and leaves the level alone."""
+def test_a_short_fall_closes_only_the_gate():
+    """A fall shorter than the hold closes the gate in proportion, and the level stays."""
     run = Run().planned()
     decisions = run.ticks(0.5, 5e5)
     assert not changes(decisions)
@@ -122,7 +122,7 @@ def test_a_short_dip_is_the_gates_business():
 
 
 def test_a_fall_that_stays_becomes_a_level():
-    """After a hold a fall is planned for, and the gate opens again."""
+    """A fall that lasts gets a plan, and the gate opens again."""
     run = Run().planned()
     assert run.until_changed(5e5)[1] == "down"
     assert run.tick(5e5).gate == pytest.approx(1.0)
@@ -130,7 +130,7 @@ def test_a_fall_that_stays_becomes_a_level():
 
 
 def test_the_deeper_a_fall_the_sooner_it_is_planned_for():
-    """The gate cuts all topics alike; only a plan knows their weights."""
+    """A deep fall waits less, because the gate cuts all topics alike and only a plan knows their weights."""
     held_s = [Run().planned().until_changed(capacity)[0] for capacity in (7.5e5, 5e5, 2e5, 2e4)]
     assert held_s == sorted(held_s, reverse=True)
     assert held_s[0] > 2 * held_s[-1]
@@ -138,7 +138,7 @@ def test_the_deeper_a_fall_the_sooner_it_is_planned_for():
 
 
 def test_floors_that_no_gate_can_cut_are_planned_for_soon():
-    """When the floors alone are more than the link carries, a queue grows behind a closed gate."""
+    """When the floors alone exceed the link, a closed gate does not help, so the wait is short."""
     floored = tuple(replace(topic, min_rate_hz=150.0) for topic in TOPICS)
     held_s = [Run(topics=topics).planned().until_changed(3e5)[0] for topics in (TOPICS, floored)]
     assert held_s[1] < held_s[0]
@@ -146,7 +146,7 @@ def test_floors_that_no_gate_can_cut_are_planned_for_soon():
 
 
 def test_a_rise_waits_for_the_dwell_and_says_so():
-    """A rise right after a fall is refused until the dwell has passed; that is one refusal, however long it takes."""
+    """A rise right after a fall is refused until the dwell has passed, which counts as one refusal."""
     run = Run().planned()
     run.until_changed(4e5)
     fallen_s = run.now_s
@@ -159,7 +159,7 @@ def test_a_rise_waits_for_the_dwell_and_says_so():
 
 
 def test_a_rise_must_last():
-    """Less than the hold above the level changes nothing, and what was above long ago does not count."""
+    """A rise shorter than the hold causes no plan, and earlier rises do not add to it."""
     run = Run().planned()
     for _ in range(4):
         assert not changes(run.ticks(GOVERNOR.hold_s - 0.3, 1e7))
@@ -168,7 +168,7 @@ def test_a_rise_must_last():
 
 
 def test_a_link_that_swings_is_used_at_its_better_half():
-    """Time above adds up over short spells below, where it outweighs them; rare spells above never add up."""
+    """Time above the level adds up when it outweighs the time below, and otherwise never."""
 
     def swings(above_s):
         run = Run().planned(1e5)
@@ -179,7 +179,7 @@ def test_a_link_that_swings_is_used_at_its_better_half():
 
 
 def flapped(times):
-    """Let the link fall right after each rise; return how long each fall was held, and each rise."""
+    """Let the link fall right after each rise; return how long each fall and each rise waited."""
     run = Run().planned(4e5)
     falls_s, rises_s = [], []
     for _ in range(times):
@@ -189,7 +189,7 @@ def flapped(times):
 
 
 def test_a_fall_soon_after_a_rise_is_held_longer_the_more_often_it_flapped():
-    """A plan would come when its reason has gone."""
+    """On a link that swings, each fall waits longer than the one before."""
     alone_s = Run().planned().until_changed(4e5)[0]
     falls_s, _ = flapped(4)
     assert falls_s == pytest.approx(sorted(falls_s), abs=0.15)
@@ -197,7 +197,7 @@ def test_a_fall_soon_after_a_rise_is_held_longer_the_more_often_it_flapped():
 
 
 def test_flapping_doubles_the_dwell_up_to_its_maximum():
-    """Each rise waits twice as long as the one before, while falls follow soon, and never longer than the maximum."""
+    """Each rise waits twice as long as the one before, up to the maximum, while falls follow soon."""
     _, rises_s = flapped(7)
     assert rises_s[1:3] == pytest.approx([2 * GOVERNOR.dwell_s, 4 * GOVERNOR.dwell_s], abs=0.25)
     assert rises_s == pytest.approx(sorted(rises_s), abs=0.15)
@@ -205,7 +205,7 @@ def test_flapping_doubles_the_dwell_up_to_its_maximum():
 
 
 def test_calm_shortens_the_dwell_again():
-    """What flapped long ago is forgiven: after minutes of calm a rise waits as long as ever."""
+    """After minutes of calm a rise waits as long as at first."""
     run = Run().planned(4e5)
     for _ in range(5):
         run.until_changed(1e6)
@@ -219,7 +219,7 @@ def test_calm_shortens_the_dwell_again():
 
 @pytest.mark.parametrize("capacity", [4e5, 8e4, 1e7])
 def test_an_outage_clears_what_was_building_up(capacity):
-    """What was seen before the silence is no reason after it."""
+    """Time above or below the level before an outage does not count after it."""
     held_s, cause = Run().planned().until_changed(capacity)
     run = Run().planned()
     for _ in range(5):
@@ -229,7 +229,7 @@ def test_an_outage_clears_what_was_building_up(capacity):
 
 
 def wandering(seed, **governor):
-    """Let the link go anywhere for four minutes; return the run, its decisions, and when each was taken."""
+    """Let the link wander for four minutes; return the run, its decisions, and their times."""
     random, run = Random(seed), Run(**governor)
     decisions: list[Decision] = []
     times_s: list[float] = []
@@ -244,7 +244,7 @@ def wandering(seed, **governor):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_flaps_faster_than_its_dwell(seed):
-    """Wherever the link goes, a rise comes no sooner than the dwell after any other plan."""
+    """On any course of the link, a rise comes no sooner than the dwell after any other plan."""
     _, decisions, times_s = wandering(seed)
     taken = zip(times_s, decisions, strict=True)
     planned = [(at_s, decision.reason) for at_s, decision in taken if decision.level_changed]
@@ -255,7 +255,7 @@ def test_nothing_flaps_faster_than_its_dwell(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_minute_costs_more_swaps_than_its_budget(seed):
-    """Wherever the link goes, and what is refused is counted."""
+    """On any course of the link, swaps stay within the budget, and refusals are counted."""
     run, decisions, times_s = wandering(seed, swaps_per_minute=6)
     rows: dict[str, tuple[int, int]] = {}
     swaps: list[float] = []
@@ -270,8 +270,8 @@ def test_no_minute_costs_more_swaps_than_its_budget(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_on_a_link_that_stays_as_it_is_plans_end(seed):
-    """Whatever came before, a minute later nothing is changed any more."""
+def test_on_a_steady_link_plans_end(seed):
+    """After any course, one minute on a steady link ends all changes."""
     run, _, _ = wandering(seed)
     for capacity in (2e5, 1e6):
         run.ticks(60.0, capacity)
@@ -280,7 +280,7 @@ def test_on_a_link_that_stays_as_it_is_plans_end(seed):
 
 
 def test_in_an_outage_the_gate_closes_and_the_level_stays():
-    """A plan for a link that is gone would be a guess; floors are all that flows."""
+    """In an outage only floors flow, and no plan is made."""
     run = Run().planned()
     decisions = run.ticks(10.0, 1e6, state=LinkState.OUTAGE)
     assert not changes(decisions)
@@ -290,7 +290,7 @@ def test_in_an_outage_the_gate_closes_and_the_level_stays():
 @settings(deadline=None, max_examples=100)
 @given(st.floats(1.0, 1e9), st.floats(0.0, 5.0), st.floats(0.0, 1.0), st.sampled_from(LinkState), st.booleans())
 def test_the_gate_is_a_factor(capacity, queue_s, allowance_s, state, is_planned):
-    """Whatever is believed of the link, the gate stays within (0, 1] and never lets more than the capacity through."""
+    """At any estimate the gate is in (0, 1] and lets no more than the capacity through."""
     run = Run().planned() if is_planned else Run()
     decision = run.tick(capacity, queue_delay_s=queue_s, queue_allowance_s=allowance_s, state=state)
     assert 0 < decision.gate <= 1
@@ -299,19 +299,19 @@ def test_the_gate_is_a_factor(capacity, queue_s, allowance_s, state, is_planned)
 
 
 def test_the_gate_answers_a_queue_at_once():
-    """In the tick that sees it, though the capacity is believed to be what it was; and it opens when it is gone."""
+    """The gate closes in the tick that shows the queue, and opens when the queue is gone."""
     run = Run().planned()
     assert [run.tick(queue_delay_s=delay_s).gate < 0.5 for delay_s in (0.0, 0.15, 0.0)] == [False, True, False]
 
 
 def test_a_message_that_passes_is_no_queue():
-    """Up to the allowance, delay closes nothing."""
+    """A delay up to the allowance does not close the gate."""
     run = Run().planned()
     assert run.tick(queue_delay_s=0.15, queue_allowance_s=0.15).gate == pytest.approx(1.0)
 
 
 def test_a_longer_queue_never_opens_the_gate():
-    """More delay, less gate."""
+    """The gate never rises with the delay."""
     run = Run().planned()
     gates = [run.tick(queue_delay_s=delay / 100).gate for delay in range(40)]
     assert gates == sorted(gates, reverse=True)
@@ -320,7 +320,7 @@ def test_a_longer_queue_never_opens_the_gate():
 
 
 def test_a_spent_budget_refuses_and_says_so():
-    """More swaps than the budget of a minute are refused, until the minute is over."""
+    """Swaps above the budget are refused until the minute is over."""
     run = Run(swaps_per_minute=3).planned()
     decisions = run.ticks(10.0, 4e5)
     assert not changes(decisions)
@@ -330,28 +330,28 @@ def test_a_spent_budget_refuses_and_says_so():
 
 
 def test_a_new_configuration_is_planned_at_once():
-    """A reload takes effect at the next tick."""
+    """A reload causes a plan at the next tick."""
     run = Run().planned()
     run.governor.reconfigure(run.settings)
     assert changes([run.tick()]) == ["reload"]
 
 
 def test_a_source_that_wants_more_gets_a_plan():
-    """A topic whose demand moves by more than a quarter is planned for at the same capacity."""
+    """A change of the desired rate by more than a quarter causes a plan."""
     run = Run().planned(1e7)
     run.topics = (replace(TOPICS[0], desired_rate_hz=800.0), *TOPICS[1:])
     assert changes(run.ticks(3.0, 1e7)) == ["demand"]
 
 
 def test_a_topic_that_grows_gets_a_plan():
-    """Messages of twice the size are planned for as more demand is."""
+    """Messages of twice the size cause a plan."""
     run = Run().planned()
     run.topics = (*TOPICS[:2], replace(TOPICS[2], wire_bytes=6000.0))
     assert changes(run.ticks(3.0)) == ["demand"]
 
 
-def test_what_the_capacity_does_is_not_called_demand():
-    """What is left for a large topic beside small ones moves by more than the capacity does: no reason for a plan."""
+def test_a_change_of_the_capacity_is_no_demand():
+    """The rest for a large topic beside small ones moves by more than the capacity, which causes no plan."""
     small = tuple(
         Topic(name=f"/s{i}", wire_bytes=200.0, packets=1, desired_rate_hz=500.0, min_rate_hz=1.0) for i in range(6)
     )
@@ -360,8 +360,8 @@ def test_what_the_capacity_does_is_not_called_demand():
     assert not changes(run.ticks(10.0, 0.85e6))
 
 
-def test_foreign_traffic_closes_the_gate_at_once_and_lowers_the_level():
-    """What others take is not there, for the gate and for the plan."""
+def test_cross_traffic_closes_the_gate_at_once_and_lowers_the_level():
+    """Cross traffic reduces what gate and plan may use."""
     run = Run().planned()
     assert run.tick(cross_traffic_bytes_per_second=4e5).gate == pytest.approx(0.6, rel=0.02)
     assert run.until_changed(1e6, cross_traffic_bytes_per_second=4e5)[1] == "down"
@@ -370,8 +370,8 @@ def test_foreign_traffic_closes_the_gate_at_once_and_lowers_the_level():
 
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(0.0, 0.18), min_size=5, max_size=60))
-def test_foreign_noise_leaves_the_level_alone(shares):
-    """Foreign traffic that comes and goes within the hysteresis never swaps anything."""
+def test_noise_of_cross_traffic_leaves_the_level_alone(shares):
+    """Cross traffic that stays within the band never causes a plan."""
     run = Run().planned()
     for share in shares:
         assert not changes(run.ticks(0.5, 1e6, cross_traffic_bytes_per_second=share * 1e6))
@@ -379,7 +379,7 @@ def test_foreign_noise_leaves_the_level_alone(shares):
 
 @pytest.mark.parametrize("known", [{"generation": 41}, {"newest": 41}, {"generation": 41, "newest": 3}])
 def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
-    """Generations only grow, also over a restart, for publishers and readers refuse an older plan."""
+    """Generations only grow, even over a restart, because endpoints refuse an older plan."""
     run = Run(**known)
     run.ticks(2.0)
     assert run.governor.plan.generation == 42
@@ -387,20 +387,12 @@ def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
 
 
 def test_a_restarted_daemon_keeps_what_its_predecessor_left():
-    """What is announced of an older plan stays where it is near enough: the first plan swaps nothing."""
+    """The first plan keeps announced rows that are near enough, so it swaps nothing."""
     left = Run().planned().governor.plan
     run = Run()
     estimate = replace(LINK, capacity_bytes_per_second=1.03e6)
-    announced = [
-        publisher(
-            "/n",
-            topic,
-            source_rate_hz=400.0,
-            rate_hz=row.rate_hz,
-            depth=row.depth,
-            deadline_ns=row.deadline_ns,
-            generation=left.generation,
-        )
+    publishers = [
+        replace(announced(topic, left.generation), rate_hz=row.rate_hz, depth=row.depth, deadline_ns=row.deadline_ns)
         for topic, row in left.topics.items()
     ]
     decisions = [
@@ -409,7 +401,7 @@ def test_a_restarted_daemon_keeps_what_its_predecessor_left():
             link=estimate,
             allocation=run.program.solve(estimate.available_bytes_per_second, TOPICS, MEMORY),
             topics=TOPICS,
-            publishers=announced,
+            publishers=publishers,
         )
         for after_s in (0.0, 1.1)
     ]
@@ -419,7 +411,7 @@ def test_a_restarted_daemon_keeps_what_its_predecessor_left():
 
 @pytest.mark.parametrize("where", ["publishers", "readers"])
 def test_a_newer_plan_of_another_daemon_is_superseded(where):
-    """A plan that is older than what a publisher or reader has would be refused, so a newer one is made, once."""
+    """Endpoints with a newer plan would refuse an older one, so one newer plan is made."""
     run = Run().planned()
     if where == "publishers":
         run.generation = 5
@@ -430,8 +422,8 @@ def test_a_newer_plan_of_another_daemon_is_superseded(where):
     assert run.governor.levels_by_cause["takeover"] == 1
 
 
-def test_who_stood_by_plans_anew():
-    """While another daemon drives there is no plan; afterwards it starts from what that one left."""
+def test_after_standing_by_it_starts_again():
+    """While another daemon is active there is no plan; afterwards the first plan follows that daemon's generation."""
     run = Run().planned()
     decision = run.governor.stand_by()
     assert (decision.plan.generation, dict(decision.plan.topics), decision.level_changed) == (0, {}, False)

@@ -1,4 +1,4 @@
-"""From allocation to plan and from plan to steps: safe in any order of failure, and never a step too many."""
+"""Plans from allocations, and steps from plans: safe at every interruption, and no step too many."""
 
 import math
 from dataclasses import replace
@@ -55,7 +55,7 @@ def applied(publishers, transition):
 
 
 def qos(row):
-    """Return what of a row is kept inside the deadband; a floor costs nothing to change, and follows the link."""
+    """Return the fields of a row that the deadband keeps; a floor follows the link at no cost."""
     return row.rate_hz, row.depth, row.deadline_ns
 
 
@@ -65,7 +65,7 @@ def load(publishers):
 
 @pytest.mark.parametrize("capacity", [1e5, 1e6, 1e8])
 def test_a_topic_that_gets_all_it_wants_may_grow(capacity):
-    """A source that is not held back is paced above its own rate, so that neither jitter nor a spurt is throttled."""
+    """A topic at its desired rate is paced above its source, so jitter is not throttled."""
     assert planned(capacity).topics["/t"].rate_hz >= 1.1 * TOPIC.desired_rate_hz
 
 
@@ -76,7 +76,7 @@ def test_a_topic_the_link_holds_back_is_paced_at_its_share():
 
 
 def test_an_operators_cap_is_a_cap():
-    """What the operator limits is not paced above the limit."""
+    """The paced rate never exceeds `max_rate_hz`."""
     capped = Settings(default_topic=TopicSettings(max_rate_hz=15.0))
     topic = replace(TOPIC, desired_rate_hz=15.0)
     assert planned(1e8, [topic], settings=capped).topics["/t"].rate_hz == 15.0
@@ -85,17 +85,17 @@ def test_an_operators_cap_is_a_cap():
 @settings(deadline=None)
 @given(st.floats(1.0, 5.0), st.integers(1, 10**10), st.floats(5e3, 1e6))
 def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, capacity):
-    """The offer is the period with its slack, and never longer than what a reader requests."""
-    wishes = Settings(program=ProgramSettings(deadline_slack=slack))
-    free = planned(capacity, settings=wishes).topics["/t"]
+    """The offered period has the slack, and is never longer than a reader requests."""
+    slacked = Settings(program=ProgramSettings(deadline_slack=slack))
+    free = planned(capacity, settings=slacked).topics["/t"]
     reader = replace(PUBLISHER, requested_deadline_ns=requested_ns)
-    made = planned(capacity, publishers=[reader], settings=wishes).topics["/t"]
+    made = planned(capacity, publishers=[reader], settings=slacked).topics["/t"]
     assert free.deadline_ns * min(free.rate_hz, TOPIC.desired_rate_hz) >= slack * 1e9 * (1 - 1e-9)
     assert made.deadline_ns == min(requested_ns, free.deadline_ns)
 
 
 def test_a_paused_topic_offers_no_deadline():
-    """What does not publish promises no period, and its floor is no obstacle to the gate."""
+    """A paused topic has rate, floor and deadline 0."""
     row = planned(0.0).topics["/t"]
     assert (row.rate_hz, row.min_rate_hz, row.deadline_ns) == (0.0, 0.0, 0)
 
@@ -103,7 +103,7 @@ def test_a_paused_topic_offers_no_deadline():
 @settings(deadline=None, max_examples=60)
 @given(st.floats(1e4, 1e8), st.floats(0.9, 1.1))
 def test_a_change_inside_the_deadband_swaps_nothing(capacity, factor):
-    """A row of which rate, depth and period change less than the deadband keeps all three as they are in force."""
+    """A row keeps rate, depth and period when all three change less than the deadband."""
     topics = [replace(TOPIC, name=f"/t{i}", wire_bytes=900.0 * (i + 1)) for i in range(4)]
     publishers = [replace(PUBLISHER, topic=topic.name) for topic in topics]
     before = planned(capacity, topics, publishers)
@@ -140,7 +140,7 @@ ROBOTS = st.lists(
 @settings(deadline=None, max_examples=60)
 @given(ROBOTS, st.floats(1e3, 1e7), st.floats(1e3, 1e7))
 def test_the_gate_can_always_take_away_half_of_the_plan(topics, capacity, later):
-    """Whatever the topics ask for as floors, what is left behind a closed gate is half of what was planned."""
+    """At any floors, a closed gate leaves at most half of the plan."""
     publishers = [replace(PUBLISHER, topic=topic.name) for topic in topics]
     made = EMPTY
     for now in (capacity, later):
@@ -153,7 +153,7 @@ def test_the_gate_can_always_take_away_half_of_the_plan(topics, capacity, later)
 
 
 def test_floors_that_leave_room_are_what_the_operator_asked_for():
-    """On a link with room nothing is taken off a floor."""
+    """On a link with room floors stay as configured."""
     large = replace(TOPIC, name="/large", wire_bytes=20_000.0, desired_rate_hz=100.0)
     topics = [replace(TOPIC, min_rate_hz=10.0), large]
     publishers = [replace(PUBLISHER, topic=topic.name) for topic in topics]
@@ -163,7 +163,7 @@ def test_floors_that_leave_room_are_what_the_operator_asked_for():
 
 
 def test_a_silent_source_keeps_its_row():
-    """What has paused must find its QoS when it returns."""
+    """A silent source finds its QoS when it returns."""
     before = planned(1e6)
     silent = replace(PUBLISHER, source_rate_hz=0.0)
     after = planned(1e6, [replace(TOPIC, desired_rate_hz=2.0)], [silent], previous=before)
@@ -171,7 +171,7 @@ def test_a_silent_source_keeps_its_row():
 
 
 def test_the_tightest_request_of_all_readers_counts():
-    """Of several publishers' readers the strictest one decides."""
+    """The shortest request of all readers decides."""
     publishers = [
         replace(PUBLISHER, node="/a", requested_deadline_ns=40_000_000),
         replace(PUBLISHER, node="/b", requested_deadline_ns=30_000_000),
@@ -181,7 +181,7 @@ def test_the_tightest_request_of_all_readers_counts():
 
 
 def test_a_confirmed_publisher_needs_no_step():
-    """What announces the plan is left alone; the announced rate carries six digits."""
+    """A publisher that announces the plan gets no step; the announced rate has six digits."""
     target = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
     publisher = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)
     assert is_confirmed(publisher, target)
@@ -191,7 +191,7 @@ def test_a_confirmed_publisher_needs_no_step():
 
 @pytest.mark.parametrize("reason", sorted(RefusalReason))
 def test_only_a_refusal_for_good_settles_a_publisher(reason):
-    """Who will never swap is asked again only when the rate changes; whose refusal may pass, until it announces all."""
+    """After a lasting refusal only a change of the rate causes a step; after a passing one, any difference does."""
     target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
     slowed = replace(PUBLISHER, rate_hz=5.0, refusal="no", refusal_reason=reason)
     assert is_confirmed(slowed, target) == reason.is_lasting
@@ -200,7 +200,7 @@ def test_only_a_refusal_for_good_settles_a_publisher(reason):
 
 
 def test_a_publisher_that_keeps_all_has_no_depth_to_confirm():
-    """Where the history is KEEP_ALL, rate and deadline are the whole row."""
+    """With a KEEP_ALL history, only rate and deadline count."""
     target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
     everything = replace(PUBLISHER, rate_hz=5.0, deadline_ns=5, keeps_all=True)
     assert is_confirmed(everything, target)
@@ -208,13 +208,13 @@ def test_a_publisher_that_keeps_all_has_no_depth_to_confirm():
 
 
 def test_topics_outside_the_plan_are_left_alone():
-    """Only what is planned is touched."""
+    """A topic without a row gets no step."""
     target = plan({"/t": TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=5, depth=3)})
     assert plan_transitions([replace(PUBLISHER, topic="/other")], target, reason="") == ()
 
 
 def test_a_topic_whose_far_reader_left_is_restored_too():
-    """A clean stop gives back the QoS of topics that no longer cross the link."""
+    """A clean stop restores the QoS of topics that no longer cross the link."""
     managed = replace(PUBLISHER, direction=Direction.LOCAL, rate_hz=5.0, depth=3, generation=7)
     (step,) = plan_transitions([managed], restore_plan([managed], generation=8), reason="stop")
     assert (step.topics["/t"].rate_hz, step.topics["/t"].depth) == (math.inf, 10)
@@ -222,7 +222,7 @@ def test_a_topic_whose_far_reader_left_is_restored_too():
 
 @pytest.mark.parametrize("requested_ns", [50_000_000, 60_000_000, 62_000_000])
 def test_the_deadband_never_costs_a_reader(requested_ns):
-    """A row that would be kept is not, where a reader now requests a shorter deadline than it offers."""
+    """A row inside the deadband changes when a reader requests a shorter deadline than it offers."""
     first = planned(1e6)
     demanding = replace(PUBLISHER, requested_deadline_ns=requested_ns)
     for state in (demanding, replace(demanding, source_rate_hz=0.0)):
@@ -249,7 +249,7 @@ PUBLISHERS = st.lists(
 @settings(deadline=None)
 @given(PUBLISHERS, st.dictionaries(st.sampled_from(["/t0", "/t1", "/t2"]), PLANS))
 def test_every_prefix_of_the_steps_is_safe(publishers, rows):
-    """Interrupted anywhere, each publisher is in its old or new row, and the link carries no more than at one end."""
+    """After any number of steps each publisher has its old or new row, and the load never exceeds both ends."""
     target = plan(rows)
     steps = plan_transitions(publishers, target, reason="test")
     assert len({step.node for step in steps}) == len(steps)
@@ -266,7 +266,7 @@ def test_every_prefix_of_the_steps_is_safe(publishers, rows):
 @settings(deadline=None)
 @given(PUBLISHERS)
 def test_restoring_gives_back_the_applications_qos(publishers):
-    """After a clean stop nothing of arpd is left: baseline QoS, unpaced, and nothing more to do."""
+    """After a clean stop every publisher has its baseline QoS, is unpaced, and needs no further step."""
     restored = restore_plan(publishers, generation=9)
     now = publishers
     for step in plan_transitions(publishers, restored, reason="stop"):
