@@ -1,4 +1,4 @@
-"""Kinds of values a configuration key takes: how each is read from YAML, checked, and written back."""
+"""Kinds of values that a configuration key takes; each is read from YAML, checked, and written back."""
 
 # ruff: noqa: TRY004 - pydantic collects ValueError and lets TypeError through
 
@@ -25,27 +25,31 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from enum import StrEnum
 
-LONGEST_TOPIC = 247  # RMW_TOPIC_MAX_NAME_LENGTH: what DDS allows (255) less room for rmw's prefixes
+    from pydantic_core import ErrorDetails
+
+LONGEST_TOPIC = 247  # RMW_TOPIC_MAX_NAME_LENGTH: DDS's 255 less room for the prefixes of rmw
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
 
 
 class ValueKind(Protocol):
-    """How one key's value is read and written; an annotation of a pydantic field.
-
-    ``read`` raises ValueError with ``what is wrong; what would be right``; ``suffix`` completes the key to the name of
-    the settings attribute that holds the value in base units; ``range`` is what the manual says.
-    """
+    """Reads, checks and writes the value of one key; an annotation of a pydantic field."""
 
     @property
     def suffix(self) -> str:
-        """What the settings attribute's name has and the key has not."""
+        """The unit that the settings attribute's name ends with and the key's does not."""
 
     @property
     def range(self) -> str:
-        """What is allowed, in words."""
+        """The allowed values, as the manual prints them."""
 
     def read(self, raw: Any) -> Any:
-        """Turn the value of the file into the value of the settings."""
+        """Turn the value of the file into the value of the settings.
+
+        Raises
+        ------
+        ValueError
+            With ``what is wrong; what would be right``.
+        """
 
     def write(self, value: Any) -> str | float:
         """Turn the value of the settings into the value of the file."""
@@ -63,76 +67,95 @@ class _Reads:
         """Read the value of the file."""
         raise NotImplementedError
 
+    def write(self, value: Any) -> str | float:
+        """Write the value as it is."""
+        return str(value)
+
     def __get_pydantic_core_schema__(self, _source: Any, _handler: Any) -> core_schema.CoreSchema:
         """Let ``read`` alone decide."""
         return core_schema.no_info_plain_validator_function(self.read)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Number(_Reads):
-    """A number whose unit is in the key's name, if it has one.
+class _Bounded(_Reads):
+    """A value between two bounds, or a word.
 
     Parameters
     ----------
     low, high : bounds, both allowed
-    word : what may be written in its place, and stands for None
+    word : may be written instead, and stands for None
     """
 
-    low: float
-    high: float
+    low: Any
+    high: Any
     word: str = ""
 
     @property
     def range(self) -> str:
-        """The bounds, as the manual writes them."""
-        return f"{self.low:g}..{self.high:.12g}" + (f" or {self.word}" if self.word else "")
+        """The bounds and the word, as the manual prints them."""
+        low, high = (bound if isinstance(bound, str) else f"{bound:.12g}" for bound in (self.low, self.high))
+        return f"{low}..{high}" + (f" or {self.word}" if self.word else "")
 
-    def read(self, raw: Any) -> float | None:
-        """Read a number or the word."""
-        if self.word and raw == self.word:
-            return None
+    def read(self, raw: Any) -> Any:
+        """Read a value within the bounds, or the word."""
+        return None if self.word and raw == self.word else self._read(raw)
+
+    def write(self, value: Any) -> str | float:
+        """Write the value, or the word for None."""
+        return self.word if value is None else self._write(value)
+
+    def _read(self, raw: Any) -> Any:
+        raise NotImplementedError
+
+    def _write(self, value: Any) -> str | float:
+        raise NotImplementedError
+
+    def _check_bounds(self, raw: float) -> None:
+        if raw < self.low:
+            raise ValueError(f"{shown(raw)} is below {self.low:.12g}; write {self.range}")
+        if raw > self.high:
+            raise ValueError(f"{shown(raw)} is above {self.high:.12g}; write {self.range}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number(_Bounded):
+    """A number whose unit is in the key's name, if it has one."""
+
+    low: float
+    high: float
+
+    def _read(self, raw: Any) -> float:
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise ValueError(f"{shown(raw)} is not a number; write {self.range}")
         if not math.isfinite(raw):
             raise ValueError(f"{shown(raw)} is not a finite number; write {self.range}")
-        _check_bounds(raw, self)
+        self._check_bounds(raw)
         return float(raw)
 
-    def write(self, value: Any) -> str | float:
-        """Write the number, or the word for None."""
-        return self.word if value is None else float(value)
+    def _write(self, value: Any) -> float:
+        return float(value)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Count(_Reads):
-    """A whole number; the parameters are those of `Number`."""
+class Count(_Bounded):
+    """A whole number."""
 
     low: int
     high: int
-    word: str = ""
 
-    @property
-    def range(self) -> str:
-        """The bounds, as the manual writes them."""
-        return f"{self.low}..{self.high}" + (f" or {self.word}" if self.word else "")
-
-    def read(self, raw: Any) -> int | None:
-        """Read a whole number or the word."""
-        if self.word and raw == self.word:
-            return None
+    def _read(self, raw: Any) -> int:
         if isinstance(raw, bool) or not isinstance(raw, int):
             raise ValueError(f"{shown(raw)} is not a whole number; write {self.range}")
-        _check_bounds(raw, self)
+        self._check_bounds(raw)
         return raw
 
-    def write(self, value: Any) -> str | float:
-        """Write the number, or the word for None."""
-        return self.word if value is None else int(value)
+    def _write(self, value: Any) -> int:
+        return int(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unit:
-    """A dimension: how its quantities are read and spelled, and what the attribute that holds one is called."""
+    """A dimension: its name, the functions that read and spell a quantity, and the suffix of settings attributes."""
 
     name: str
     parse: Callable[[str], float]
@@ -147,35 +170,20 @@ DURATION = Unit(name="duration", parse=parse_duration, spell=spell_duration, suf
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity(_Reads):
-    """A number with its unit; always with it, because the key does not say it.
-
-    Parameters
-    ----------
-    unit : dimension
-    low, high : bounds as people write them, both allowed
-    word : what may be written in its place, and stands for None
-    """
+class Quantity(_Bounded):
+    """A number with its unit, because the key does not name one; the bounds are quantities, too."""
 
     unit: Unit
     low: str
     high: str
-    word: str = ""
 
     @property
     def suffix(self) -> str:
         """The unit in the settings attribute's name."""
         return self.unit.suffix
 
-    @property
-    def range(self) -> str:
-        """The bounds, as the manual writes them."""
-        return f"{self.low}..{self.high}" + (f" or {self.word}" if self.word else "")
-
-    def read(self, raw: Any) -> float | None:
-        """Read a quantity, in base units, or the word."""
-        if self.word and raw == self.word:
-            return None
+    def _read(self, raw: Any) -> float:
+        """Return the quantity in base units."""
         if isinstance(raw, int | float) and not isinstance(raw, bool):
             raise ValueError(f"{shown(raw)} has no unit; write a {self.unit.name} like {self.unit.example}")
         if not isinstance(raw, str):
@@ -185,9 +193,8 @@ class Quantity(_Reads):
             raise ValueError(f"{printable(raw)} is out of range; write {self.range}")
         return value
 
-    def write(self, value: Any) -> str:
-        """Spell the quantity, or the word for None."""
-        return self.word if value is None else self.unit.spell(value)
+    def _write(self, value: Any) -> str:
+        return self.unit.spell(value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,9 +203,9 @@ class Text(_Reads):
 
     Parameters
     ----------
-    pattern : the whole text
-    what : what it is, with its article
-    range : what would be right
+    pattern : regular expression that the whole text matches
+    what : name of the form, with its article
+    range : description of a right text
     """
 
     pattern: str
@@ -211,14 +218,10 @@ class Text(_Reads):
             raise ValueError(f"{shown(raw)} is not {self.what}; write {self.range}")
         return raw
 
-    def write(self, value: Any) -> str:
-        """Write it as it is."""
-        return str(value)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TopicName(_Reads):
-    """An absolute ROS 2 name: what rmw_validate_full_topic_name admits."""
+    """An absolute ROS 2 name that rmw_validate_full_topic_name admits."""
 
     range: str = "an absolute ROS name such as /camera/image"
 
@@ -233,10 +236,6 @@ class TopicName(_Reads):
             raise ValueError(f"is {len(raw)} characters long; ROS allows {LONGEST_TOPIC}")
         return raw
 
-    def write(self, value: Any) -> str:
-        """Write it as it is."""
-        return str(value)
-
 
 @dataclass(frozen=True)
 class Choice(_Reads):
@@ -246,7 +245,7 @@ class Choice(_Reads):
 
     @property
     def range(self) -> str:
-        """The words, as the manual writes them."""
+        """The words, as the manual prints them."""
         return " | ".join(self.words)
 
     def read(self, raw: Any) -> StrEnum:
@@ -255,13 +254,16 @@ class Choice(_Reads):
             raise ValueError(f"{shown(raw)} is not one of the choices; write {' or '.join(self.words)}")
         return self.words(raw)
 
-    def write(self, value: Any) -> str:
-        """Write the word."""
-        return str(value)
+
+def reworded(details: ErrorDetails) -> str:
+    """Return what a kind says of its value, or pydantic's own words for an error that no section expects."""
+    if details["type"] == "value_error":
+        return str(details["ctx"]["error"])
+    return f"{printable(details['msg'])}; see the manual"
 
 
 def shown(raw: Any) -> str:
-    """Show a value from the file in a fault."""
+    """Return a value of the file as a fault shows it."""
     match raw:
         case None:
             return "nothing"
@@ -275,10 +277,3 @@ def shown(raw: Any) -> str:
             return "a mapping"
         case _:
             return repr(raw)
-
-
-def _check_bounds(raw: Any, kind: Number | Count) -> None:
-    if raw < kind.low:
-        raise ValueError(f"{shown(raw)} is below {kind.low:g}; write {kind.range}")
-    if raw > kind.high:
-        raise ValueError(f"{shown(raw)} is above {kind.high:.12g}; write {kind.range}")

@@ -1,4 +1,4 @@
-"""The configuration file: YAML in, `settings.Settings` or every fault with its line and column out."""
+"""Turns a configuration file into `Settings`, or reports every fault with its line and column."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from arpd.adapters.config.kinds import shown
+from arpd.adapters.config.kinds import reworded, shown
 from arpd.adapters.config.rules import broken_rules
 from arpd.adapters.config.schema import SECTIONS, Document, Section, flatten
 from arpd.adapters.config.yaml_source import Fault, config_error, dotted, read_source
-from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -28,12 +27,12 @@ _ABSENT = "absent"
 
 
 def load_settings(path: Path, *, interfaces: Callable[[], Collection[str]] | None) -> Settings:
-    """Read, check and understand a configuration file.
+    """Read and check a configuration file.
 
     Parameters
     ----------
     path : YAML file
-    interfaces : returns the names of this host's interfaces; None = do not check ``link.interface`` against them
+    interfaces : returns the names of this host's interfaces, None = do not check ``link.interface``
 
     Raises
     ------
@@ -60,17 +59,17 @@ def describe_change(old: Settings, new: Settings) -> list[str]:
 
 
 def in_force(old: Settings, new: Settings) -> Settings:
-    """Return what a reload brings into force of ``new``: what is read at start only stays as it was."""
+    """Return the settings after a reload: ``new``, but with the old values of keys that are read at start only."""
     return replace(new, http=old.http, relay=old.relay, link=replace(new.link, interface=old.link.interface))
 
 
 def restart_only_changes(old: Settings, new: Settings) -> list[str]:
-    """Return the keys that differ and are read at start only; a reload cannot apply them."""
+    """Return the keys that differ but are read at start only, so that a reload cannot apply them."""
     return [key for key in _changed(old, new) if needs_restart(key)]
 
 
 def needs_restart(key: str) -> bool:
-    """Whether a change of the dotted key takes effect only after a restart."""
+    """Return whether a change of the dotted key takes effect only after a restart."""
     return key.startswith(_RESTART_ONLY)
 
 
@@ -80,23 +79,20 @@ def _changed(old: Settings, new: Settings) -> Iterator[str]:
 
 
 def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
-    """Say in plain words, and at its place, what pydantic found."""
     location: Location = details["loc"]
     match details["type"]:
         case "extra_forbidden":
-            place, text = source.keys[location], f"is not a key arpd knows; {_nearest(location)}"
+            text = f"is not a key arpd knows; {_nearest(location)}"
+            return Fault(place=source.keys[location], key=dotted(location), text=text)
         case "missing":
-            place, text = source.place(location), "is missing; every item needs one"
+            text = "is missing; give every item one"
         case "model_type":
-            place, text = source.values[location], f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
+            text = f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
         case "tuple_type":
-            wrong = _shape(details["input"], "a list")
-            place, text = source.values[location], f"{wrong}; write items with `- name:`, or [] for none"
-        case "value_error":
-            place, text = source.values[location], str(details["ctx"]["error"])
-        case _:  # none is known to reach this; a fault in odd words is better than a traceback
-            place, text = source.place(location), f"{printable(details['msg'])}; see the manual"
-    return Fault(place=place, key=dotted(location), text=text)
+            text = f"{_shape(details['input'], 'a list')}; write items with `- name:`, or [] for none"
+        case _:
+            text = reworded(details)
+    return source.fault(location, text)
 
 
 def _section(location: Location) -> type[Section]:
@@ -104,7 +100,7 @@ def _section(location: Location) -> type[Section]:
 
 
 def _nearest(location: Location) -> str:
-    """Name the key that was probably meant, or those there are."""
+    """Suggest a key that looks like the wrong one, or list the known keys."""
     known = list(_section(location[:-1]).model_fields)
     wrong = str(location[-1])
     if near := difflib.get_close_matches(wrong[:100].lower(), known, n=1):

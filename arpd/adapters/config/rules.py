@@ -1,7 +1,7 @@
-"""Rules between keys: ranges the right way round, names given once, an interface that exists.
+"""Rules between keys: no minimum above its maximum, no name given twice, an interface that exists.
 
-They read the raw file rather than the finished model, so that one wrong value elsewhere does not hide them; a value
-that is itself at fault takes part in no rule.
+The rules read the raw file instead of the finished model, so they work even if another value is wrong. They ignore a
+value that is itself at fault.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _PREFERENCE_PAIRS = (("min_rate_hz", "max_rate_hz"), ("min_depth", "max_depth"))
 
 
 def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> Iterator[Fault]:
-    """Find what each value alone cannot show.
+    """Yield the faults that no single value shows.
 
     Parameters
     ----------
     source : the file
-    interfaces : names of the interfaces of this host; None = not known here
+    interfaces : names of this host's interfaces, None = unknown
     """
     if interfaces is not None:
         yield from _missing_interface(source, interfaces)
@@ -37,8 +37,7 @@ def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> I
             yield from _unordered(source, location, TopicEntry, low, high, fallback=_mapping(source, ("defaults",)))
     yield from _repeated_names(source, ("topics",), TopicEntry)
     yield from _repeated_names(source, ("relay", "topics"), RelayTopic)
-    yield from _long_relayed_names(source)
-    yield from _relayed_outputs(source)
+    yield from _bad_relayed_names(source)
 
 
 def _missing_interface(source: YamlSource, interfaces: Collection[str]) -> Iterator[Fault]:
@@ -46,9 +45,8 @@ def _missing_interface(source: YamlSource, interfaces: Collection[str]) -> Itera
     if name is None or name == "auto" or name in interfaces:
         return
     existing = ", ".join(sorted(interfaces)) or "none"
-    yield _fault(
-        source, ("link", "interface"), f"'{name}' does not exist on this host; write auto or one of {existing}"
-    )
+    wrong = f"'{name}' does not exist on this host; write auto or one of {existing}"
+    yield source.fault(("link", "interface"), wrong)
 
 
 def _unordered(
@@ -60,7 +58,7 @@ def _unordered(
     *,
     fallback: dict[str, Any] | None = None,
 ) -> Iterator[Fault]:
-    """Report a minimum above its maximum, at whichever of the two the file names here."""
+    """Yield a fault if the minimum is above its maximum, at the one of the two that the file names here."""
     here = _mapping(source, location)
     inherited = {key: value for key, value in (fallback or {}).items() if key not in here}
     low_value = _value(section, low, inherited | here)
@@ -72,10 +70,10 @@ def _unordered(
     if low in here:
         origin = "" if high in here else " (the default)"
         wrong = f"{low_text} is above {high} {high_text}{origin}; lower it or raise {high}"
-        yield _fault(source, (*location, low), wrong)
+        yield source.fault((*location, low), wrong)
     elif high in here:
         wrong = f"{high_text} is below {low} {low_text} (the default); raise it or lower {low}"
-        yield _fault(source, (*location, high), wrong)
+        yield source.fault((*location, high), wrong)
 
 
 def _repeated_names(source: YamlSource, path: tuple[str, ...], section: type[Section]) -> Iterator[Fault]:
@@ -92,56 +90,36 @@ def _repeated_names(source: YamlSource, path: tuple[str, ...], section: type[Sec
             first[name] = place
 
 
-def _long_relayed_names(source: YamlSource) -> Iterator[Fault]:
-    prefix = _value(Relay, "prefix", _mapping(source, ("relay",)))
-    for location in _items(source, ("relay", "topics")):
-        name = _value(RelayTopic, "name", _mapping(source, location))
-        if prefix and name and len(prefix) + len(name) > LONGEST_TOPIC:
-            wrong = f"with its prefix is {len(prefix) + len(name)} characters long; ROS allows {LONGEST_TOPIC}"
-            yield _fault(source, (*location, "name"), wrong)
-
-
-def _relayed_outputs(source: YamlSource) -> Iterator[Fault]:
-    """Report a topic that is relayed already, by its name: carried again, it would nest as ``/link/link/…``."""
+def _bad_relayed_names(source: YamlSource) -> Iterator[Fault]:
+    """Yield names that are too long with the prefix, and names under it, which would become ``/link/link/…``."""
     prefix = _value(Relay, "prefix", _mapping(source, ("relay",)))
     for location in _items(source, ("relay", "topics")):
         name = _value(RelayTopic, "name", _mapping(source, location))
         if not prefix or not name:
             continue
+        if (length := len(prefix) + len(name)) > LONGEST_TOPIC:
+            wrong = f"with its prefix is {length} characters long; ROS allows {LONGEST_TOPIC}"
+            yield source.fault((*location, "name"), wrong)
         if name == prefix:
             wrong = f"'{name}' is relay.prefix itself; name a topic, or change prefix"
-            yield _fault(source, (*location, "name"), wrong)
+            yield source.fault((*location, "name"), wrong)
         elif name.startswith(f"{prefix}/"):
             wrong = f"'{name}' lies under relay.prefix {prefix}, where relayed topics go; write {name[len(prefix) :]}"
-            yield _fault(source, (*location, "name"), wrong)
+            yield source.fault((*location, "name"), wrong)
 
 
 def _mapping(source: YamlSource, location: Location) -> dict[str, Any]:
-    """Return the mapping there, empty if there is none."""
-    value = _at(source, location)
+    value = source.value(location)
     return value if isinstance(value, dict) else {}
 
 
 def _items(source: YamlSource, path: tuple[str, ...]) -> list[Location]:
-    """Return the locations of a list's items, none if there is no list."""
-    value = _at(source, path)
+    value = source.value(path)
     return [(*path, index) for index in range(len(value))] if isinstance(value, list) else []
 
 
-def _at(source: YamlSource, location: Location) -> Any:
-    value: Any = source.data
-    for step in location:
-        if isinstance(step, int):
-            value = value[step]  # only `_items` makes one
-        elif isinstance(value, dict):
-            value = value.get(step)
-        else:
-            return None
-    return value
-
-
 def _value(section: type[Section], key: str, mapping: dict[str, Any]) -> Any:
-    """Return what the key has, or its default; None where there is neither, or the value is at fault."""
+    """Return the value of the key or its default, None without either or if the value is at fault."""
     if key not in mapping:
         field = section.model_fields[key]
         return None if field.is_required() else field.get_default()
@@ -149,7 +127,3 @@ def _value(section: type[Section], key: str, mapping: dict[str, Any]) -> Any:
         return section.kinds()[key].read(mapping[key])
     except ValueError:
         return None
-
-
-def _fault(source: YamlSource, location: Location, text: str) -> Fault:
-    return Fault(place=source.values[location], key=dotted(location), text=text)

@@ -1,4 +1,4 @@
-"""The keys of arpd.yaml: what each takes, and the settings they make; every default comes from `settings`."""
+"""The keys of arpd.yaml and their conversion to `Settings`, which also has every default."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 Written: TypeAlias = str | float  # a value as the file has it
 
 _DEFAULT = Settings()
-_RELAY_OVERFLOW = Overflow.LATEST  # when not named, see RelaySettings
+_RELAY_OVERFLOW = Overflow.LATEST  # the default of RelaySettings
 
 
 class Section(BaseModel):
-    """A mapping of the file whose keys are fields with one `ValueKind` each, or further sections."""
+    """A mapping of the file; each field is a value with one `ValueKind`, or a further section."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
     @classmethod
     def kinds(cls) -> dict[str, ValueKind]:
-        """Keys that hold a value, with what they take."""
+        """Return the kind of every key that holds a value."""
         return {
             key: cast("ValueKind", kind)
             for key, field in cls.model_fields.items()
@@ -49,7 +49,7 @@ class Section(BaseModel):
         }
 
     def attributes(self) -> dict[str, Any]:
-        """Return the values by the name of the settings attribute, unit included."""
+        """Return the values by the names of the settings attributes, units included."""
         return {key + kind.suffix: getattr(self, key) for key, kind in self.kinds().items()}
 
 
@@ -117,7 +117,7 @@ class Graph(Section):
 
 
 class TopicPreferences(Section):
-    """``defaults``: the wishes of a topic that has no entry of its own."""
+    """``defaults``: the preferences of a topic without an entry of its own."""
 
     weight: Annotated[float, Number(low=0.001, high=1000)] = _DEFAULT.default_topic.weight
     min_rate_hz: Annotated[float, Number(low=0, high=100_000)] = _DEFAULT.default_topic.min_rate_hz
@@ -132,7 +132,7 @@ class TopicPreferences(Section):
 
 
 class NamedTopicPreferences(TopicPreferences):
-    """The wishes of one topic, and what it is assumed to bring where nothing measures it; ``defaults`` has no such."""
+    """The preferences of one topic, and its assumed traffic, which ``defaults`` does not have."""
 
     payload: Annotated[float | None, Quantity(unit=SIZE, low="1B", high="1GB", word="measured")] = (
         _DEFAULT.default_topic.payload_bytes
@@ -143,12 +143,12 @@ class NamedTopicPreferences(TopicPreferences):
 
 
 class TopicEntry(NamedTopicPreferences):
-    """One item of ``topics``; what it leaves out, ``defaults`` says."""
+    """One item of ``topics``; it takes the keys that it leaves out from ``defaults``."""
 
     name: Annotated[str, TopicName()]
 
     def settings(self, default: TopicSettings) -> TopicSettings:
-        """Return the topic's wishes over those of ``defaults``."""
+        """Return the topic's preferences over those of ``defaults``."""
         given = {
             key + kind.suffix: getattr(self, key)
             for key, kind in NamedTopicPreferences.kinds().items()
@@ -172,7 +172,7 @@ class Relay(Section):
     topics: Annotated[tuple[RelayTopic, ...], Field(strict=False)] = ()
 
     def settings(self) -> RelaySettings:
-        """Return what the relay carries."""
+        """Return the relay's settings."""
         return RelaySettings(
             topics=tuple(topic.name for topic in self.topics),
             prefix=self.prefix,
@@ -197,7 +197,7 @@ class Document(Section):
     lost_after: Annotated[float, Quantity(unit=DURATION, low="5s", high="1h")] = _DEFAULT.lost_after_s
 
     def settings(self) -> Settings:
-        """Return the settings the file asks for."""
+        """Return the settings that the file asks for."""
         default_topic = TopicSettings(**self.defaults.attributes())
         return Settings(
             link=LinkSettings(**self.link.attributes()),
@@ -212,7 +212,7 @@ class Document(Section):
         )
 
 
-# Where each section stands, list positions left out.
+# Every section by its location, without list positions.
 SECTIONS: Mapping[tuple[str, ...], type[Section]] = {
     (): Document,
     ("link",): Link,
@@ -228,7 +228,7 @@ SECTIONS: Mapping[tuple[str, ...], type[Section]] = {
 
 
 def flatten(settings: Settings) -> dict[str, Written]:
-    """Return every key with its value as the file would have it: ``{"link.capacity": "20mbit", …}``."""
+    """Return every key with its value as the file writes it: ``{"link.capacity": "20mbit", …}``."""
     return dict(_rows(settings))
 
 
@@ -239,8 +239,8 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     yield from _written("http", Http, settings.http)
     yield from _written("graph", Graph, settings.graph)
     yield from _written("defaults", TopicPreferences, settings.default_topic)
-    for name, wishes in settings.topics.items():
-        yield from _written(f"topics[{name}]", NamedTopicPreferences, wishes)
+    for name, preferences in settings.topics.items():
+        yield from _written(f"topics[{name}]", NamedTopicPreferences, preferences)
     yield from _written("relay", Relay, settings.relay)
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))

@@ -1,4 +1,4 @@
-"""The YAML of a configuration file as plain data, and the line and column each key and value stands at."""
+"""Reads YAML as plain data, with the line and column of each key and value."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ MAX_DEPTH = 20
 MAX_NODES = 20_000  # keys and values; a thousand topics with every key have 18,000
 MAX_FAULTS = 100
 MINIMAL_FILE = "a minimal one is `link: {interface: auto}`"
-_LONGEST = 60
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, order=True)
 class Place:
-    """A line and a column of the file, from 1."""
+    """A line and a column of the file, both counted from 1."""
 
     line: int = 1
     column: int = 1
@@ -37,8 +36,8 @@ class Fault:
 
     Parameters
     ----------
-    place : where
-    key : dotted key, or ``file`` or ``yaml``
+    place : line and column
+    key : dotted key, ``file`` or ``yaml``
     text : ``what is wrong; what would be right``
     """
 
@@ -49,13 +48,13 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class YamlSource:
-    """A configuration file, read but not yet understood.
+    """A configuration file, read but not yet checked.
 
     Parameters
     ----------
     data : plain mappings, lists and scalars
-    keys, values : where each key, and each value, stands
-    faults : what is wrong with the YAML itself although it could be read
+    keys, values : place of each key and of each value
+    faults : repeated keys and keys that are no names
     """
 
     data: dict[str, Any]
@@ -64,12 +63,28 @@ class YamlSource:
     faults: list[Fault] = field(default_factory=list)
 
     def place(self, location: Location) -> Place:
-        """Return where a value stands, or the nearest thing around it."""
+        """Return the place of a value, or of the nearest mapping or list around it."""
         while location:
             if location in self.values:
                 return self.values[location]
             location = location[:-1]
         return Place()
+
+    def value(self, location: Location) -> Any:
+        """Return the value there, None if there is none."""
+        value: Any = self.data
+        for step in location:
+            if isinstance(value, dict):
+                value = value.get(step)
+            elif isinstance(value, list) and isinstance(step, int):
+                value = value[step]
+            else:
+                return None
+        return value
+
+    def fault(self, location: Location, text: str) -> Fault:
+        """Return a fault of the value there."""
+        return Fault(place=self.place(location), key=dotted(location), text=text)
 
 
 def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
@@ -77,12 +92,12 @@ def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
 
     Parameters
     ----------
-    minimal : what to suggest where the file says nothing
+    minimal : suggestion for an empty file
 
     Raises
     ------
     ConfigError
-        If it cannot be read, is not one YAML mapping, or uses what arpd refuses: anchors, aliases, tags, deep nesting.
+        If the file cannot be read, is not one YAML mapping, or has anchors, aliases, tags or deep nesting.
     """
     try:
         return _compose(_text(path), minimal)
@@ -91,30 +106,28 @@ def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
 
 
 def config_error(path: Path, faults: list[Fault]) -> ConfigError:
-    """Turn faults into the error that reports them: one line each, in the order of the file, the first hundred."""
+    """Return an error with one line for each of the first hundred faults, in the order of the file."""
     file = printable(str(path), longest=4096)
     faults = sorted(faults)
     if omitted := faults[MAX_FAULTS:]:
-        more = Fault(
-            place=omitted[0].place, key="file", text=f"has {len(omitted)} more faults; correct those above first"
-        )
-        faults = [*faults[:MAX_FAULTS], more]
+        text = f"has {len(omitted)} more faults; correct those above first"
+        faults = [*faults[:MAX_FAULTS], Fault(place=omitted[0].place, key="file", text=text)]
     return ConfigError([f"{file}:{f.place.line}:{f.place.column}: {f.key}: {f.text}" for f in faults])
 
 
 def dotted(location: Location) -> str:
-    """Write a location as people do: ``topics[2].min_rate_hz``."""
+    """Return a location as people write it: ``topics[2].min_rate_hz``."""
     path = "".join(f"[{step}]" if isinstance(step, int) else f".{_key(step)}" for step in location)
     return path.removeprefix(".")
 
 
 def _key(name: str) -> str:
-    """Quote a key that would not be recognized as one: empty, with spaces or dots in it."""
+    """Return a key, quoted if it is empty or has spaces or dots in it."""
     return printable(name) if re.fullmatch(r"[\w-]+", name) else f"'{printable(name)}'"
 
 
 class _RefusedError(Exception):
-    """The file cannot be read any further."""
+    """A fault that ends the reading."""
 
     def __init__(self, key: str, text: str, place: Place | None = None) -> None:
         super().__init__(text)
@@ -126,15 +139,15 @@ def _text(path: Path) -> str:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise _RefusedError("file", "does not exist; create it or name another one") from None
+        raise _RefusedError("file", "does not exist; create it or name another file") from None
     except IsADirectoryError:
-        raise _RefusedError("file", "is a directory; name the YAML file in it") from None
+        raise _RefusedError("file", "is a directory; name a YAML file") from None
     except PermissionError:
-        raise _RefusedError("file", "may not be read by this user; change its mode or owner") from None
+        raise _RefusedError("file", "is not readable for this user; change its mode or owner") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise _RefusedError("file", f"cannot be read ({error}); name another one") from None
+        raise _RefusedError("file", f"cannot be read ({error}); name another file") from None
     if len(raw) > MAX_BYTES:
-        raise _RefusedError("file", "is larger than 1 MiB; no configuration needs that much")
+        raise _RefusedError("file", "is larger than 1 MiB; shorten it or name another file")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -144,7 +157,7 @@ def _text(path: Path) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes; refuses what could expand (aliases), run (tags), overflow the stack (nesting) or take minutes."""
+    """Composes nodes; refuses aliases (they expand), tags (they run code), deep nesting and too many nodes."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own way
 
@@ -164,9 +177,9 @@ class _Loader(yaml.SafeLoader):
         if getattr(event, "tag", None):
             raise _RefusedError("yaml", f"tag {printable(event.tag)} is not allowed; remove it", place)
         if self._depth >= MAX_DEPTH:
-            raise _RefusedError("yaml", f"is nested more than {MAX_DEPTH} deep; no key of arpd is", place)
+            raise _RefusedError("yaml", f"is nested more than {MAX_DEPTH} deep; remove levels", place)
         if self._nodes >= MAX_NODES:
-            text = f"holds more than {MAX_NODES:,} keys and values; no configuration needs that many"
+            text = f"holds more than {MAX_NODES:,} keys and values; remove some"
             raise _RefusedError("yaml", text, place)
         self._depth += 1
         self._nodes += 1
@@ -176,7 +189,7 @@ class _Loader(yaml.SafeLoader):
             self._depth -= 1
 
 
-# YAML 1.2's core types. PyYAML's YAML 1.1 reads `1:30` as 90, `010` as 8 and `on` as true, and surprises everybody.
+# The core types of YAML 1.2, because YAML 1.1, which PyYAML reads, surprises: `1:30` is 90, `010` is 8, `on` is true.
 for _tag, _pattern, _first in (
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
     ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
@@ -260,7 +273,7 @@ def _scalar(node: yaml.Node) -> Any:
         case "bool":
             return text.lower() == "true"
         case "int":
-            # Beyond 18 digits the exact value is of no use, and Python refuses to convert beyond 4,300.
+            # More than 18 digits need not be exact; Python refuses to convert more than 4,300.
             return int(text) if len(text) <= 18 else float(text)
         case "float":
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))

@@ -1,4 +1,4 @@
-"""The configuration file in odd shapes, and every target of scripts/bench/fuzz.py without its fuzzer."""
+"""Odd configuration files, and every target of scripts/bench/fuzz.py without its fuzzer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROS_TARGETS = {"report", "probe", "publisher", "reader", "wire", "claim", "param
 
 
 def leaves(text):
-    """Return every value of a file that is no mapping or list, with its dotted key."""
+    """Return every scalar of a file with its dotted key."""
 
     def walk(node, key):
         if isinstance(node, yaml.MappingNode):
@@ -50,7 +50,7 @@ def load(tmp_path):
 
 
 def test_the_file_without_its_comments_is_good(load):
-    """What the tests below spoil is a file that loads, and has a value for most keys."""
+    """The file that the tests below spoil loads and has a value for most keys."""
     load(GOOD.encode())
     assert len(LEAVES) > 25
 
@@ -62,7 +62,7 @@ WRONG = st.sampled_from(["[]", "{}", "[[1]]", "{a: b}", "!!", ".nan", "-1e999", 
 @QUICK
 @given(st.sampled_from(LEAVES), WRONG)
 def test_one_wrong_value_is_one_fault_at_its_place(load, leaf, wrong):
-    """A single value of a wrong kind is named with its key, its line and its column, and nothing else is."""
+    """One value of a wrong kind is one fault, with its key, line and column."""
     key, node = leaf
     start, end = node.start_mark, node.end_mark
     raw = GOOD[: start.index] + wrong + GOOD[end.index :]
@@ -81,7 +81,7 @@ MANGLED = st.tuples(
 
 
 def mangle(lines, edits):
-    """Return the lines after edits such as a hand or an editor makes."""
+    """Return the lines after slips of an editor."""
     lines = list(lines)
     for what, one, other in edits:
         i, j = one % len(lines), other % len(lines)
@@ -104,7 +104,7 @@ def mangle(lines, edits):
 @QUICK
 @given(st.lists(MANGLED, min_size=1, max_size=6), st.binary(max_size=4), st.integers(0, 10**6))
 def test_a_mangled_file_loads_or_says_where_it_is_wrong(load, edits, junk, at):
-    """Whatever becomes of the shipped file, it is settings, or each fault has a line of that file."""
+    """Any edit of the shipped file loads, or each fault names a line of that file."""
     raw = mangle(LINES, edits).encode()
     raw = raw[: at % (len(raw) + 1)] + junk + raw[at % (len(raw) + 1) :]
     try:
@@ -117,7 +117,7 @@ def test_a_mangled_file_loads_or_says_where_it_is_wrong(load, edits, junk, at):
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_fuzz_target_takes_its_seeds_and_what_is_near(name):
-    """What the fuzzer starts from breaks nothing, nor does any of it cut, doubled or with a byte changed."""
+    """A seed breaks nothing, also when it is cut, doubled or has a changed byte."""
     if name in ROS_TARGETS:
         pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     code = TARGETS[name].load()
@@ -130,7 +130,7 @@ def test_a_fuzz_target_takes_its_seeds_and_what_is_near(name):
     "raw", [b"topics: [" + b"[]," * 300_000 + b"]", b"".join(b"k%d: 1\n" % k for k in range(90_000))]
 )
 def test_a_costly_file_is_refused_early(load, raw):
-    """Of a file that would take a quarter of a minute and half a gigabyte, no more is read than refuses it."""
+    """Reading stops early at a file that would take a quarter of a minute and half a gigabyte."""
     with pytest.raises(ConfigError) as refused:
         load(raw)
     (fault,) = refused.value.faults
@@ -138,7 +138,7 @@ def test_a_costly_file_is_refused_early(load, raw):
 
 
 def test_of_many_faults_the_first_hundred_are_told(load):
-    """A file that is wrong all over does not fill the journal: the rest of its faults is one line."""
+    """A file with many faults does not fill the journal: one line counts the faults above a hundred."""
     with pytest.raises(ConfigError) as refused:
         load(b"".join(b"k%d: 1\n" % k for k in range(150)))
     assert len(refused.value.faults) == 101

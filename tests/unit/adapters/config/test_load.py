@@ -1,4 +1,4 @@
-"""The configuration file: what it may say, and one clear line for each thing it may not."""
+"""The configuration file: its keys, and one clear line for each fault."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def faults(load, tmp_path):
 
 
 def test_a_file_that_says_everything_becomes_the_settings(load):
-    """Every key lands in its own attribute, in base units."""
+    """Every key sets its own attribute, in base units."""
     text = """
 link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
 program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
@@ -125,12 +125,12 @@ def test_what_the_file_leaves_out_is_at_its_default(load, text):
 
 
 def test_the_shipped_file_is_the_defaults():
-    """Installing arpd and not touching the file changes nothing."""
+    """The file as shipped changes nothing."""
     assert load_settings(SHIPPED, interfaces=lambda: ["lo"]) == Settings()
 
 
 def test_the_shipped_file_documents_every_key():
-    """Each key stands there with its true default, range and reload behaviour in the comment above it."""
+    """A comment above each key names its true default, range and reload behaviour."""
     documented, section, comment = {}, "", ""
     for line in SHIPPED.read_text().splitlines():
         if match := re.fullmatch(r"( *)(\w+):.*", line):
@@ -155,7 +155,7 @@ def test_the_shipped_file_documents_every_key():
 
 
 def test_the_examples_in_the_shipped_file_load(load):
-    """What the comments show may be uncommented."""
+    """The examples in comments load once they are uncommented."""
     blocks = re.findall(r"(?m)^ *#     topics:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
     topics, relayed = (re.sub(r"(?m)^ *#     ", "  ", block) for block in blocks)
     camera = load(topics).topics["/link/camera/image/compressed"]
@@ -245,7 +245,7 @@ ONE_FAULT = {
         "relay:\n  topics:\n  - name: /a\n  - name: /a\n",
         "4:11: relay.topics[1].name: '/a' is already given on line 3; keep one of the two",
     ),
-    "nameless topic": ("topics:\n  - weight: 1\n", "2:5: topics[0].name: is missing; every item needs one"),
+    "nameless topic": ("topics:\n  - weight: 1\n", "2:5: topics[0].name: is missing; give every item one"),
     "relative name": (
         "topics:\n  - name: camera/image\n",
         "2:11: topics[0].name: 'camera/image' is not an absolute ROS name; write /camera/image",
@@ -288,8 +288,8 @@ ONE_FAULT = {
     "anchor": ("link: &a {}\n", "1:7: yaml: anchor &a is not allowed; remove it"),
     "alias": ("link: {}\nhttp: *a\n", "2:7: yaml: alias *a is not allowed; write the value out"),
     "tag": ("link: !!python/none x\n", "1:7: yaml: tag tag:yaml.org,2002:python/none is not allowed; remove it"),
-    "deep": ("link: " + "[" * 50_000, "1:26: yaml: is nested more than 20 deep; no key of arpd is"),
-    "too large": ("#" * (2**20 + 1), "1:1: file: is larger than 1 MiB; no configuration needs that much"),
+    "deep": ("link: " + "[" * 50_000, "1:26: yaml: is nested more than 20 deep; remove levels"),
+    "too large": ("#" * (2**20 + 1), "1:1: file: is larger than 1 MiB; shorten it or name another file"),
     "escape out of range": ('on_stop: "\\UFFFFFFFF"', "1:13: yaml: a number is out of range; correct the YAML here"),
     "lone surrogate": (
         'on_stop: "\\uD800"',
@@ -304,12 +304,12 @@ ONE_FAULT = {
 
 @pytest.mark.parametrize(("text", "fault"), ONE_FAULT.values(), ids=ONE_FAULT)
 def test_each_fault_is_one_line_with_its_place_and_the_way_out(faults, text, fault):
-    """A fault says where it is, what is wrong and what would be right."""
+    """A fault names its place, what is wrong and what would be right."""
     assert faults(text) == [fault]
 
 
 def test_an_alias_bomb_is_refused_before_it_expands(faults):
-    """The first anchor ends the reading."""
+    """Reading ends at the first anchor."""
     bomb = "a: &a [x]\n" + "".join(
         f"{chr(98 + n)}: &{chr(98 + n)} [{', '.join(['*' + chr(97 + n)] * 9)}]\n" for n in range(20)
     )
@@ -317,7 +317,7 @@ def test_an_alias_bomb_is_refused_before_it_expands(faults):
 
 
 def test_all_faults_are_reported_at_once_in_the_order_of_the_file(faults):
-    """One run of `arpd check` shows everything, and a faulty value hides no other rule."""
+    """One run of `arpd check` shows every fault; a faulty value hides no other."""
     text = """\
 link: {interface: wlan9, headroom: much}
 topics:
@@ -347,7 +347,7 @@ defaults: {min_depth: 5, max_depth: 2}
     ],
 )
 def test_a_file_that_cannot_be_read_is_one_line(tmp_path, path, wrong):
-    """No path is answered with a traceback."""
+    """Any bad path is one fault instead of a traceback."""
     (tmp_path / "arpd.yaml").write_text("{}")
     with pytest.raises(ConfigError) as refused:
         load_settings(tmp_path / path, interfaces=None)
@@ -370,7 +370,7 @@ def test_names_that_grow_too_long_with_the_relay_prefix_are_refused(faults):
 
 
 def test_what_a_topic_is_assumed_to_publish_is_its_own_and_may_be_left_to_measurement(load):
-    """The word stands for leaving the key out, and no other topic inherits what one assumes."""
+    """`measured` equals leaving the key out, and no other topic inherits the assumed values."""
     text = (
         "topics: [{name: /a, payload: 1kB, source_rate_hz: 5}, {name: /b, payload: measured, source_rate_hz: measured}]"
     )
@@ -380,7 +380,7 @@ def test_what_a_topic_is_assumed_to_publish_is_its_own_and_may_be_left_to_measur
 
 
 def test_a_change_of_what_is_assumed_is_described_and_needs_no_restart():
-    """The daemon takes it with a reload, although it measures both."""
+    """A reload applies the assumed values."""
     old = Settings(topics={"/a": TopicSettings()})
     new = Settings(topics={"/a": TopicSettings(payload_bytes=30_000.0, source_rate_hz=30.0)})
     assert describe_change(old, new) == [
@@ -392,12 +392,12 @@ def test_a_change_of_what_is_assumed_is_described_and_needs_no_restart():
 
 @pytest.mark.parametrize("text", ["defaults: {weight: 010}", "defaults: {weight: 1e1}", "defaults: {weight: 10.}"])
 def test_numbers_are_those_of_yaml_1_2(load, text):
-    """No octal, and an exponent needs no point."""
+    """A leading zero is not octal, and an exponent needs no point."""
     assert load(text).default_topic.weight == 10.0
 
 
 def test_a_change_is_described_in_the_words_of_the_file():
-    """A reload logs what it changed, and what waits for a restart."""
+    """A reload logs the keys that it changed and those that wait for a restart."""
     old = Settings(topics={"/a": TopicSettings()})
     new = replace(
         old,
@@ -441,7 +441,7 @@ def _check_any(load, text):
 @example(b"? [a]\n: b")
 @example(b"%YAML 1." + b"9" * 5000 + b"\n---\na: 1")
 def test_any_bytes_are_settings_or_faults(load, raw):
-    """Nothing but ConfigError comes out of a bad file."""
+    """A bad file raises nothing but ConfigError."""
     _check_any(load, raw)
 
 
@@ -457,7 +457,7 @@ _YAML_BITS = st.sampled_from(
 @FUZZ
 @given(st.lists(_YAML_BITS, max_size=40).map("".join))
 def test_any_heap_of_yaml_is_settings_or_faults(load, text):
-    """The parser's own errors all become faults."""
+    """Every error of the parser becomes a fault."""
     _check_any(load, text)
 
 
@@ -482,7 +482,7 @@ _TREES = st.recursive(
 @FUZZ
 @given(st.dictionaries(_KEYS, _TREES, max_size=6) | _TREES)
 def test_any_structure_is_settings_or_faults(load, tree):
-    """Values of any shape at any key are refused in words."""
+    """A value of any shape at any key loads or is a fault."""
     _check_any(load, yaml.safe_dump(tree, allow_unicode=True))
 
 
@@ -506,7 +506,7 @@ _VALID = st.fixed_dictionaries(
 @FUZZ
 @given(_VALID)
 def test_what_is_within_the_ranges_loads_and_keeps_its_values(load, tree):
-    """No valid file is refused."""
+    """A file with valid values loads."""
     loaded = load(yaml.safe_dump(tree))
     assert list(loaded.topics) == [topic["name"] for topic in tree.get("topics", [])]
     for topic in tree.get("topics", []):
