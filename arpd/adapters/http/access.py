@@ -1,4 +1,4 @@
-"""The protection in force: read at start, and again whenever one of its files changes."""
+"""The protection in force, read at start and whenever one of its files changes."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_RETRY_S = 10.0  # a file a broken web-config names may come without the web-config changing
+_RETRY_S = 10.0  # a file that a broken web-config names may appear while the web-config stays the same
 
 
 class Access:
-    """Keeps `Protection` as the files have it now; what cannot be used leaves the last good one in force.
+    """Keeps `Protection` up to date with its files; if they cannot be used, the last good one stays in force.
 
-    Whether there is TLS, and whether users are asked, is settled at start: a file caught half written must not open
+    TLS, users and client certificates cannot be removed without a restart, so that a half-written file does not open
     the port.
 
     Parameters
     ----------
     path : web-config file, None = no protection
-    counts : told of every change
+    counts : counts the changes
     clock : monotonic clock (s)
 
     Raises
@@ -50,7 +50,7 @@ class Access:
         self._stamps = _stamps(self._protection.files)
 
     def current(self) -> Protection:
-        """Return what is in force, after a look whether its files changed; one thread reads them anew."""
+        """Return the protection in force; if its files have changed, one thread reads them first."""
         if self._path is not None and self._lock.acquire(blocking=False):
             try:
                 self._follow(self._path)
@@ -59,7 +59,7 @@ class Access:
         return self._protection
 
     def _follow(self, path: Path) -> None:
-        stamps = _stamps(self._protection.files)  # before reading: what changes meanwhile is read once more
+        stamps = _stamps(self._protection.files)  # taken before reading, so that a later change is read again
         if stamps == self._stamps and not (self._fault and self._clock() >= self._retry_at_s):
             return
         fault = ""
@@ -76,36 +76,31 @@ class Access:
         if fault != self._fault or not fault:
             self._counts.note_reload(is_good=not fault)
             if fault:
-                log.error("http.web_config was refused, what was in force stays: %s", fault)
+                log.error("http.web_config is refused; the last good one stays in force: %s", fault)
             else:
-                log.info("http.web_config was read anew")
+                log.info("http.web_config has changed and is in force")
         self._stamps, self._fault, self._retry_at_s = stamps, fault, self._clock() + _RETRY_S
 
 
 def exposure(address: str, protection: Protection) -> str:
-    """Say what is amiss where others than this host can connect, empty if nothing is.
-
-    Parameters
-    ----------
-    address : IP address that is listened on
-    """
+    """Return the risk of listening on an IP address, empty if there is none."""
     if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
         return ""
     if not (protection.users or protection.requires_certificate):
-        return "anyone who reaches it can read it; name users, or require certificates, in http.web_config"
+        return "anyone who reaches it can read it; add users or require client certificates in http.web_config"
     if protection.tls is None:
-        return "passwords cross the network in clear; add tls_server_config to http.web_config"
+        return "passwords cross the network unencrypted; add tls_server_config to http.web_config"
     return ""
 
 
 def _opened(old: Protection, new: Protection) -> str:
-    for what, before, after in (
+    for key, before, after in (
         ("tls_server_config", old.tls, new.tls),
         ("basic_auth_users", old.users, new.users),
         ("client_auth_type", old.requires_certificate, new.requires_certificate),
     ):
         if bool(before) and not after:
-            return f"{what}: is given up; restart arpd if that is meant"
+            return f"{key}: was removed; restart arpd if this is intended"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""What the page loads beside its HTML: scripts and styles, read once, under a path that changes with their content."""
+"""The scripts and styles of the page, read once, under a path that changes with their content."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TYPES = {".js": "text/javascript; charset=utf-8", ".css": "text/css; charset=ut
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Asset:
-    """One file as it is served."""
+    """One file to serve."""
 
     content_type: str
     body: bytes
@@ -25,8 +25,8 @@ class Asset:
 class Bundle:
     """The scripts and styles of ``arpd/adapters/http/assets``, vendored ones included.
 
-    All lie in one folder named after the hash of everything in it, so that browsers may keep them for ever, and scripts
-    find each other by relative paths.
+    Their folder's name is the hash of all of them, so that browsers may cache them without limit, and scripts find each
+    other by relative paths.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Who may be connected: a bound on all clients, a share for each, and room for newcomers."""
+"""Limits connections: a bound for all clients together, a share for each, and room for newcomers."""
 
 from __future__ import annotations
 
@@ -14,47 +14,48 @@ if TYPE_CHECKING:
 
 MAX_PLACES = 16
 MAX_PER_CLIENT = 12
-MAX_THREADS = 2 * MAX_PLACES  # an evicted connection's thread ends a moment later than its place is free
+MAX_THREADS = 2 * MAX_PLACES  # the thread of an evicted connection ends a moment after the next connection's begins
 
 
 class Connection:
-    """One connection that holds a place.
+    """One connection that counts against the limit.
 
     Attributes
     ----------
-    client : whom it counts for, see `client_of`
-    is_waiting : whether the client's next move is awaited, so that the connection may be evicted
-    is_evicted : whether it was
+    socket : plain or TLS
+    client : name that it counts for, see `client_of`
+    is_waiting : True while it waits for its client, so that it may be evicted
+    is_evicted : True once it is evicted
     """
 
-    def __init__(self, connection: socket.socket, client: str) -> None:
-        self.connection = connection
+    def __init__(self, raw: socket.socket, client: str) -> None:
+        self.socket = raw
         self.client = client
         self.is_waiting = True
         self.is_evicted = False
         self._lock = threading.Lock()
 
-    def become(self, connection: socket.socket) -> None:
-        """Go on by another socket that took over the descriptor (TLS).
+    def become(self, wrapped: socket.socket) -> None:
+        """Continue with another socket that took over the descriptor (TLS).
 
         Raises
         ------
         ConnectionError
-            If the visit was evicted in the meantime.
+            If the connection was evicted in the meantime.
         """
         with self._lock:
-            self.connection = connection
+            self.socket = wrapped
             if self.is_evicted:
                 raise ConnectionError("evicted")
 
     def evict(self) -> None:
-        """Wake the thread that waits for the client, with an end of the stream."""
+        """End the stream, which wakes the thread that waits for the client."""
         with self._lock, suppress(OSError):
-            socket.socket.shutdown(self.connection, socket.SHUT_RDWR)  # SSLSocket's own would break its thread
+            socket.socket.shutdown(self.socket, socket.SHUT_RDWR)  # SSLSocket's own would break its thread
 
     @contextmanager
     def working(self) -> Iterator[None]:
-        """Mark that the daemon works on an answer, which is soon done and not to be thrown away."""
+        """Keep the connection from eviction while the daemon works on its answer."""
         self.is_waiting = False
         try:
             yield
@@ -63,15 +64,15 @@ class Connection:
 
 
 class ConnectionLimit:
-    """Gives places to connections; a newcomer without one takes that of whoever can best spare it.
+    """Admits connections; at the limit, a newcomer evicts another.
 
-    A scrape always finds a place: every connection that waits for its client can be evicted, the oldest of the client
-    that holds the most first, so that floods of half-open connections evict their own. Only those the daemon works
-    for keep theirs, and that takes milliseconds.
+    A scrape always gets in: a newcomer may evict any connection that waits for its client, first the oldest one of the
+    client that has most, so that a flood of half-open connections evicts its own. Only connections whose answer is in
+    work stay, and that takes milliseconds.
 
     Parameters
     ----------
-    patience_s : how long a newcomer waits for the thread of an evicted one to end, while those behind it queue (s)
+    patience_s : longest wait of a newcomer for the thread of an evicted connection to end; those behind it queue (s)
     """
 
     def __init__(self, *, patience_s: float = 1.0) -> None:
@@ -80,43 +81,43 @@ class ConnectionLimit:
         self._open: list[Connection] = []
         self._threads = 0
 
-    def enter(self, connection: socket.socket, client: str) -> tuple[Connection | None, Connection | None]:
-        """Return the newcomer's visit, None if there is no place at all, and the visit it evicted, if any."""
+    def enter(self, raw: socket.socket, client: str) -> tuple[Connection | None, Connection | None]:
+        """Return the newcomer's connection, None if it cannot enter, and the connection that it evicted, if any."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._threads < MAX_THREADS, self._patience_s):
                 return None, None
             evicted = None
-            if rivals := contested([visit.client for visit in self._open], client):
+            if rivals := contested([connection.client for connection in self._open], client):
                 evicted = next((self._open[index] for index in rivals if self._open[index].is_waiting), None)
                 if evicted is None:
                     return None, None
                 self._open.remove(evicted)
                 evicted.is_evicted = True
-            visit = Connection(connection, client)
-            self._open.append(visit)
+            connection = Connection(raw, client)
+            self._open.append(connection)
             self._threads += 1
         if evicted is not None:
             evicted.evict()
-        return visit, evicted
+        return connection, evicted
 
-    def leave(self, visit: Connection) -> None:
-        """Give the place back; once for each visit that entered."""
+    def leave(self, connection: Connection) -> None:
+        """Release a connection that entered; call it once for each."""
         with self._changed:
             self._threads -= 1
             self._changed.notify()
-            if not visit.is_evicted:
-                self._open.remove(visit)
+            if not connection.is_evicted:
+                self._open.remove(connection)
 
 
 def contested(clients: Sequence[str], newcomer: str) -> list[int]:
-    """Return which places, by position, a newcomer may take, best first; none if it may take a free one.
+    """Return the indices of the connections that a newcomer may evict, best first; none if there is room.
 
-    A client at its share gives up its own oldest; when all places are taken, the client with the most does.
+    A client at its share loses its own oldest connection; at the limit, the client with most connections does.
 
     Parameters
     ----------
-    clients : who holds each place, oldest first
-    newcomer : who asks for one
+    clients : client of each connection, oldest first
+    newcomer : client of the new connection
     """
     held = Counter(clients)
     if held[newcomer] >= MAX_PER_CLIENT:
@@ -127,7 +128,7 @@ def contested(clients: Sequence[str], newcomer: str) -> list[int]:
 
 
 def client_of(address: str) -> str:
-    """Return whom an address counts for: an IPv6 client has a whole /64 to choose from, and counts once."""
+    """Return the client that an address counts for; an IPv6 client may use a whole /64, which counts once."""
     try:
         ip = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -1,4 +1,4 @@
-"""One connection from its first byte to its last: handshake, request, credentials, answer."""
+"""Serves one connection: handshake, request, credentials, answer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from arpd.adapters.http.answers import bare, compressed, label
 from arpd.adapters.http.http_metrics import HttpRefusal
 from arpd.adapters.http.passwords import PasswordVerdict
 from arpd.adapters.http.request import RequestRefusedError, read_request
-from arpd.adapters.http.stream import Stream
 from arpd.adapters.http.tls import has_allowed_name
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ REQUEST_S = 5.0  # for handshake and request together
 ANSWER_S = 10.0
 _LINGER_S = 1.0
 _LINGER_BYTES = 65_536
+_CHUNK_BYTES = 65_536
 _PLAIN_TO_TLS = "this port speaks HTTPS"
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -60,16 +60,65 @@ _OF_VERDICT = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exchange:
-    """Serves one connection, in a thread of its own; nothing it raises gets out.
+class Stream:
+    """Receives and sends under one deadline; with a timeout per call, a trickle of bytes could hold the connection.
 
     Parameters
     ----------
-    answers : what the paths answer
-    access : how connections are protected
+    connection : socket, plain or TLS
+    clock : monotonic clock (s)
+    """
+
+    def __init__(self, connection: socket.socket, *, clock: Callable[[], float]) -> None:
+        self._connection = connection
+        self._clock = clock
+        self._deadline_s = clock()
+
+    def allow(self, seconds: float) -> None:
+        """Set the deadline this far ahead (s)."""
+        self._deadline_s = self._clock() + seconds
+
+    def receive(self, most: int) -> bytes:
+        """Return at most that many bytes, none at the end of the stream.
+
+        Raises
+        ------
+        TimeoutError
+            After the deadline.
+        """
+        self._arm()
+        return self._connection.recv(most)
+
+    def send(self, data: bytes) -> None:
+        """Send all bytes.
+
+        Raises
+        ------
+        TimeoutError
+            After the deadline.
+        """
+        rest = memoryview(data)
+        while rest:
+            self._arm()
+            rest = rest[self._connection.send(rest[:_CHUNK_BYTES]) :]
+
+    def _arm(self) -> None:
+        left_s = self._deadline_s - self._clock()
+        if left_s <= 0.0:
+            raise TimeoutError
+        self._connection.settimeout(left_s)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exchange:
+    """Serves one connection in a thread of its own; logs or counts its errors and raises none.
+
+    Parameters
+    ----------
+    answers : answers the paths
+    access : protection of connections
     passwords : judges credentials
-    counts : told of every answer and refusal
+    counts : counts answers and refusals
     clock : monotonic clock (s)
     """
 
@@ -79,32 +128,32 @@ class Exchange:
     counts: HttpCounts
     clock: Callable[[], float]
 
-    def run(self, visit: Connection) -> None:
+    def run(self, connection: Connection) -> None:
         """Take one request, answer it, and close the connection."""
         try:
-            self._serve(visit)
+            self._serve(connection)
         except TimeoutError:
-            self._refuse(visit, HttpRefusal.TIMEOUT)
+            self._refuse(connection, HttpRefusal.TIMEOUT)
         except ssl.SSLError:
-            self._refuse(visit, HttpRefusal.TLS)
+            self._refuse(connection, HttpRefusal.TLS)
         except OSError:
-            self._refuse(visit, HttpRefusal.GONE)
+            self._refuse(connection, HttpRefusal.GONE)
         except Exception:
-            log.exception("a connection from %s failed", visit.client)
+            log.exception("a connection from %s failed", connection.client)
         finally:
             with suppress(OSError):
-                visit.connection.close()
+                connection.socket.close()
 
-    def _refuse(self, visit: Connection, reason: HttpRefusal) -> None:
-        if not visit.is_evicted:  # which has been counted, and ends in any of these ways
+    def _refuse(self, connection: Connection, reason: HttpRefusal) -> None:
+        if not connection.is_evicted:  # an eviction is counted already, and may end in any of these errors
             self.counts.count_refused(reason)
 
-    def _serve(self, visit: Connection) -> None:
+    def _serve(self, connection: Connection) -> None:
         protection = self.access.current()
-        stream = Stream(visit.connection, clock=self.clock)
+        stream = Stream(connection.socket, clock=self.clock)
         stream.allow(REQUEST_S)
         if protection.tls is not None:
-            stream = self._shake_hands(visit, protection, protection.tls)
+            stream = self._shake_hands(connection, protection, protection.tls)
         path, wants_body, is_understood = "", True, True
         try:
             request = read_request(stream.receive)
@@ -113,19 +162,19 @@ class Exchange:
             answer = bare(refused.status)
         else:
             path, wants_body = request.path, request.wants_body
-            with visit.working():
-                answer = self._answer(protection, request, visit.client)
+            with connection.working():
+                answer = self._answer(protection, request, connection.client)
                 if request.takes_gzip:
                     answer = compressed(answer)
         stream.allow(ANSWER_S)
         stream.send(encode(answer, protection, wants_body=wants_body))
         self.counts.count_request(label(path), answer.status)
         if not is_understood:
-            _linger(visit.connection, stream)
+            _linger(connection.socket, stream)
 
-    def _shake_hands(self, visit: Connection, protection: Protection, context: ssl.SSLContext) -> Stream:
-        wrapped = context.wrap_socket(visit.connection, server_side=True, do_handshake_on_connect=False)
-        visit.become(wrapped)
+    def _shake_hands(self, connection: Connection, protection: Protection, context: ssl.SSLContext) -> Stream:
+        wrapped = context.wrap_socket(connection.socket, server_side=True, do_handshake_on_connect=False)
+        connection.become(wrapped)
         wrapped.settimeout(REQUEST_S)
         stream = Stream(wrapped, clock=self.clock)
         stream.allow(REQUEST_S)
@@ -141,7 +190,7 @@ class Exchange:
         return stream
 
     def _answer(self, protection: Protection, request: Request, client: str) -> Answer:
-        """Answer an understood request; what fails is told to the log, and to nobody else."""
+        """Answer a valid request; an error goes to the log only."""
         try:
             if protection.users:
                 verdict = self.passwords.judge(protection.users, request.authorization, client)
@@ -155,7 +204,7 @@ class Exchange:
 
 
 def encode(answer: Answer, protection: Protection, *, wants_body: bool) -> bytes:
-    """Return the bytes of an answer, after which the connection closes."""
+    """Return the bytes of an answer that closes the connection."""
     headers = {
         "Server": "arpd",
         "Date": formatdate(usegmt=True),
@@ -173,7 +222,7 @@ def encode(answer: Answer, protection: Protection, *, wants_body: bool) -> bytes
 
 
 def _linger(connection: socket.socket, stream: Stream) -> None:
-    """Read on for a moment: closing with bytes unread resets the connection, and the answer may be lost with it."""
+    """Read on for a moment; if bytes are unread, closing resets the connection, and the client may lose the answer."""
     stream.allow(_LINGER_S)
     with suppress(OSError):
         socket.socket.shutdown(connection, socket.SHUT_WR)

@@ -1,7 +1,7 @@
-"""Metrics as text: byte for byte what prometheus_client writes, in a third of its time.
+"""Writes metrics as text: the same bytes as prometheus_client, in a third of its time.
 
-With a thousand topics there are 54,000 samples. prometheus_client checks every name and escapes every label of each one
-anew, which takes half a second, and the tick has to share the interpreter with it. Here each label set is written once.
+A thousand topics have 54,000 samples. prometheus_client checks every name and escapes every label of each sample, which
+takes half a second of the interpreter that the tick needs, too. This module writes each label set once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from prometheus_client.core import Metric, Sample
 
-_MANGLED = ("escaping=dots", "escaping=values")  # what nobody asks for, and what writes plain names otherwise, too
+_MANGLED = ("escaping=dots", "escaping=values")  # rarely asked for; they change plain names, too
 _OPENMETRICS = "application/openmetrics-text"
 _TEXT_NAMES = {"counter": "_total", "info": "_info"}
 _TEXT_TYPES = {"info": "gauge", "stateset": "gauge", "gaugehistogram": "histogram", "unknown": "untyped"}
@@ -36,7 +36,7 @@ class Collects(Protocol):
 
 
 class Encoder(Protocol):
-    """Writes the families of a registry; calls ``pause`` now and then."""
+    """Writes the families of a registry; calls ``pause`` every 500 samples."""
 
     def __call__(self, registry: Collects, pause: Callable[[], None] = ..., /) -> bytes:
         """Return the text."""
@@ -47,7 +47,7 @@ def _never() -> None:
 
 
 def choose_encoder(accept: str) -> tuple[Encoder, str]:
-    """Return the encoder of the format a client asks for, as prometheus_client negotiates it, and its content type.
+    """Return the encoder and the content type that prometheus_client negotiates with a client.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def choose_encoder(accept: str) -> tuple[Encoder, str]:
     """
     try:
         encode, content_type = library.choose_encoder(accept)
-    except (TypeError, ValueError):  # it compares versions without looking: "version=x"
+    except (TypeError, ValueError):  # it compares versions unchecked: "version=x"
         encode, content_type = library.choose_encoder("")
     if content_type.endswith(_MANGLED):
         return lambda registry, _pause=_never: encode(registry), content_type
@@ -88,16 +88,16 @@ def encode_openmetrics(registry: Collects, pause: Callable[[], None] = _never, /
 
 
 class Exposition:
-    """What ``/metrics`` answers: made once for all who ask at the same time, and not while a tick runs.
+    """Makes the text of ``/metrics`` once for all clients that ask at the same time, and not while a tick runs.
 
-    Python runs one thread at a time. Whoever makes the text for a thousand topics would have the tick wait for every
-    other turn, four of them for four of five. So one at a time makes it, a millisecond's worth between two looks at
-    whether a tick has begun; it waits for ticks a second at most, for metrics matter most when ticks hang.
+    Python runs one thread at a time. With a thousand topics, one thread that makes the text would take half of the
+    turns from the tick, four threads four turns of five. So one thread makes it and checks every millisecond whether a
+    tick runs. It waits for ticks one second in all, because metrics matter most when ticks hang.
 
     Parameters
     ----------
-    registry : what is exposed
-    resting : set while no tick runs; None = nobody ticks
+    registry : metrics to expose
+    resting : set while no tick runs, None = there are no ticks
     clock : monotonic clock (s)
     """
 
@@ -112,7 +112,7 @@ class Exposition:
         self._resting = resting
         self._clock = clock
         self._lock = threading.Lock()
-        self._last: tuple[str, float, bytes] = ("", -math.inf, b"")  # content type, when it was done (s), text
+        self._last: tuple[str, float, bytes] = ("", -math.inf, b"")  # content type, end of its making (s), text
 
     def answer(self, accept: str) -> tuple[bytes, str]:
         """Return the text and its content type.
@@ -126,12 +126,12 @@ class Exposition:
         with self._lock:
             made, done_s, text = self._last
             if made != content_type or done_s < asked_s:
-                text = encode(self._registry, self._give_way())
+                text = encode(self._registry, self._tick_waiter())
                 self._last = content_type, self._clock(), text
         return text, content_type
 
-    def _give_way(self) -> Callable[[], None]:
-        """Return what waits for a tick to end, with the patience for one text."""
+    def _tick_waiter(self) -> Callable[[], None]:
+        """Return a function that waits for a running tick, with the patience of one text."""
         left_s = _PATIENCE_S
 
         def wait() -> None:
@@ -145,13 +145,13 @@ class Exposition:
 
 
 class _Samples:
-    """Writes samples, whose lines are the same in both formats; no family of arpd's has time stamps or exemplars."""
+    """Writes samples; both formats write them alike, because arpd has no time stamps and no exemplars."""
 
     def __init__(self, lines: list[str], pause: Callable[[], None]) -> None:
         self._lines = lines
         self._pause = pause
         self._shapes: dict[tuple[str, ...], _Shape] = {}  # by label names
-        self._numbers = {0.0: "0.0"}  # of minus zero, too
+        self._numbers = {0.0: "0.0"}  # also for minus zero
 
     def write(self, family: Metric) -> None:
         for start in range(0, len(family.samples), _AT_ONCE):
@@ -176,12 +176,12 @@ class _Samples:
 
 
 class _Shape:
-    """Label sets of the same names, in the order prometheus_client writes them."""
+    """Label sets of the same names, in the order of prometheus_client."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = sorted(names)
         self.values_of = itemgetter(*self._names)
-        self.texts: dict[str | tuple[str, ...], str] = {}  # by value, or values
+        self.texts: dict[str | tuple[str, ...], str] = {}  # by value or values
 
     def write(self, values: str | tuple[str, ...]) -> str:
         each = (values,) if isinstance(values, str) else values

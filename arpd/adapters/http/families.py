@@ -1,4 +1,4 @@
-"""Metric families that several modules make alike."""
+"""Makes metric families from rows of labels and values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from arpd.report.durations import Distribution
 
-# Samples are made here, and not by `add_metric`, where there may be thousands: those of one row share their labels.
+# There may be thousands of samples. Samples made here share the labels of their row; `add_metric` would copy them.
 Labels = dict[str, str]
 
 
@@ -38,8 +38,8 @@ def counter_of(name: str, text: str, series: Iterable[tuple[Labels, float]]) -> 
 def gauge_by(
     name: str, text: str, label: str, known: Iterable[str], series: Iterable[tuple[Labels, str]]
 ) -> GaugeMetricFamily:
-    """Return a set of states over (outer labels, which of the known values of another label holds)."""
-    family = GaugeMetricFamily(name, f"{text} 1 marks what holds.")
+    """Return a set of states over (outer labels, current one of the known values of another label)."""
+    family = GaugeMetricFamily(name, f"{text} 1 marks the current one.")
     states = sorted(map(str, known))
     family.samples = [
         Sample(name, {**outer, label: state}, float(state == current)) for outer, current in series for state in states
@@ -50,7 +50,7 @@ def gauge_by(
 def counter_by(
     name: str, text: str, label: str, known: Iterable[str], series: Iterable[tuple[Labels, Mapping[str, float]]]
 ) -> CounterMetricFamily:
-    """Return a counter over (outer labels, counts by another label); a known value has a count, or 0."""
+    """Return a counter over (outer labels, counts by another label); a known value without a count gets 0."""
     family, name = CounterMetricFamily(name, text), f"{name}_total"
     usual = sorted(map(str, known))
     for outer, counts in series:

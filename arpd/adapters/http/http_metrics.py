@@ -1,4 +1,4 @@
-"""Counts of the HTTP server itself, and the metrics made of them."""
+"""Counts of the HTTP server itself, as metrics."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class HttpRefusal(StrEnum):
-    """Why a connection got no answer."""
+    """Reasons why a connection got no answer."""
 
-    BUSY = "busy"  # no place, and none to be had
-    EVICTED = "evicted"  # it waited, and a newcomer needed its place
+    BUSY = "busy"  # the limit was reached, and no connection could be evicted
+    EVICTED = "evicted"  # it waited for its client, and a newcomer evicted it
     TIMEOUT = "timeout"  # the client took too long
     TLS = "tls"  # the handshake failed
     GONE = "gone"  # the client left
 
 
 class HttpCounts(Collector):
-    """What the server did, as Prometheus reads it; every label has few values, whatever clients send."""
+    """Counts of the server, as Prometheus reads them; no client can add values to a label."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -41,7 +41,7 @@ class HttpCounts(Collector):
         self._is_config_good = True
 
     def count_request(self, path: str, code: int) -> None:
-        """Count an answer; ``path`` is one of the site's, or ``other``."""
+        """Count an answer; ``path`` is a path of the server or ``other``."""
         with self._lock:
             self._requests[path, str(code)] += 1
 
@@ -51,12 +51,12 @@ class HttpCounts(Collector):
             self._refused[reason] += 1
 
     def count_authentication(self, verdict: PasswordVerdict) -> None:
-        """Count credentials."""
+        """Count credentials by verdict."""
         with self._lock:
             self._authentications[verdict] += 1
 
     def note_reload(self, *, is_good: bool) -> None:
-        """Note that the web-config file, or a certificate, changed, and whether it can be used."""
+        """Count a change of the web-config file or a certificate, and note whether it can be used."""
         with self._lock:
             self._reloads["ok" if is_good else "failed"] += 1
             self._is_config_good = is_good
@@ -75,7 +75,7 @@ class HttpCounts(Collector):
             ("arpd_http_connections_refused", "Connections without an answer.", "reason", HttpRefusal, refused),
             (
                 "arpd_http_authentications",
-                "Credentials of requests; cached is right and remembered.",
+                "Credentials of requests; cached means right and remembered.",
                 "result",
                 PasswordVerdict,
                 authentications,
@@ -91,6 +91,6 @@ class HttpCounts(Collector):
             yield counter_by(name, text, label, known, (({}, counts),))
         yield GaugeMetricFamily(
             "arpd_http_config_last_reload_successful",
-            "0 while http.web_config, as it is now, cannot be used and an older one is in force.",
+            "0 while http.web_config cannot be used and an older version is in force.",
             value=float(is_config_good),
         )

@@ -1,12 +1,10 @@
-"""Metrics of the link interface, of its radio, and of the peers behind it."""
+"""Metrics of the link interface, its radio and the peers."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
-
-from arpd.adapters.http.families import counter_by, gauge
+from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_by, gauge_of
 from arpd.model.interface import InterfaceState, state_of
 from arpd.model.link import EstimatorEvent
 
@@ -20,77 +18,56 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
-    ("arpd_interface_receive_bytes", "Bytes the link interface received.", lambda c: c.rx_bytes),
-    ("arpd_interface_transmit_bytes", "Bytes the link interface sent.", lambda c: c.tx_bytes),
-    ("arpd_interface_receive_packets", "Packets the link interface received.", lambda c: c.rx_packets),
-    ("arpd_interface_transmit_packets", "Packets the link interface sent.", lambda c: c.tx_packets),
+    ("arpd_interface_receive_bytes", "Bytes that the link interface received.", lambda c: c.rx_bytes),
+    ("arpd_interface_transmit_bytes", "Bytes that the link interface sent.", lambda c: c.tx_bytes),
+    ("arpd_interface_receive_packets", "Packets that the link interface received.", lambda c: c.rx_packets),
+    ("arpd_interface_transmit_packets", "Packets that the link interface sent.", lambda c: c.tx_packets),
     ("arpd_interface_transmit_dropped_packets", "Packets dropped on the way out.", lambda c: c.tx_dropped),
 )
 
 
 def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield the families; what cannot be read has no series."""
-    # The name as configured, whatever the interface is called by now: a rename must not begin new series.
-    interface, counters = snapshot.interface, snapshot.observation.counters
+    """Yield the families; an unknown value has no series."""
+    # The configured name, because a rename of the interface must not begin new series.
+    labels, counters = {"interface": snapshot.interface}, snapshot.observation.counters
     current = state_of(counters)
-    up = GaugeMetricFamily("arpd_interface_up", "1 while the link interface is up and readable.", labels=("interface",))
-    up.add_metric((interface,), current is InterfaceState.UP)
-    yield up
-    states = GaugeMetricFamily(
-        "arpd_link_interface_state",
-        "What the link interface can do. 1 marks what holds.",
-        labels=("interface", "state"),
-    )
-    for state in sorted(InterfaceState):
-        states.add_metric((interface, state), state is current)
-    yield states
+    up = float(current is InterfaceState.UP)
+    yield gauge_of("arpd_interface_up", "1 while the link interface is up and readable.", ((labels, up),))
+    text = "State of the link interface."
+    yield gauge_by("arpd_link_interface_state", text, "state", InterfaceState, ((labels, current),))
     if (rate := snapshot.observation.radio_bytes_per_second) is not None:
-        radio = GaugeMetricFamily(
-            "arpd_link_radio_bytes_per_second",
-            "Bit rate the radio transmits at; a bound, of which only a part is usable.",
-            labels=("interface",),
-        )
-        radio.add_metric((interface,), rate)
-        yield radio
+        text = "Bit rate at which the radio transmits; only a part of it is usable."
+        yield gauge_of("arpd_link_radio_bytes_per_second", text, ((labels, rate),))
     yield from _of_peers(snapshot.observation.peer_ages_s)
     yield from _of_probes(snapshot.link)
     if counters is None:
         return
     if counters.backlog_bytes is not None:
-        backlog = GaugeMetricFamily(
-            "arpd_interface_backlog_bytes", "What waits in the link interface's own queue.", labels=("interface",)
-        )
-        backlog.add_metric((interface,), counters.backlog_bytes)
-        yield backlog
+        text = "Bytes that wait in the link interface's own queue."
+        yield gauge_of("arpd_interface_backlog_bytes", text, ((labels, counters.backlog_bytes),))
     for name, text, read in _INTERFACE_COUNTERS:
-        family = CounterMetricFamily(name, text, labels=("interface",))
-        family.add_metric((interface,), read(counters))
-        yield family
+        yield counter_of(name, text, ((labels, read(counters)),))
 
 
 def _of_peers(ages_s: Mapping[str, float]) -> Iterator[Metric]:
-    yield GaugeMetricFamily("arpd_peers", "Peers heard in the last minute.", value=float(len(ages_s)))
-    family = GaugeMetricFamily("arpd_peer_report_age_seconds", "Time since the peer's last report.", labels=("peer",))
-    for peer, age_s in sorted(ages_s.items()):
-        family.add_metric((peer,), age_s)
-    yield family
+    yield gauge("arpd_peers", "Peers heard in the last minute.", len(ages_s))
+    series = (({"peer": peer}, age_s) for peer, age_s in sorted(ages_s.items()))
+    yield gauge_of("arpd_peer_report_age_seconds", "Time since the peer's last report.", series)
 
 
 def _of_probes(link: LinkEstimate) -> Iterator[Metric]:
-    """Yield what probes and reports say beside the capacity; what is not known has no series."""
+    """Yield loss, return delay and estimator events; an unknown value has no series."""
     if link.loss_ratio is not None:
-        yield gauge(
-            "arpd_link_loss_ratio", "Share of the probe packets of late that never reached a peer.", link.loss_ratio
-        )
+        yield gauge("arpd_link_loss_ratio", "Share of recent probe packets that never reached a peer.", link.loss_ratio)
     if link.return_delay_s is not None:
         yield gauge(
             "arpd_link_return_delay_seconds",
-            "One-way delay of the peer's reports above its minimum of the last 10 seconds: what commands wait.",
+            "One-way delay of the peer's reports above its minimum of the last 10 seconds; commands wait as long.",
             link.return_delay_s,
         )
     yield counter_by(
         "arpd_estimator_events",
-        "Times each rule changed the capacity estimate, and outages that began.",
+        "Changes of the capacity estimate by rule, and outages that began.",
         "event",
         EstimatorEvent,
         (({}, link.events_by_kind),),

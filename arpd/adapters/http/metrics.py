@@ -1,4 +1,4 @@
-"""Prometheus metrics, every one read from the last snapshot: a scrape never sees half a tick."""
+"""Prometheus metrics, all read from the last snapshot, so that a scrape never sees half a tick."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
+from prometheus_client.core import InfoMetricFamily
 from prometheus_client.registry import Collector
 
 from arpd import __version__
-from arpd.adapters.http.families import gauge, gauge_by
+from arpd.adapters.http.families import counter_of, gauge, gauge_by, gauge_of
 from arpd.adapters.http.link_metrics import link_metrics
-from arpd.adapters.http.reader_metrics import reader_metrics
-from arpd.adapters.http.topic_metrics import topic_metrics
+from arpd.adapters.http.topic_metrics import reader_metrics, topic_metrics
 from arpd.adapters.http.total_metrics import total_metrics
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.endpoints import RefusalReason
@@ -37,12 +36,12 @@ if TYPE_CHECKING:
 _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     (
         "arpd_link_capacity_bytes_per_second",
-        "Wire bytes per second the link is believed to carry.",
+        "Wire bytes per second that the link carries, as estimated.",
         lambda s: s.link.capacity_bytes_per_second,
     ),
     (
         "arpd_link_foreign_bytes_per_second",
-        "What the link carries that arpd's topics and probes do not explain; at most half of the capacity is yielded.",
+        "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity.",
         lambda s: s.link.cross_traffic_bytes_per_second,
     ),
     (
@@ -52,16 +51,20 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_link_delivery_rate_bytes_per_second",
-        "What the peer received over the last 300 ms.",
+        "Bytes per second that the peer received over the last 300 ms.",
         lambda s: s.link.delivery_rate_bytes_per_second,
     ),
     (
         "arpd_link_packet_overhead_seconds",
-        "Link time every packet costs beyond its bytes.",
+        "Link time that every packet costs beyond its bytes.",
         lambda s: s.link.packet_overhead_s,
     ),
     ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
-    ("arpd_link_app_limited", "1 when traffic alone says nothing about the capacity.", lambda s: s.link.is_app_limited),
+    (
+        "arpd_link_app_limited",
+        "1 while the traffic is too small to show the capacity.",
+        lambda s: s.link.is_app_limited,
+    ),
     ("arpd_memory_total_bytes", "Memory of the robot computer.", lambda s: s.observation.memory.total_bytes),
     (
         "arpd_memory_available_bytes",
@@ -70,18 +73,18 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_other_daemons",
-        "Further arpd daemons in the ROS domain; only the one that has run longest drives the robot.",
+        "Other arpd daemons in the ROS domain; only the one that has run longest drives the robot.",
         lambda s: len(s.observation.other_daemons),
     ),
     (
         "arpd_standing_by",
-        "1 while another daemon drives the robot in this one's place.",
+        "1 while another daemon drives the robot and this one stands by.",
         lambda s: bool(s.observation.active_daemon),
     ),
     ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
     (
         "arpd_level_bytes_per_second",
-        "Capacity the plan in force was made for.",
+        "Capacity that the plan in force was made for.",
         lambda s: s.decision.plan.level_bytes_per_second,
     ),
     (
@@ -89,10 +92,10 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         "Generation of the plan in force; 0 before the first.",
         lambda s: s.decision.plan.generation,
     ),
-    ("arpd_plan_topics", "Topics the plan in force covers.", lambda s: len(s.decision.plan.topics)),
+    ("arpd_plan_topics", "Topics that the plan in force covers.", lambda s: len(s.decision.plan.topics)),
     (
         "arpd_publishers_managed",
-        "Live publishers the plan in force covers.",
+        "Live publishers that the plan in force covers.",
         lambda s: sum(row.planned is not None for row in topic_rows(s)),
     ),
     (
@@ -102,7 +105,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_allocation_capacity_bytes_per_second",
-        "Capacity the program was last solved for, after headroom and foreign traffic.",
+        "Capacity that the program was last solved for, after headroom and cross traffic.",
         lambda s: s.allocation.capacity_bytes_per_second,
     ),
     (
@@ -122,32 +125,38 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_config_keys_awaiting_restart",
-        "Keys whose value in the file last read takes effect after a restart.",
+        "Changed keys that take effect only after a restart.",
         lambda s: len(s.keys_awaiting_restart),
     ),
 )
 _STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
-    ("arpd_link_capacity_kind", "How the capacity was estimated.", "kind", CapacityKind, lambda s: s.link.kind),
-    ("arpd_link_state", "What the link is doing.", "state", LinkState, lambda s: s.link.state),
+    ("arpd_link_capacity_kind", "Evidence behind the capacity estimate.", "kind", CapacityKind, lambda s: s.link.kind),
+    ("arpd_link_state", "State of the link.", "state", LinkState, lambda s: s.link.state),
     (
         "arpd_allocation_status",
-        "Whether the program could keep all constraints.",
+        "Status of the allocation.",
         "status",
         AllocationStatus,
         lambda s: s.allocation.status,
     ),
-    ("arpd_allocation_binding", "Binding constraint in all.", "binding", Binding, lambda s: s.allocation.binding),
+    (
+        "arpd_allocation_binding",
+        "Constraint that binds the allocation as a whole.",
+        "binding",
+        Binding,
+        lambda s: s.allocation.binding,
+    ),
     ("arpd_allocation_backend", "Solver that answered last.", "backend", Backend, lambda s: s.allocation.backend),
 )
 
 
 class SnapshotCollector(Collector):
-    """Makes the metric families of the snapshot that is current when Prometheus asks.
+    """Makes metric families from the snapshot that is current when Prometheus asks.
 
     Parameters
     ----------
     snapshot : returns the last snapshot, None before the first tick finished
-    clock : monotonic clock the snapshot was stamped with (s)
+    clock : monotonic clock of the snapshot's time (s)
     version, python : labels of ``arpd_build_info``
     """
 
@@ -195,41 +204,32 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
     for name, text, label, states, current in _STATE_SETS:
         holds = current(snapshot)
         yield gauge_by(name, text, label, {*states, holds}, (({}, holds),))
-    refused = GaugeMetricFamily(
-        "arpd_publishers_refused",
-        "Publishers whose last request stands refused; middleware and transient_local last: paced and gated only.",
-        labels=("reason",),
-    )
     reasons = Counter(row.publisher.refusal_reason for row in topic_rows(snapshot))
-    for reason in sorted(set(RefusalReason) - {RefusalReason.NONE}):
-        refused.add_metric((reason,), reasons[reason])
-    yield refused
-    topics = GaugeMetricFamily(
-        "arpd_graph_topics", "Topics that cross the link, managed or not.", labels=("direction",)
+    yield gauge_of(
+        "arpd_publishers_refused",
+        "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced.",
+        (({"reason": reason}, reasons[reason]) for reason in sorted(set(RefusalReason) - {RefusalReason.NONE})),
     )
-    topics.add_metric(("actuation",), snapshot.observation.actuation_topics)
-    topics.add_metric(("sensing",), snapshot.observation.sensing_topics)
-    yield topics
     observation = snapshot.observation
+    counts = {"actuation": observation.actuation_topics, "sensing": observation.sensing_topics}
+    series = (({"direction": direction}, count) for direction, count in counts.items())
+    yield gauge_of("arpd_graph_topics", "Topics that cross the link, managed or not.", series)
     if observation.rmw:
         swaps = "no" if observation.rmw_refusal else "yes"
         labels = {"rmw": observation.rmw, "swaps": swaps}
-        yield InfoMetricFamily("arpd_rmw", "Middleware of ROS; without swaps, topics are paced and gated only.", labels)
+        yield InfoMetricFamily("arpd_rmw", "ROS middleware; if swaps is no, arpd only paces and gates topics.", labels)
 
 
 def refusal_metrics(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield the families in a fixed order; every label has few values, whoever speaks."""
+    """Yield the families in a fixed order; no message from the network can add a value to a label."""
     taken = snapshot.observation.taken
-    refused = CounterMetricFamily(
+    yield counter_of(
         "arpd_messages_refused",
-        "Messages from the network, or parts of them, that were not believed.",
-        labels=("kind", "reason"),
+        "Messages from the network, or parts of them, that arpd refused.",
+        (
+            ({"kind": kind, "reason": reason}, taken.refused.get((kind, reason), 0))
+            for kind, reason in product(MessageKind, MessageRefusal)
+        ),
     )
-    for kind, reason in product(MessageKind, MessageRefusal):
-        refused.add_metric((kind, reason), taken.refused.get((kind, reason), 0))
-    yield refused
-    yield GaugeMetricFamily(
-        "arpd_endpoints_pending",
-        "Publishers and readers that announce themselves, but that the ROS graph does not show.",
-        value=float(taken.pending),
-    )
+    text = "Publishers and readers that announce themselves but that the ROS graph does not show."
+    yield gauge("arpd_endpoints_pending", text, taken.pending)

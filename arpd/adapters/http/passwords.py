@@ -1,7 +1,7 @@
-"""Basic authentication against bcrypt hashes, at a bounded cost.
+"""Basic authentication with bcrypt hashes, at a bounded cost.
 
-bcrypt takes 50 to 300 ms of CPU on purpose. So a good password is remembered, one run is under way at a time, few wait
-for it, and who guesses is made to wait.
+bcrypt takes 50 to 300 ms of CPU on purpose. So arpd remembers a good password, runs bcrypt once at a time, lets few
+requests wait for it, and slows down clients that guess.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-MAX_WAITING = 4  # threads in or before bcrypt; each holds a place of the server
+MAX_WAITING = 4  # threads in or before bcrypt; each counts against the connection limit
 MAX_CLIENTS = 256
-BURST = 5.0  # wrong passwords a client has at once …
+BURST = 5.0  # wrong passwords that a client may send at once …
 REFILL_HZ = 1.0  # … and then one a second
-_BCRYPT_BYTES = 72  # bcrypt reads no more of a password; the library before 5.0 cuts it, the later one raises
+_BCRYPT_BYTES = 72  # bcrypt reads no more; the library cuts the rest off before 5.0 and raises since
 
 
 class PasswordVerdict(StrEnum):
-    """What became of a request's credentials."""
+    """Verdict on the credentials of a request."""
 
     OK = "ok"
     CACHED = "cached"
     MISSING = "missing"
     WRONG = "wrong"
-    THROTTLED = "throttled"  # the client had too many wrong ones lately
-    BUSY = "busy"  # too many wait for bcrypt
+    THROTTLED = "throttled"  # the client sent too many wrong ones
+    BUSY = "busy"  # too many requests wait for bcrypt
 
 
 class Passwords:
@@ -42,8 +42,8 @@ class Passwords:
     Parameters
     ----------
     clock : monotonic clock (s)
-    secret : key of the digests that stand for remembered passwords; random bytes
-    check : whether a password has a bcrypt hash
+    secret : random key of the digests of remembered passwords
+    check : returns whether a password has a bcrypt hash
     """
 
     def __init__(
@@ -59,20 +59,20 @@ class Passwords:
         self._budgets: OrderedDict[str, tuple[float, float]] = OrderedDict()  # client → (wrong ones left, when)
 
     def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> PasswordVerdict:
-        """Say whether a request may pass.
+        """Return the verdict on a request.
 
         Parameters
         ----------
         users : name → bcrypt hash, at least one
         authorization : the request's header
-        client : whom a wrong password counts against
+        client : name that a wrong password counts against
         """
         credentials = parse_basic(authorization)
         if credentials is None:
             return PasswordVerdict.MISSING
         name, password = credentials
         known = users.get(name)
-        # An unknown name costs what a known one does, so that time tells nothing.
+        # An unknown name costs as much time as a known one, so that time does not tell them apart.
         hashed = self._decoy(users, name) if known is None else known
         digest = self._digest(hashed, password)
         with self._lock:
@@ -92,7 +92,7 @@ class Passwords:
             return PasswordVerdict.WRONG
         self._give_back(client)
         with self._lock:
-            if len(self._good) > 2 * len(users):  # names that are users no more
+            if len(self._good) > 2 * len(users):  # some names are no longer users
                 self._good.clear()
             self._good[name] = digest
         return PasswordVerdict.OK
@@ -101,12 +101,12 @@ class Passwords:
         return hmac.digest(self._secret, hashed + b"\0" + password, hashlib.sha256)
 
     def _decoy(self, users: Mapping[bytes, bytes], name: bytes) -> bytes:
-        """Return the hash of some user, always the same one for a name."""
+        """Return the hash of some user, the same one each time for a name."""
         hashes = sorted(users.values())
         return hashes[int.from_bytes(self._digest(b"decoy", name)[:8]) % len(hashes)]
 
     def _take(self, client: str) -> bool:
-        """Take one attempt from the client's budget, if it has one; the longest silent client is forgotten."""
+        """Take one attempt from the client's budget, if there is one; forget the client that was silent longest."""
         now_s = self._clock()
         left, since_s = self._budgets.pop(client, (BURST, now_s))
         left = min(BURST, left + (now_s - since_s) * REFILL_HZ)
@@ -123,7 +123,7 @@ class Passwords:
 
 
 def parse_basic(header: bytes) -> tuple[bytes, bytes] | None:
-    """Return name and password of an Authorization header, None if there are none. Pure, total: worth fuzzing."""
+    """Return name and password of an Authorization header, None if there are none; a target of the fuzzer."""
     scheme, _, rest = header.partition(b" ")
     if scheme.lower() != b"basic":
         return None
@@ -135,10 +135,10 @@ def parse_basic(header: bytes) -> tuple[bytes, bytes] | None:
 
 
 def bcrypt_matches(password: bytes, hashed: bytes) -> bool:
-    """Say whether the password has the hash, one the web-config's check let pass; imports bcrypt when first asked."""
+    """Return whether the password has the hash."""
     import bcrypt  # noqa: PLC0415 - only a daemon with users needs it
 
     try:
         return bcrypt.checkpw(password[:_BCRYPT_BYTES], hashed)
-    except ValueError:  # a hash whose letters encode no salt
+    except ValueError:  # the hash has the right form but no valid salt
         return False

@@ -1,4 +1,4 @@
-"""One HTTP request head, read within bounds; knows no sockets."""
+"""Reads the head of one HTTP request within bounds; knows no sockets."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ _CHUNK_BYTES = 4_096
 
 
 class RequestRefusedError(Exception):
-    """What arrived is no request arpd answers.
-
-    Parameters
-    ----------
-    status : what to answer
-    """
+    """The bytes are no request that arpd answers; ``status`` is the answer."""
 
     def __init__(self, status: HTTPStatus) -> None:
         super().__init__(status.phrase)
@@ -33,15 +28,14 @@ class RequestRefusedError(Exception):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Request:
-    """What arpd wants to know of a request.
+    """The parts of a request that arpd uses.
 
     Parameters
     ----------
     path : target without its query
     wants_body : False for HEAD
-    accept : the Accept header, empty without one
-    takes_gzip : whether the client understands a compressed answer
-    authorization : the Authorization header, empty without one
+    accept, authorization : headers, empty if absent
+    takes_gzip : True if the client accepts gzip
     """
 
     path: str
@@ -52,7 +46,7 @@ class Request:
 
 
 def read_request(receive: Callable[[int], bytes]) -> Request:
-    """Read one request head of at most `MAX_HEAD_BYTES`; a body is refused. Total over all bytes: worth fuzzing.
+    """Read one request head of at most `MAX_HEAD_BYTES`; a target of the fuzzer.
 
     Parameters
     ----------
@@ -61,7 +55,7 @@ def read_request(receive: Callable[[int], bytes]) -> Request:
     Raises
     ------
     RequestRefusedError
-        If what arrives is malformed, too large, or asks for what no path has.
+        If the request is malformed or too large, has a body, or uses another method than GET and HEAD.
     ConnectionError
         If the client leaves before the head is complete.
     """
@@ -103,7 +97,7 @@ def _understood(event: h11.Request) -> Request:
 
 
 def _takes_gzip(accept_encoding: str) -> bool:
-    """Whether the header names gzip, and not to refuse it; a client that says it by other means gets it plain."""
+    """Return whether the header names gzip with a quality above 0; ``*`` does not count."""
     for item in accept_encoding.lower().split(","):
         coding, _, parameters = item.partition(";")
         if coding.strip() == "gzip":

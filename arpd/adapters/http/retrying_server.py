@@ -1,4 +1,4 @@
-"""The HTTP server of a daemon that governs whether it can listen or not."""
+"""An HTTP server that tries again until it can listen, while the daemon governs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ _AGAIN_S = 5.0
 
 
 class RetryingServer:
-    """Serves as soon as it can listen.
-
-    A port that is taken, or an address that is not there yet, keeps nobody from governing: it is tried again.
+    """Serves as soon as it can listen; a port in use or a missing address does not keep the daemon from governing.
 
     Parameters
     ----------
-    serving : listens while its block lasts, and yields the URL; raises HttpAddressError where it cannot
+    serving : listens while its block lasts and yields the URL; raises HttpAddressError if it cannot
     again_s : time between two tries (s)
     """
 
@@ -37,7 +35,7 @@ class RetryingServer:
 
     @contextmanager
     def up(self) -> Iterator[None]:
-        """Listen, or try to, while the block lasts; whatever else keeps it from serving at first is raised."""
+        """Listen, or try to, while the block lasts; raise any other error of the first try."""
         stopping, tried = threading.Event(), threading.Event()
         thread = threading.Thread(target=self._run, args=(stopping, tried), name="arpd-web", daemon=True)
         thread.start()
@@ -56,7 +54,7 @@ class RetryingServer:
                 self._serve(stopping, tried)
         except Exception as error:
             if tried.is_set():
-                log.exception("metrics are not served any more")
+                log.exception("the HTTP server has failed; no metrics until arpd restarts")
             self._error, self.fault = error, f"no metrics: {error}"
         finally:
             tried.set()
@@ -70,7 +68,7 @@ class RetryingServer:
                 stopping.wait()
         except HttpAddressError as error:
             if not self.fault:
-                log.error("%s; the daemon governs without metrics, and tries again", error)  # noqa: TRY400 - its place
+                log.error("%s; arpd runs without metrics and tries again", error)  # noqa: TRY400 - no traceback needed
             self.fault = f"no metrics: {str(error).partition(';')[0]}"
             tried.set()
             stopping.wait(self._again_s)

@@ -1,4 +1,4 @@
-"""The HTTP server: listens, gives each connection a place and a thread, and never blocks on a client."""
+"""The HTTP server: listens, serves each connection in a thread, and never waits for a client."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_BACKLOG = 128  # a connection that finds the queue full is tried again after a second, by its own kernel
-_PAUSE_S = 0.05  # when no descriptor is left, accept() fails at once, again and again
+_BACKLOG = 128  # when the queue is full, the client's kernel tries again after a second
+_PAUSE_S = 0.05  # without a free descriptor, accept() fails at once every time
 
 
 class HttpAddressError(ArpdError):
-    """The HTTP server cannot listen where it is told to."""
+    """The HTTP server cannot listen on its address."""
 
 
 class HttpServer:
-    """Serves answers from daemon threads, so that no client can hold up the tick or the exit.
+    """Serves answers from daemon threads, so that no client can delay the tick or the exit.
 
     Parameters
     ----------
-    host, port : where to listen; port 0 takes a free one
+    host, port : address to listen on; port 0 takes a free one
     snapshot, is_ready : see `Answers`
     registry, resting : see `Exposition`
-    history : the last ten minutes, None = nothing of them
+    history : the last ten minutes, None = empty
     web_config : file with TLS and users, None = neither
-    counts : what the server counts of itself
-    clock : monotonic clock the snapshots are stamped with (s)
+    counts : counts of the server itself
+    clock : monotonic clock of the snapshots' times (s)
 
     Raises
     ------
@@ -92,12 +92,12 @@ class HttpServer:
             counts=self._counts,
             clock=time.monotonic,
         )
-        self._connections = ConnectionLimit()
+        self._limit = ConnectionLimit()
         self._listener: socket.socket | None = None
 
     @property
     def port(self) -> int:
-        """Port in use; the one asked for before `start`."""
+        """Port in use; before `start`, the port asked for."""
         return self._port
 
     @property
@@ -131,11 +131,11 @@ class HttpServer:
         threading.Thread(target=self._accept, args=(self._listener,), name="arpd-http", daemon=True).start()
 
     def stop(self) -> None:
-        """Stop listening; requests under way end with the process."""
+        """Stop listening; open requests end with the process."""
         listener, self._listener = self._listener, None
         if listener is not None:
             with suppress(OSError):
-                listener.shutdown(socket.SHUT_RDWR)  # wakes accept(), which close() alone would not
+                listener.shutdown(socket.SHUT_RDWR)  # wakes accept(); close() alone does not
             listener.close()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -148,24 +148,24 @@ class HttpServer:
                 continue
             self._admit(connection, client_of(str(address[0])))
 
-    def _admit(self, connection: socket.socket, client: str) -> None:
-        visit, evicted = self._connections.enter(connection, client)
+    def _admit(self, raw: socket.socket, client: str) -> None:
+        connection, evicted = self._limit.enter(raw, client)
         if evicted is not None:
             self._counts.count_refused(HttpRefusal.EVICTED)
-        if visit is None:
-            self._turn_away(connection)
+        if connection is None:
+            self._turn_away(raw)
             return
         try:
-            threading.Thread(target=self._attend, args=(visit,), name="arpd-http-request", daemon=True).start()
-        except RuntimeError:  # the process may have no more threads
-            self._connections.leave(visit)
-            self._turn_away(connection)
+            threading.Thread(target=self._attend, args=(connection,), name="arpd-http-request", daemon=True).start()
+        except RuntimeError:  # the process has reached its limit of threads
+            self._limit.leave(connection)
+            self._turn_away(raw)
 
-    def _attend(self, visit: Connection) -> None:
+    def _attend(self, connection: Connection) -> None:
         try:
-            self._exchange.run(visit)
+            self._exchange.run(connection)
         finally:
-            self._connections.leave(visit)
+            self._limit.leave(connection)
 
     def _turn_away(self, connection: socket.socket) -> None:
         self._counts.count_refused(HttpRefusal.BUSY)

@@ -1,4 +1,4 @@
-"""The HTTP server for as long as the daemon runs."""
+"""Runs the HTTP server while a block lasts."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def serving(
     history: History | None = None,
     resting: Event | None = None,
 ) -> Iterator[str]:
-    """Serve metrics, health and status for as long as the block lasts; yields the server's URL.
+    """Serve metrics, health and status while the block lasts; yields the server's URL.
 
     Parameters
     ----------
-    settings : where, and under which protection
+    settings : address and web-config
     snapshot : returns the last snapshot, None before the first
-    directory : the configuration file's, which a relative ``http.web_config`` starts from
-    history : the last ten minutes, None = nothing of them
-    resting : set while no tick runs; None = nobody ticks
+    directory : folder of the configuration file, where a relative ``http.web_config`` starts
+    history : the last ten minutes, None = empty
+    resting : set while no tick runs, None = there are no ticks
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The server's side of TLS, from the files a web-config names."""
+"""The server's side of TLS, from the files that a web-config names."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _MAX_PEM_BYTES = 2**20
 
 
 class TlsFileError(Exception):
-    """A file cannot be used.
+    """A file of ``tls_server_config`` cannot be used.
 
     Parameters
     ----------
-    key : key of ``tls_server_config`` that names it
+    key : key that names the file
     text : ``what is wrong; what would be right``
     """
 
@@ -41,12 +41,12 @@ class TlsFileError(Exception):
 
 
 def make_context(section: TlsServer, *, directory: Path) -> ssl.SSLContext:
-    """Build the context connections are wrapped with.
+    """Return the context that wraps connections.
 
     Parameters
     ----------
     section : ``tls_server_config``
-    directory : what relative paths are relative to
+    directory : folder where relative paths start
 
     Raises
     ------
@@ -81,12 +81,7 @@ def make_context(section: TlsServer, *, directory: Path) -> ssl.SSLContext:
 
 
 def has_allowed_name(certificate: Mapping[str, Any] | None, allowed: Collection[str]) -> bool:
-    """Say whether one of the certificate's alternative names (DNS, IP, e-mail, URI) is among those allowed.
-
-    Parameters
-    ----------
-    certificate : what `ssl.SSLSocket.getpeercert` returns
-    """
+    """Return whether an alternative name (DNS, IP, e-mail, URI) of a decoded certificate is allowed."""
     return not {_plain_ip(name) for name in allowed}.isdisjoint(_names(certificate or {}))
 
 
@@ -99,7 +94,7 @@ def _names(certificate: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _plain_ip(name: str) -> str:
-    """Write an address in its one short form, other names as they are; OpenSSL spells IPv6 out."""
+    """Return an address in its short form, because OpenSSL spells IPv6 out, and any other name unchanged."""
     try:
         return str(ipaddress.ip_address(name))
     except ValueError:
@@ -107,15 +102,15 @@ def _plain_ip(name: str) -> str:
 
 
 def _check_pem(key: str, path: Path, label: str) -> None:
-    """Tell apart what OpenSSL would call by one name."""
+    """Raise an error for each fault that OpenSSL reports alike."""
     shown = printable(str(path), longest=200)
     try:
         with path.open("rb") as file:
             text = file.read(_MAX_PEM_BYTES)
     except FileNotFoundError:
-        raise TlsFileError(key, f"{shown} does not exist; create it or name another one") from None
+        raise TlsFileError(key, f"{shown} does not exist; create it or name another file") from None
     except PermissionError:
-        raise TlsFileError(key, f"{shown} may not be read by this user; change its mode or owner") from None
+        raise TlsFileError(key, f"{shown} is not readable for this user; change its mode or owner") from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise TlsFileError(key, f"{shown} cannot be read ({why}); name a PEM file") from None
@@ -124,15 +119,15 @@ def _check_pem(key: str, path: Path, label: str) -> None:
 
 
 def _no_passphrase() -> str:
-    """Refuse what OpenSSL would ask the terminal for."""
-    raise TlsFileError("key_file", "has a passphrase, which nobody can type; decrypt it with openssl pkey")
+    """Refuse a passphrase; OpenSSL would ask the terminal for it."""
+    raise TlsFileError("key_file", "has a passphrase, which a daemon cannot enter; decrypt it with openssl pkey")
 
 
 def _unusable_pair(error: ssl.SSLError) -> TlsFileError:
     reason = _reason(error)
     if "MISMATCH" in reason:
         return TlsFileError("key_file", "does not belong to the certificate in cert_file; name the key made with it")
-    return TlsFileError("cert_file", f"cannot be used with key_file ({reason}); make both anew")
+    return TlsFileError("cert_file", f"cannot be used with key_file ({reason}); create both again")
 
 
 def _reason(error: ssl.SSLError) -> str:

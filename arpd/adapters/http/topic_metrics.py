@@ -1,13 +1,13 @@
-"""Metrics of live AdaptivePublishers: what the program gives each, what the plan wants of it, what it announces."""
+"""Metrics of live AdaptivePublishers (allocation, plan and announcement of each) and AdaptiveSubscriptions."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-from arpd.adapters.http.families import counter_by, counter_of, gauge_by, gauge_of
+from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_by, gauge_of
 from arpd.model.allocation import Binding
-from arpd.model.endpoints import DropCause, SwapPhase, SwapResult
+from arpd.model.endpoints import DropCause, ReaderSwapResult, SwapPhase, SwapResult
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
     from arpd.adapters.http.families import Labels
     from arpd.model.allocation import TopicAllocation
-    from arpd.model.endpoints import PublisherState
+    from arpd.model.endpoints import PublisherState, ReaderState
     from arpd.model.plan import TopicPlan
+    from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
 
 _FAILURES = tuple(sorted(set(SwapResult) - {SwapResult.OK}))
@@ -31,15 +32,19 @@ def _deadline_s(deadline_ns: int) -> float:
 _ALLOCATION_GAUGES: tuple[tuple[str, str, Callable[[TopicAllocation], float]], ...] = (
     (
         "arpd_topic_max_rate_hertz",
-        "Rmax: the rate the topic would reach with the link to itself.",
+        "Rmax: the rate that the topic would reach with the link to itself.",
         lambda a: a.max_rate_hz,
     ),
-    ("arpd_topic_share_ratio", "Share of link time the program gives the topic.", lambda a: a.share),
+    ("arpd_topic_share_ratio", "Share of link time that the program gives the topic.", lambda a: a.share),
 )
 
 _PLAN_GAUGES: tuple[tuple[str, str, Callable[[TopicPlan], float]], ...] = (
     ("arpd_topic_planned_rate_hertz", "Publish rate of the plan; +Inf is unpaced.", lambda p: p.rate_hz),
-    ("arpd_topic_planned_min_rate_hertz", "Rate below which the gate does not push.", lambda p: p.min_rate_hz),
+    (
+        "arpd_topic_planned_min_rate_hertz",
+        "Floor of the plan; the gate does not slow the topic below it.",
+        lambda p: p.min_rate_hz,
+    ),
     ("arpd_topic_planned_depth_samples", "DEPTH of the plan.", lambda p: p.depth),
     (
         "arpd_topic_planned_deadline_seconds",
@@ -70,14 +75,14 @@ _PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...
     ("arpd_topic_payload_bytes", "Mean serialized size of recent messages.", lambda p: p.payload_bytes),
     ("arpd_topic_queued_messages", "Messages waiting in the pacing queue.", lambda p: p.queued),
     ("arpd_topic_remote_readers", "Off-host participants that read the topic.", lambda p: p.remote_readers),
-    ("arpd_topic_refused", "1 while the last request stands refused.", lambda p: bool(p.refusal)),
+    ("arpd_topic_refused", "1 while the publisher refuses the last request.", lambda p: bool(p.refusal)),
     ("arpd_topic_announcement_age_seconds", "Time since the publisher's announcement.", lambda p: p.age_s),
 )
 
 _PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
-    ("arpd_topic_offered_messages", "Messages the application gave.", lambda p: p.offered),
+    ("arpd_topic_offered_messages", "Messages that the application published.", lambda p: p.offered),
     ("arpd_topic_published_messages", "Messages written to the link.", lambda p: p.published),
-    ("arpd_topic_withheld_messages", "Messages pacing chose not to send.", lambda p: p.withheld),
+    ("arpd_topic_withheld_messages", "Messages that arpd did not send.", lambda p: p.withheld),
     ("arpd_topic_publish_blocked_seconds", "Time spent in the middleware's publish().", lambda p: p.blocked_s),
     (
         "arpd_topic_deadlines_missed",
@@ -86,7 +91,7 @@ _PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], .
     ),
     (
         "arpd_topic_swaps",
-        "QoS swaps begun: the writer replaced by one of other depth or deadline.",
+        "Writer swaps begun; each replaces the writer by one with other DEPTH or DEADLINE.",
         lambda p: p.swaps_begun,
     ),
 )
@@ -96,29 +101,44 @@ _BINDINGS: tuple[tuple[str, str, Callable[[TopicAllocation], Binding]], ...] = (
     ("arpd_topic_depth_binding", "Constraint that stopped the depth.", lambda a: a.depth_binding),
 )
 
-
 _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[PublisherState], Mapping[str, float]]], ...] = (
     (
         "arpd_topic_drops",
-        "Messages withheld, by why: the plan's rate, the gate on top of it, a writer that blocked or failed, the end.",
+        "Messages withheld by cause: rate of the plan, gate, writer that blocked or failed, publisher that closed.",
         "cause",
         tuple(DropCause),
         lambda p: p.withheld_by_cause,
     ),
     (
         "arpd_topic_swap_failures",
-        "QoS swaps that did not go as they should; reorder_possible took place, after undelivered some may be lost.",
+        "Writer swaps that went wrong; reorder_possible took place, undelivered may have lost messages.",
         "reason",
         _FAILURES,
         lambda p: {result: count for result, count in p.swaps_by_result.items() if result != SwapResult.OK},
     ),
     (
         "arpd_topic_swap_phase_seconds",
-        "Time QoS swaps spent in each phase.",
+        "Time that writer swaps spent in each phase.",
         "phase",
         tuple(SwapPhase),
         lambda p: p.swap_seconds_by_phase,
     ),
+)
+
+
+_READER_GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (
+    ("arpd_reader_depth_samples", "DEPTH that the reader announces.", lambda r: r.depth),
+    (
+        "arpd_reader_deadline_seconds",
+        "DEADLINE period that the reader requests; +Inf is none.",
+        lambda r: _deadline_s(r.deadline_ns),
+    ),
+    (
+        "arpd_reader_refused",
+        "1 while the reader refuses the last request or would refuse any.",
+        lambda r: bool(r.refusal),
+    ),
+    ("arpd_reader_announcement_age_seconds", "Time since the reader's announcement.", lambda r: r.age_s),
 )
 
 
@@ -139,6 +159,31 @@ def topic_metrics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
         yield gauge_by(name, text, "binding", Binding, ((labels, binding_of(a)) for labels, a in allocated))
     for name, text, label, known, read_by in _COUNTERS_BY:
         yield counter_by(name, text, label, known, ((labels, read_by(p)) for labels, p in publishers))
+
+
+def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield the families in a fixed order, their series sorted by topic and node."""
+    ordered = sorted(snapshot.observation.readers, key=lambda r: (r.topic, r.node))
+    readers = [({"topic": reader.topic, "node": reader.node}, reader) for reader in ordered]
+    for name, text, value in (
+        ("arpd_readers_managed", "Live readers that the plan in force covers.", len(snapshot.reader_plans)),
+        ("arpd_readers_confirmed", "Managed readers that announce the plan in force.", snapshot.readers_confirmed),
+    ):
+        yield gauge(name, text, value)
+    for name, text, read in _READER_GAUGES:
+        yield gauge_of(name, text, ((labels, float(read(reader))) for labels, reader in readers))
+    yield counter_of(
+        "arpd_reader_deadlines_missed",
+        "Requested DEADLINE periods that passed without a message.",
+        ((labels, reader.deadlines_missed) for labels, reader in readers),
+    )
+    yield counter_by(
+        "arpd_reader_handovers",
+        "Reader swaps.",
+        "result",
+        ReaderSwapResult,
+        ((labels, reader.swaps_by_result) for labels, reader in readers),
+    )
 
 
 def _labels(row: TopicRow) -> Labels:

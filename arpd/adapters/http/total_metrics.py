@@ -1,4 +1,4 @@
-"""Metrics of what the daemon counted and timed since it started; every attempt and every failure has its own count."""
+"""Metrics of counts and durations since the daemon started; attempts and failures are counted apart."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _OK = "ok"
 
-# Label values that are known beforehand start at zero, so that rate() sees their first increase.
+# Known label values start at zero, so that rate() sees their first increase.
 _CAUSES = ("demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _NOT_APPLIED = ("failed", "refused", "timeout", "unreachable")
@@ -32,19 +32,19 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
     ("arpd_ticks", "Ticks: each observes, estimates, solves, governs and applies.", lambda t: t.ticks + t.ticks_failed),
     (
         "arpd_tick_failures",
-        "Ticks that raised an error; the plan in force stays, and the journal has the error.",
+        "Ticks that raised an error; the plan in force stays and the journal has the error.",
         lambda t: t.ticks_failed,
     ),
     ("arpd_ticks_late", "Ticks that began more than half a period late.", lambda t: t.ticks_late),
     (
         "arpd_cross_check_disagreements",
-        "Answers of the solver that the exact one contradicted.",
+        "Answers of a solver that the exact solver contradicted.",
         lambda t: t.cross_check_disagreements,
     ),
-    ("arpd_probes", "Probe trains and pings put on the link.", lambda t: t.probes),
+    ("arpd_probes", "Probe trains and pings sent over the link.", lambda t: t.probes),
     ("arpd_probe_bytes", "Wire bytes of the probes.", lambda t: t.probe_bytes),
-    ("arpd_peer_reports", "Receiver reports that arrived.", lambda t: t.reports),
-    ("arpd_applies", "Parameter calls to nodes, to set a plan.", lambda t: sum(t.applies_by_result.values())),
+    ("arpd_peer_reports", "Reports of peers that arrived.", lambda t: t.reports),
+    ("arpd_applies", "Parameter calls that asked a node to take a plan.", lambda t: sum(t.applies_by_result.values())),
     (
         "arpd_config_reloads",
         "Attempts to reload the configuration.",
@@ -52,7 +52,7 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
     ),
     (
         "arpd_config_reload_failures",
-        "Reloads refused, because the file was wrong or could not be read; the old configuration stayed in force.",
+        "Reloads refused because the file was wrong or unreadable; the old configuration stayed in force.",
         lambda t: sum(_failed(t.reloads_by_result).values()),
     ),
 )
@@ -60,38 +60,44 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
 _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Mapping[str, int]]], ...] = (
     ("arpd_events", "Lines of the decision log.", "event", tuple(EventKind), lambda t: t.events_by_kind),
     ("arpd_levels", "New plans.", "cause", _CAUSES, lambda t: t.levels_by_cause),
-    ("arpd_refusals", "Plan changes wanted but refused.", "reason", _REASONS, lambda t: t.refusals_by_reason),
+    (
+        "arpd_refusals",
+        "Plan changes that the governor wanted but did not make.",
+        "reason",
+        _REASONS,
+        lambda t: t.refusals_by_reason,
+    ),
     (
         "arpd_apply_failures",
-        "Parameter calls that set no plan; they are repeated.",
+        "Parameter calls that set no plan; arpd repeats them.",
         "reason",
         _NOT_APPLIED,
         lambda t: _failed(t.applies_by_result),
     ),
     (
         "arpd_config_changed_keys",
-        "Keys that reloads changed: in force at once, or after a restart.",
+        "Keys that reloads changed, in force at once or after a restart.",
         "effect",
         _EFFECTS,
         lambda t: t.changed_keys_by_effect,
     ),
     (
         "arpd_solves",
-        "Solves of the program, of the link and of memory each one; exact answers when another back end does not.",
+        "Solves of the program, one for the link and one for memory; exact answers when another back end fails.",
         "backend",
         tuple(Backend),
         lambda t: _solves(t, *_OUTCOMES),
     ),
     (
         "arpd_solve_failures",
-        "Solves without a usable answer; exact has answered instead.",
+        "Solves without a usable answer; exact answered instead.",
         "backend",
         tuple(Backend),
         lambda t: _solves(t, "failed"),
     ),
     (
         "arpd_solves_infeasible",
-        "Solves found infeasible before a back end was asked: not all that was asked for fits.",
+        "Solves found infeasible before a back end was asked, because the minima do not all fit.",
         "backend",
         tuple(Backend),
         lambda t: _solves(t, "infeasible"),
@@ -99,15 +105,15 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
 )
 
 _HISTOGRAMS: tuple[tuple[str, str, Callable[[Totals], Distribution]], ...] = (
-    ("arpd_tick_duration_seconds", "How long ticks took that finished.", lambda t: t.durations.ticks),
+    ("arpd_tick_duration_seconds", "Duration of finished ticks.", lambda t: t.durations.ticks),
     (
         "arpd_tick_lateness_seconds",
-        "How much later than planned ticks began; above 0.05 counts as late.",
+        "Delay after the planned time at which ticks began; above 0.05 counts as late.",
         lambda t: t.durations.lateness,
     ),
     (
         "arpd_solve_duration_seconds",
-        "How long solves of the whole program took; a tick that brings nothing new needs none.",
+        "Duration of solves of the whole program; a tick that brings nothing new needs none.",
         lambda t: t.durations.solves,
     ),
 )
@@ -123,7 +129,7 @@ def total_metrics(totals: Totals) -> Iterator[Metric]:
         yield histogram(name, text, read_distribution(totals))
     yield histogram_by(
         "arpd_swap_phase_duration_seconds",
-        "Time finished QoS swaps spent in each phase they entered, all publishers together.",
+        "Time that finished writer swaps of all publishers spent in each phase they entered.",
         "phase",
         totals.durations.swap_phases,
     )

@@ -1,4 +1,4 @@
-"""A web-config file: how connections are protected, or every fault with its line and column."""
+"""Turns a web-config file into `Protection`, or reports every fault with its line and column."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from arpd.adapters.config.kinds import shown
+from arpd.adapters.config.kinds import reworded, shown
 from arpd.adapters.config.yaml_source import Fault, config_error, dotted, read_source
 from arpd.adapters.http.tls import TlsFileError, make_context
 from arpd.adapters.http.web_config_schema import (
@@ -20,7 +20,6 @@ from arpd.adapters.http.web_config_schema import (
     TlsVersion,
     WebDocument,
 )
-from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     import ssl
@@ -38,16 +37,16 @@ _MINIMAL = "a minimal one is `basic_auth_users: {NAME: HASH}`, or leave http.web
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Protection:
-    """What a connection must bring, and what answers carry.
+    """Requirements on connections, and headers of answers.
 
     Parameters
     ----------
-    tls : context to wrap connections with, None = plain
-    requires_certificate : whether a client needs a certificate of the CA
-    allowed_sans : names of which its certificate must have one, empty = any
-    users : name → bcrypt hash, empty = nobody is asked
+    tls : context that wraps connections, None = plain
+    requires_certificate : True if a client needs a certificate of the CA
+    allowed_sans : alternative names, one of which the certificate must have; empty = any
+    users : name → bcrypt hash, empty = no authentication
     headers : headers of every answer, beside or instead of arpd's own
-    files : what all this was read from
+    files : files that all this was read from
     """
 
     tls: ssl.SSLContext | None = None
@@ -59,29 +58,24 @@ class Protection:
 
 
 def web_config_path(http: HttpSettings, *, directory: Path) -> Path | None:
-    """Return the file that ``http.web_config`` names, None if it names none.
-
-    Parameters
-    ----------
-    directory : the configuration file's, which a relative path starts from
-    """
+    """Return the file that ``http.web_config`` names, None if it names none; relative paths start in ``directory``."""
     return None if http.web_config == "none" else directory / http.web_config
 
 
 def check_web_config(http: HttpSettings, *, directory: Path) -> None:
-    """Check the file that ``http.web_config`` names, if any, and the certificates it names.
+    """Check the file that ``http.web_config`` names, if any, and its certificates.
 
     Raises
     ------
     ConfigError
-        With every fault, each ``file:line:col: key: what is wrong; what would be right``.
+        With every fault.
     """
     if path := web_config_path(http, directory=directory):
         load_protection(path)
 
 
 def load_protection(path: Path) -> Protection:
-    """Read, check and understand a web-config file and the certificates it names.
+    """Read and check a web-config file and its certificates.
 
     Raises
     ------
@@ -103,7 +97,7 @@ def load_protection(path: Path) -> Protection:
     try:
         context = make_context(section, directory=path.parent) if section else None
     except TlsFileError as error:
-        raise config_error(path, [_fault(source, (*_TLS, error.key), error.text)]) from None
+        raise config_error(path, [source.fault((*_TLS, error.key), error.text)]) from None
     named = (section.cert_file, section.key_file, section.client_ca_file) if section else ()
     return Protection(
         tls=context,
@@ -118,34 +112,33 @@ def load_protection(path: Path) -> Protection:
 
 
 def _broken_rules(document: WebDocument, source: YamlSource) -> Iterator[Fault]:
-    """Find what each value alone cannot show."""
+    """Yield the faults that no single value shows."""
     for name in document.basic_auth_users:
         if not name or ":" in name:
-            yield _fault(source, ("basic_auth_users", name), "cannot be a name (RFC 7617); write one without a colon")
+            yield source.fault(("basic_auth_users", name), "cannot be a name (RFC 7617); write one without a colon")
     if document.tls_server_config is None:
         if _TLS[0] in source.data:
-            yield _fault(source, _TLS, "has no value; give it keys or leave it out")
+            yield source.fault(_TLS, "has no value; give it keys or leave it out")
     else:
         yield from _broken_tls_rules(document.tls_server_config, source)
 
 
 def _broken_tls_rules(tls: TlsServer, source: YamlSource) -> Iterator[Fault]:
     if (tls.min_version, tls.max_version) == (TlsVersion.TLS13, TlsVersion.TLS12):
-        yield _fault(source, (*_TLS, "min_version"), "is above max_version TLS12; lower it or raise max_version")
+        yield source.fault((*_TLS, "min_version"), "is above max_version TLS12; lower it or raise max_version")
     asks = tls.client_auth_type is not ClientAuth.NONE
     if tls.client_ca_file and not asks:
         wrong = f"does nothing while client_auth_type is {ClientAuth.NONE}; write {ClientAuth.REQUIRED} there"
-        yield _fault(source, (*_TLS, "client_ca_file"), wrong)
+        yield source.fault((*_TLS, "client_ca_file"), wrong)
     if asks and not tls.client_ca_file:
         wrong = f"{tls.client_auth_type} needs a CA to verify with; name its file in client_ca_file"
-        yield _fault(source, (*_TLS, "client_auth_type"), wrong)
+        yield source.fault((*_TLS, "client_auth_type"), wrong)
     if tls.client_allowed_sans and tls.client_auth_type is not ClientAuth.REQUIRED:
         wrong = f"needs a certificate from every client; set client_auth_type to {ClientAuth.REQUIRED}"
-        yield _fault(source, (*_TLS, "client_allowed_sans"), wrong)
+        yield source.fault((*_TLS, "client_allowed_sans"), wrong)
 
 
 def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
-    """Say in plain words, and at its place, what pydantic found."""
     location: Location = details["loc"]
     match details["type"]:
         case "extra_forbidden":
@@ -153,14 +146,12 @@ def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
         case "missing":
             text = "is missing; TLS needs a certificate and its key"
         case "model_type" | "model_attributes_type" | "dict_type":
-            value = _at(source, location)
+            value = source.value(location)
             wrong = "has no value" if value is None else f"{shown(value)} is not a mapping"
             text = f"{wrong}; give it keys or leave it out"
-        case "value_error":
-            text = str(details["ctx"]["error"])
-        case _:  # none is known to reach this; a fault in odd words is better than a traceback
-            text = f"{printable(details['msg'])}; see the manual"
-    return _fault(source, location, text)
+        case _:
+            text = reworded(details)
+    return source.fault(location, text)
 
 
 def _unknown(location: Location) -> str:
@@ -172,14 +163,3 @@ def _unknown(location: Location) -> str:
     if near := difflib.get_close_matches(names[-1][:100], known, n=1):
         return f"is not a key of a web-config; did you mean {near[0]}?"
     return f"is not a key of a web-config; known here: {', '.join(known)}"
-
-
-def _fault(source: YamlSource, location: Location, text: str) -> Fault:
-    return Fault(place=source.place(location), key=dotted(location), text=text)
-
-
-def _at(source: YamlSource, location: Location) -> object:
-    value: object = source.data
-    for step in location:
-        value = value[step] if isinstance(value, dict) else None
-    return value

@@ -1,4 +1,4 @@
-"""The keys of a web-config file, as exporters of Prometheus have it (prometheus/exporter-toolkit)."""
+"""The keys of a web-config file of Prometheus exporters (prometheus/exporter-toolkit)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from arpd.adapters.config.kinds import Choice, Text, shown
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-MAX_COST = 14  # bcrypt doubles with each: 14 takes seconds on a Pi
+MAX_COST = 14  # each step doubles the time of bcrypt; 14 takes seconds on a Pi
 _HASH = re.compile(r"\$2[aby]\$([0-9]{2})\$[./A-Za-z0-9]{53}")
 _MAKE_HASH = "make one with `htpasswd -nBC 10 NAME`"
 
-# Go's names of the ciphers of TLS 1.2 that OpenSSL has, too; those of TLS 1.3 are always on in either.
+# Go's names of the TLS 1.2 ciphers that OpenSSL has, too. The TLS 1.3 ciphers are always on in both.
 CIPHERS = {
     f"TLS_ECDHE_{key}_WITH_{go}": f"ECDHE-{key}-{openssl}"
     for key in ("ECDSA", "RSA")
@@ -28,18 +28,18 @@ CIPHERS = {
     )
 } | dict.fromkeys(("TLS_AES_128_GCM_SHA256", "TLS_AES_256_GCM_SHA384", "TLS_CHACHA20_POLY1305_SHA256"), "")
 
-# What exporters know and arpd does not, and what to do instead.
+# Keys that exporters have and arpd has not, each with the way out.
 UNSUPPORTED: Mapping[tuple[str, ...], str] = {
     ("tls_server_config", "cert"): "write the certificate to a file and name it in cert_file",
     ("tls_server_config", "key"): "write the key to a file that only arpd may read and name it in key_file",
     ("tls_server_config", "client_ca"): "write the CA to a file and name it in client_ca_file",
-    ("tls_server_config", "curve_preferences"): "remove it; OpenSSL chooses among the curves both sides have",
-    ("rate_limit",): "remove it; arpd bounds connections of every client by itself",
+    ("tls_server_config", "curve_preferences"): "remove it; OpenSSL chooses a curve that both sides have",
+    ("rate_limit",): "remove it; arpd limits the connections of every client by itself",
 }
 
 
 class ClientAuth(StrEnum):
-    """What is asked of a client's certificate."""
+    """Values of ``client_auth_type``."""
 
     NONE = "NoClientCert"
     IF_GIVEN = "VerifyClientCertIfGiven"
@@ -47,14 +47,14 @@ class ClientAuth(StrEnum):
 
 
 class TlsVersion(StrEnum):
-    """Versions of TLS that are sound."""
+    """Versions of TLS that arpd allows."""
 
     TLS12 = "TLS12"
     TLS13 = "TLS13"
 
 
 def _bcrypt_hash(raw: Any) -> str:
-    """Accept a bcrypt hash; the value is a secret and in no message."""
+    """Accept a bcrypt hash; no message shows it, because it is a secret."""
     match = _HASH.fullmatch(raw) if isinstance(raw, str) else None
     if match is None:
         raise ValueError(f"is not a bcrypt hash; {_MAKE_HASH}")
@@ -76,7 +76,7 @@ def _header(*allowed: str) -> PlainValidator:
 
 def _cipher_list(raw: Any) -> tuple[str, ...]:
     if not isinstance(raw, list) or not raw or any(not isinstance(name, str) or name not in CIPHERS for name in raw):
-        raise ValueError(f"is not a list of ciphers arpd offers; remove it, or write of {', '.join(CIPHERS)}")
+        raise ValueError(f"is not a list of ciphers that arpd has; remove it or choose from {', '.join(CIPHERS)}")
     return tuple(CIPHERS[name] for name in raw)
 
 
@@ -114,7 +114,7 @@ class TlsServer(_Section):
 
 
 class Headers(_Section):
-    """``http_server_config.headers``: what replaces, or joins, the headers arpd sends anyway."""
+    """``http_server_config.headers``: headers beside or instead of arpd's own."""
 
     content_security_policy: Annotated[str, _header()] = Field(default="", alias="Content-Security-Policy")
     x_frame_options: Annotated[str, _header("deny", "sameorigin")] = Field(default="", alias="X-Frame-Options")
@@ -126,7 +126,7 @@ class Headers(_Section):
 class HttpServerSection(_Section):
     """``http_server_config``."""
 
-    http2: Annotated[bool, PlainValidator(_switch)] = False  # either is right: HTTP/2 is negotiated, and arpd declines
+    http2: Annotated[bool, PlainValidator(_switch)] = False  # both are right: clients negotiate HTTP/2, arpd declines
     headers: Headers = Field(default_factory=Headers)
 
 
@@ -138,7 +138,7 @@ class WebDocument(_Section):
     basic_auth_users: dict[str, Annotated[str, PlainValidator(_bcrypt_hash)]] = {}
 
 
-# Where each section stands.
+# Every section by its location.
 WEB_SECTIONS: Mapping[tuple[str, ...], type[BaseModel]] = {
     (): WebDocument,
     ("tls_server_config",): TlsServer,

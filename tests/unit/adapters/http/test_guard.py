@@ -1,4 +1,4 @@
-"""What stands between the network and the answers: requests, places, deadlines and passwords, each by itself."""
+"""The HTTP server's guards: requests, connection limit, deadlines and passwords, each by itself."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from arpd.adapters.http.connection_limit import (
     client_of,
     contested,
 )
+from arpd.adapters.http.exchange import Stream
 from arpd.adapters.http.passwords import (
     BURST,
     MAX_CLIENTS,
@@ -31,8 +32,7 @@ from arpd.adapters.http.passwords import (
     parse_basic,
 )
 from arpd.adapters.http.request import MAX_HEAD_BYTES, METHODS, Request, RequestRefusedError, read_request
-from arpd.adapters.http.stream import Stream
-from tests.unit.web_world import HASH, PASSWORD
+from tests.unit.web_world import HASH, PASSWORD, Clock
 
 GOOD = b"GET /metrics?x=1 HTTP/1.1\r\nHost: robot\r\nAccept: text/plain\r\nAuthorization: Basic eDp5\r\n\r\n"
 
@@ -78,12 +78,12 @@ def test_a_request_is_read_however_it_is_cut(size):
     ],
 )
 def test_what_is_no_request_is_refused_by_its_code(raw, status):
-    """Malformed, too large, with a body or by another method: each has its answer."""
+    """A request that is malformed, too large, has a body or another method gets its own code."""
     assert refused(raw) == status
 
 
 def test_a_head_without_an_end_is_refused_before_it_fills_memory():
-    """However much comes, no more is taken than a head may have."""
+    """The server reads no more bytes than a head may have."""
     taken = 0
 
     def receive(most):
@@ -101,7 +101,7 @@ def test_a_head_without_an_end_is_refused_before_it_fills_memory():
 @given(raw=st.binary(max_size=300), cut=st.integers(0, len(GOOD)), at=st.integers(1, 400))
 @example(raw=b"", cut=0, at=1)
 def test_any_bytes_are_a_request_or_refused(raw, cut, at):
-    """No bytes, in no pieces, raise anything else; what is understood is a known method of plain text."""
+    """Any bytes in any pieces are a request with a known method and an ASCII path, or refused."""
     stream = GOOD[:cut] + raw + GOOD[cut:]
     try:
         got = read_request(receiving(stream[:at], stream[at:]))
@@ -111,18 +111,18 @@ def test_any_bytes_are_a_request_or_refused(raw, cut, at):
     assert stream.lstrip(b"\r\n").split(b" ")[0] in METHODS
 
 
-# -- places
+# -- connection limit
 
 
 def test_a_client_at_its_share_gives_up_its_own_oldest():
-    """One client cannot take all places, and evicts nobody else."""
+    """One client cannot fill the limit, and evicts its own connections only."""
     clients = ["b", *["a"] * MAX_PER_CLIENT]
     assert contested(clients, "a") == list(range(1, MAX_PER_CLIENT + 1))
     assert contested(clients, "c") == []
 
 
 def test_when_all_places_are_taken_the_client_with_most_gives_up_its_oldest():
-    """A newcomer with none finds a place at the cost of who floods."""
+    """A newcomer evicts a connection of the client that floods."""
     clients = ["scraper", *["a"] * (MAX_PLACES - 5), *["b"] * 4]
     assert contested(clients, "new")[0] == 1
     assert contested(clients, "scraper")[0] == 1
@@ -132,36 +132,36 @@ def test_when_all_places_are_taken_the_client_with_most_gives_up_its_oldest():
 @settings(max_examples=100, deadline=None)
 @given(moves=st.lists(st.tuples(st.sampled_from("abcdef"), st.booleans(), st.integers(0, 30)), max_size=80))
 def test_places_threads_and_shares_are_bounded_and_a_new_client_gets_in(moves):
-    """Whoever comes, works and goes: bounds hold, and while somebody waits, a client without a place gets one."""
-    places = ConnectionLimit(patience_s=0.0)
+    """The bounds hold at every move, and a client without a connection gets in while any connection can be evicted."""
+    limit = ConnectionLimit(patience_s=0.0)
     inside: list[Connection] = []
     threads: list[Connection] = []
     for client, works, leaver in moves:
-        visit, evicted = places.enter(cast("socket.socket", _NoSocket()), client)
-        if visit is None:
-            is_free = len(inside) < MAX_PLACES and sum(v.client == client for v in inside) < MAX_PER_CLIENT
+        entered, evicted = limit.enter(cast("socket.socket", _NoSocket()), client)
+        if entered is None:
+            is_free = len(inside) < MAX_PLACES and sum(c.client == client for c in inside) < MAX_PER_CLIENT
             assert len(threads) >= MAX_THREADS or not is_free
-            assert len(threads) >= MAX_THREADS or not any(v.is_waiting and v.client == client for v in inside)
-            assert any(v.client == client for v in inside) or not any(v.is_waiting for v in inside)
+            assert len(threads) >= MAX_THREADS or not any(c.is_waiting and c.client == client for c in inside)
+            assert any(c.client == client for c in inside) or not any(c.is_waiting for c in inside)
         else:
-            visit.is_waiting = not works
-            inside.append(visit)
-            threads.append(visit)
+            entered.is_waiting = not works
+            inside.append(entered)
+            threads.append(entered)
         if evicted is not None:
             assert evicted.is_waiting
             inside.remove(evicted)
         if leaver < len(threads):
             gone = threads.pop(leaver)
-            places.leave(gone)
+            limit.leave(gone)
             if gone in inside:
                 inside.remove(gone)
         assert len(inside) <= MAX_PLACES
         assert len(threads) <= MAX_THREADS
-        assert max((sum(v.client == c for v in inside) for c in "abcdef"), default=0) <= MAX_PER_CLIENT
+        assert max(sum(c.client == name for c in inside) for name in "abcdef") <= MAX_PER_CLIENT
 
 
 class _NoSocket:
-    """Fit to be shut down by `socket.socket.shutdown`, which an evicted visit meets as an error it ignores."""
+    """Stands for a socket; its eviction does nothing."""
 
 
 @pytest.fixture(autouse=True)
@@ -191,7 +191,7 @@ def test_whoever_has_many_addresses_counts_once(address, client):
 
 
 def test_a_trickle_does_not_hold_a_connection():
-    """The time counts from the first byte to the last, whatever comes in between."""
+    """The deadline covers all bytes together."""
     here, there = socket.socketpair()
     now_s = 0.0
     stream = Stream(here, clock=lambda: now_s)
@@ -210,13 +210,6 @@ def test_a_trickle_does_not_hold_a_connection():
 
 
 # -- passwords
-
-
-class Clock:
-    now_s = 0.0
-
-    def __call__(self):
-        return self.now_s
 
 
 class Bcrypt:
@@ -243,7 +236,7 @@ USERS = {b"alice": b"ecila", b"bob": b"bob"}
 
 
 def test_a_right_password_is_checked_once_and_then_remembered(passwords):
-    """A scrape costs bcrypt the first time only; a changed hash is checked anew."""
+    """A scrape runs bcrypt the first time only; a changed hash runs it again."""
     assert passwords.judge(USERS, basic("alice", "alice"), "a") is PasswordVerdict.OK
     assert passwords.judge(USERS, basic("alice", "alice"), "b") is PasswordVerdict.CACHED
     assert passwords.judge(USERS, basic("alice", "wrong"), "b") is PasswordVerdict.WRONG
@@ -252,7 +245,7 @@ def test_a_right_password_is_checked_once_and_then_remembered(passwords):
 
 
 def test_an_unknown_name_costs_what_a_known_one_does(passwords):
-    """One run of bcrypt against a real hash, always the same one for a name, and never right."""
+    """An unknown name runs bcrypt once against a real hash, the same each time, and is never right."""
     for password in ("x", "ecila", "bob", "alice"):
         assert passwords.judge({b"alice": b"ecila"}, basic("mallory", password), "a") is PasswordVerdict.WRONG
     assert [hashed for _, hashed in passwords._check.runs] == [b"ecila"] * 4
@@ -261,13 +254,13 @@ def test_an_unknown_name_costs_what_a_known_one_does(passwords):
 
 @pytest.mark.parametrize("header", [b"", b"Basic", b"Basic !", b"Basic YQ==", b"Bearer YTpi", b"Digest YTpi"])
 def test_without_credentials_nothing_is_checked(passwords, header):
-    """What is no name and password is asked for them."""
+    """A header without name and password does not run bcrypt."""
     assert passwords.judge(USERS, header, "a") is PasswordVerdict.MISSING
     assert passwords._check.runs == []
 
 
 def test_who_guesses_waits_and_who_is_remembered_does_not(passwords):
-    """After a burst a client has one guess a second; others, and passwords known to be right, are not held up."""
+    """After a burst a client has one guess a second; other clients and remembered passwords do not wait."""
     passwords.judge(USERS, basic("alice", "alice"), "a")
     verdicts = [passwords.judge(USERS, basic("alice", str(i)), "a") for i in range(int(BURST) + 3)]
     assert verdicts == [PasswordVerdict.WRONG] * int(BURST) + [PasswordVerdict.THROTTLED] * 3
@@ -279,14 +272,14 @@ def test_who_guesses_waits_and_who_is_remembered_does_not(passwords):
 
 
 def test_many_clients_take_no_more_memory_than_some(passwords):
-    """The longest silent client is forgotten."""
+    """The client that was silent longest is forgotten."""
     for number in range(2 * MAX_CLIENTS):
         passwords.judge(USERS, basic("alice", "x"), str(number))
     assert len(passwords._budgets) <= MAX_CLIENTS
 
 
 def test_few_wait_for_bcrypt_and_one_runs():
-    """The rest are told to come again, so that guesses cannot take all places."""
+    """Further requests are refused, so that guesses cannot use up the connection limit."""
     started, finish = threading.Semaphore(0), threading.Event()
     running, most = [], []
 
@@ -320,7 +313,7 @@ def test_few_wait_for_bcrypt_and_one_runs():
 
 
 def test_bcrypt_is_the_real_one():
-    """Every prefix of exporters' hashes, passwords beyond 72 bytes and odd hashes are taken without an error."""
+    """Every prefix of exporters' hashes, passwords beyond 72 bytes and odd hashes raise no error."""
     assert bcrypt_matches(PASSWORD.encode(), HASH.encode())
     assert bcrypt_matches(PASSWORD.encode(), HASH.replace("$2b$", "$2y$").encode())
     assert not bcrypt_matches(b"x" * 100, HASH.encode())
@@ -331,7 +324,7 @@ def test_bcrypt_is_the_real_one():
 @settings(max_examples=100, deadline=None)
 @given(name=st.binary(max_size=20).filter(lambda n: b":" not in n), password=st.binary(max_size=80), noise=st.binary())
 def test_credentials_come_back_as_they_went_and_noise_does_no_harm(name, password, noise):
-    """Names and passwords of any bytes are parsed; any other header is none or two byte strings."""
+    """Names and passwords of any bytes are parsed; any other header gives None or two byte strings."""
     header = b"bAsIc  " + base64.b64encode(name + b":" + password)
     assert parse_basic(header) == (name, password)
     for odd in (noise, b"Basic " + noise, header + noise):

@@ -1,4 +1,4 @@
-"""Metrics as text: the bytes of prometheus_client, whatever the labels hold and whatever is asked for."""
+"""Metrics as text: the bytes of prometheus_client, for all labels and formats."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -62,7 +62,7 @@ def assert_same(registry):
     number=st.floats().map(lambda number: number + 0.0) | st.integers(-(10**20), 10**20) | st.booleans(),
 )
 def test_every_kind_of_family_reads_as_prometheus_client_writes_it(text, values, number):
-    """Quotes, backslashes, new lines, infinities and large numbers, with and without labels."""
+    """Quotes, backslashes, newlines, infinities and large numbers are written alike, with and without labels."""
     families = [
         GaugeMetricFamily("a_gauge", text, value=number),
         CounterMetricFamily("a_counter", text, value=number),
@@ -85,7 +85,7 @@ def test_every_kind_of_family_reads_as_prometheus_client_writes_it(text, values,
 
 
 def test_arpds_own_registry_reads_as_prometheus_client_writes_it(sample_snapshot):
-    """All of the daemon's metrics, those of the process and of Python."""
+    """The metrics of the daemon, of the process and of Python are written alike."""
     registry = make_registry(lambda: sample_snapshot)
     collected = Collected(list(registry.collect()))
     assert_same(collected)
@@ -99,7 +99,7 @@ def test_an_accept_header_that_prometheus_client_trips_over_is_answered():
 
 
 def test_an_unknown_value_of_a_label_is_shown_beside_the_known_ones():
-    """What a newer node announces is not lost, and what is known starts at zero."""
+    """A value that a newer node announces is kept, and known values start at zero."""
     family = counter_by("swaps", "Swaps.", "result", ("ok", "failed"), [({"topic": "/a"}, {"ok": 2, "odd": 1})])
     assert [(each.labels["result"], each.value) for each in family.samples] == [("failed", 0), ("odd", 1), ("ok", 2)]
     states = gauge_by("state", "State.", "state", ("b", "a"), [({}, "a")])
@@ -108,7 +108,7 @@ def test_an_unknown_value_of_a_label_is_shown_beside_the_known_ones():
 
 @pytest.mark.parametrize("accept", ["", "application/openmetrics-text;version=1.0.0"])
 def test_a_label_is_escaped_once_however_many_metrics_a_topic_has(sample_snapshot, accept):
-    """The work grows with the label sets, not with the samples: what makes a thousand topics cheap."""
+    """The work grows with the label sets instead of the samples, which makes a thousand topics cheap."""
     crowd = tuple(publisher("/node", f"/topic{number}") for number in range(20))
     crowded = replace(sample_snapshot, observation=replace(sample_snapshot.observation, publishers=crowd))
     encode, _ = choose_encoder(accept)
@@ -122,7 +122,7 @@ def test_a_label_is_escaped_once_however_many_metrics_a_topic_has(sample_snapsho
 
 
 class Slow:
-    """A registry of many samples that counts how often it is collected, and lets the test in at every family."""
+    """A registry of many samples that counts its collections and calls the test at every family."""
 
     def __init__(self, at_family=lambda: None):
         self.collected = 0
@@ -139,7 +139,7 @@ class Slow:
 
 
 class Resting:
-    """An event that is set after so many waits, and a clock that moves with them."""
+    """An event that is set after a number of waits, and a clock that moves with them."""
 
     def __init__(self, waits):
         self.now_s, self.waits, self.waited = 0.0, waits, 0
@@ -157,12 +157,12 @@ class Resting:
 
 @pytest.mark.parametrize("accept", ["", "application/openmetrics-text;version=1.0.0"])
 def test_nothing_is_written_while_a_tick_runs(accept):
-    """Whoever asks in a tick gets the answer after it, and a tick that begins meanwhile interrupts the work."""
+    """A client that asks during a tick gets the answer after it, and a tick that begins interrupts the work."""
     resting, seen = threading.Event(), []
     exposition = Exposition(Slow(lambda: seen.append(resting.is_set())), resting=resting)
     with ThreadPoolExecutor(1) as pool:
         asked = pool.submit(exposition.answer, accept)
-        while not seen:  # the first family is there, and none of its samples may be written
+        while not seen:  # the first family is collected, and none of its samples may be written
             pass
         assert not asked.done()
         resting.set()
@@ -171,7 +171,7 @@ def test_nothing_is_written_while_a_tick_runs(accept):
 
 
 def test_a_tick_that_hangs_does_not_keep_the_metrics_from_whoever_needs_them_now():
-    """All waits for one answer together take a second at most."""
+    """All waits of one answer together take a second at most."""
     resting: Any = Resting(waits=1000)
     text, _ = Exposition(Slow(), resting=resting, clock=resting.clock).answer("")
     assert text == Exposition(Slow()).answer("")[0]
@@ -182,7 +182,7 @@ def test_a_tick_that_hangs_does_not_keep_the_metrics_from_whoever_needs_them_now
 
 
 def test_who_asks_at_the_same_time_gets_the_same_text():
-    """Four who ask while one text is made cost one more at most; who asks later gets a new one."""
+    """Four clients that ask while one text is made cost one more at most; a later client gets a new text."""
     go, begun = threading.Event(), threading.Event()
 
     def at_family():

@@ -1,4 +1,4 @@
-"""The HTTP server opened up: TLS, users, floods and noise, with real sockets on loopback."""
+"""The HTTP server under TLS, users, floods and noise, with real sockets on loopback."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def folder(tmp_path_factory):
 
 
 def test_tls_is_spoken_and_nothing_else(folder):
-    """A client that trusts the certificate is served; one that speaks plain HTTP is told, one of TLS 1.1 is not."""
+    """A client that trusts the certificate is served; plain HTTP gets a hint, and TLS 1.1 fails."""
     with running(folder, TLS) as world:
         assert world.server.url.startswith("https://")
         assert world.get(tls=trusting(folder)).text == "healthy\n"
@@ -61,7 +61,7 @@ def test_tls_is_spoken_and_nothing_else(folder):
 
 
 def test_a_renewed_certificate_is_served_without_a_restart(folder):
-    """The next handshake after the files change shows the new one."""
+    """The next handshake after a change of the files uses the new certificate."""
     certificate = {}
     with running(folder, TLS) as world:
         for name in ("server", "renewed"):
@@ -87,7 +87,7 @@ def test_client_certificates_are_required_and_their_names_matched(folder):
 
 
 def test_every_path_asks_for_the_password(folder):
-    """Metrics, health, the page and what does not exist: 401 without, and each its answer with the password."""
+    """Every path, also a missing one, answers 401 without the password and its own answer with it."""
     with running(folder, USERS) as world:
         for path in ("/", "/metrics", "/-/healthy", "/nothing"):
             answer = world.get(path)
@@ -109,7 +109,7 @@ def test_every_path_asks_for_the_password(folder):
 
 
 def test_an_operator_chooses_headers(folder):
-    """Headers of the web-config join arpd's own, or replace them."""
+    """Headers of the web-config add to arpd's own or replace them."""
     headers = "http_server_config: {headers: {X-Frame-Options: deny, Content-Security-Policy: default-src 'self'}}\n"
     with running(folder, headers) as world:
         got = world.get().headers
@@ -118,7 +118,7 @@ def test_an_operator_chooses_headers(folder):
 
 
 def test_the_daemon_says_when_it_is_open_to_all(folder, caplog):
-    """Beyond loopback without TLS or users there is a warning at the start; on loopback there is none."""
+    """At start there is a warning if others can connect without TLS or users, and none on loopback."""
     from prometheus_client import CollectorRegistry
 
     from arpd.adapters.http.server import HttpServer
@@ -146,7 +146,7 @@ def status(capsys, monkeypatch):
 
 
 def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkeypatch):
-    """CA and name by option, the password from the environment only."""
+    """`arpd status` takes CA and name as options, and the password from the environment only."""
     stopped = replace(sample_snapshot, finished_at_s=time.monotonic() - 3600.0)  # before this machine booted, perhaps
     with running(folder, TLS + USERS, snapshot=lambda: stopped) as world:
         right = ("--cacert", str(folder / "server.crt"), "--user", "alice")
@@ -170,7 +170,7 @@ def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkey
 
 
 def test_status_gives_its_password_to_nobody_else(folder, status):
-    """Where the daemon's address redirects elsewhere, the login does not follow."""
+    """If the daemon's address redirects elsewhere, `arpd status` does not send the login there."""
     seen = []
 
     class Elsewhere(BaseHTTPRequestHandler):
@@ -195,7 +195,7 @@ def test_status_gives_its_password_to_nobody_else(folder, status):
 
 
 def test_who_sends_a_body_still_reads_the_refusal(folder):
-    """The answer is not lost with bytes that were on their way."""
+    """A client that sends a body reads the refusal although bytes were unread."""
     with running(folder) as world:
         for _ in range(20):
             answer = world.send(b"GET / HTTP/1.0\r\nContent-Length: 50000\r\n\r\n" + b"x" * 50_000, end=False)
@@ -211,7 +211,7 @@ def eventually(condition):
 
 @pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])
 def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, part):
-    """Connections that say nothing, or a part of a request, evict each other; threads stay bounded, and end."""
+    """Connections that send nothing or a part of a request evict each other; threads stay bounded and end."""
     before = threading.active_count()
     with running(folder, text) as world:
         tls = trusting(folder) if text else None
@@ -234,7 +234,7 @@ def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, pa
 
 
 def test_a_client_that_does_not_read_holds_no_answer(folder, sample_snapshot):
-    """Answers nobody takes give way, too."""
+    """A connection whose client does not read its answer can be evicted, too."""
     with running(
         folder, snapshot=lambda: sample_snapshot, collector=SnapshotCollector(lambda: sample_snapshot)
     ) as world:
@@ -284,7 +284,7 @@ TRUNCATED = 200
 
 
 def noise(rng):
-    """Make something between a request and nothing at all."""
+    """Return random bytes, a mix of pieces, a part of a request or a request with changed bytes."""
     good = b"GET /metrics HTTP/1.1\r\nHost: x\r\nAuthorization: " + WRONG.encode() + b"\r\n\r\n"
     kind = rng.randrange(4)
     if kind == 0:
@@ -300,7 +300,7 @@ def noise(rng):
 
 
 def test_noise_breaks_nothing_and_learns_nothing(folder, caplog, capfd):
-    """After any bytes the next good request is served; no answer holds a path, a traceback, a hash or a password."""
+    """After any bytes the next good request is served; no answer shows a path, traceback, hash or password."""
     rng = random.Random(6)
     secrets = (str(folder).encode(), b"Traceback", b"site-packages", HASH.encode(), WRONG[6:].encode(), b"etc/passwd")
     before = threading.active_count()
@@ -319,7 +319,7 @@ def test_noise_breaks_nothing_and_learns_nothing(folder, caplog, capfd):
 
 
 def test_truncated_and_spoilt_tls_breaks_nothing(folder, caplog, capfd):
-    """A handshake that ends anywhere, or is not one, costs its connection only, and leaves no memory behind."""
+    """A handshake that is cut or changed ends its own connection only and leaks no memory."""
     rng = random.Random(6)
     hello = client_hello(folder)
     with running(folder, TLS) as world:

@@ -1,4 +1,4 @@
-"""The web-config file: what exporters have, one clear line for each fault, and changes while the daemon runs."""
+"""The web-config file: the keys of exporters, one clear line for each fault, and changes while the daemon runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from arpd.adapters.http.web_config import Protection, check_web_config, load_pro
 from arpd.adapters.http.web_config_schema import TlsServer, WebDocument
 from arpd.model.errors import ConfigError
 from arpd.model.settings import HttpSettings
-from tests.unit.web_world import HASH, make_certificate
+from tests.unit.web_world import HASH, Clock, make_certificate
 
 FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")
 SECRET = "$2y$10$short-and-secret"
@@ -58,7 +58,7 @@ TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
 
 
 def test_what_an_exporter_has_is_understood(load, certificates):
-    """Certificate, client certificates, users and headers of an exporter's file do here what they do there."""
+    """Certificate, client certificates, users and headers of an exporter's file mean the same to arpd."""
     protection = load(f"""
 tls_server_config:
   cert_file: server.crt
@@ -121,7 +121,7 @@ basic_auth_users:
         (f"{TLS}, client_ca_file: other.crt}}", "does nothing while client_auth_type is NoClientCert; "),
         (f"{TLS}, client_allowed_sans: [a]}}", "needs a certificate from every client; "),
         (f"{TLS}, client_allowed_sans: a}}", "is not a list of names; "),
-        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "is not a list of ciphers arpd offers; "),
+        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "is not a list of ciphers that arpd has; "),
         (f"{TLS}, prefer_server_cipher_suites: 1}}", "1 is neither true nor false; "),
         (
             "http_server_config: {headers: {X-Powered-By: x}}",
@@ -147,7 +147,7 @@ basic_auth_users:
     ],
 )
 def test_faults_name_place_key_and_way_out(load, text, fault):
-    """Each wrong thing is one line as for arpd.yaml, and no line shows a hash."""
+    """Each fault is one line, as for arpd.yaml, and no line shows a hash."""
     with pytest.raises(ConfigError) as refused:
         load(text)
     assert len(refused.value.faults) == 1
@@ -177,7 +177,7 @@ DOCUMENTS = st.recursive(
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.dictionaries(KEYS, DOCUMENTS, max_size=3).map(yaml.safe_dump) | st.text(max_size=60))
 def test_any_file_is_understood_or_refused_in_our_words(load, text):
-    """Whatever stands in it, faults have their form, and none is pydantic's own."""
+    """Any file loads or gives faults in their form, and none in pydantic's words."""
     try:
         load(text.encode("utf-8", "replace").decode())
     except ConfigError as error:
@@ -187,15 +187,15 @@ def test_any_file_is_understood_or_refused_in_our_words(load, text):
 
 
 def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked(load, certificates):
-    """A daemon has no terminal to ask on."""
+    """A key with a passphrase is a fault, because a daemon has no terminal."""
     encrypted = "openssl pkey -in server.key -aes128 -passout pass:secret -out encrypted.key"
     assert os.system(f"cd {certificates} && {encrypted}") == 0
-    with pytest.raises(ConfigError, match="has a passphrase, which nobody can type; "):
+    with pytest.raises(ConfigError, match="has a passphrase, which a daemon cannot enter; "):
         load("tls_server_config: {cert_file: server.crt, key_file: encrypted.key}")
 
 
 def test_the_shipped_example_is_only_comments_and_right(certificates):
-    """Uncommented, the example needs nothing but files and a hash."""
+    """Without its comment signs, the example needs only files and a hash to load."""
     text = (Path(__file__).parents[4] / "etc" / "arpd" / "web-config.yaml").read_text()
     assert all(line.startswith("#") or not line for line in text.splitlines())
     live = re.sub(r"^#(?=[a-z]|  )", "", text, flags=re.MULTILINE)
@@ -209,7 +209,7 @@ def test_the_shipped_example_is_only_comments_and_right(certificates):
 
 
 def test_the_path_starts_from_the_configuration_file(tmp_path):
-    """A relative path is relative to arpd.yaml; none is no file, and `arpd check` follows it."""
+    """A relative path starts in the folder of arpd.yaml; `none` names no file; `arpd check` checks the file."""
     assert web_config_path(HttpSettings(), directory=tmp_path) is None
     assert web_config_path(HttpSettings(web_config="a.yaml"), directory=tmp_path) == tmp_path / "a.yaml"
     check_web_config(HttpSettings(), directory=tmp_path)
@@ -218,13 +218,6 @@ def test_the_path_starts_from_the_configuration_file(tmp_path):
 
 
 # -- changes while the daemon runs
-
-
-class Clock:
-    now_s = 0.0
-
-    def __call__(self):
-        return self.now_s
 
 
 @pytest.fixture
@@ -242,7 +235,7 @@ def reloads(access):
 
 
 def test_users_and_certificates_are_read_again_when_they_change(access, folder):
-    """A new user, and a renewed certificate, are in force with the next connection; nothing changed reads nothing."""
+    """A new user and a renewed certificate are in force for the next connection; unchanged files are not read."""
     first = access.current()
     assert access.current() is first
     access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{bob: {HASH}}}")
@@ -257,7 +250,7 @@ def test_users_and_certificates_are_read_again_when_they_change(access, folder):
 
 
 def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
-    """It is logged and counted once however many connections come, and mended by the next good file."""
+    """A broken file is logged and counted once for any number of connections; the next good file is in force."""
     first = access.current()
     access.path.write_text("basic_auth_users: {alice: x}")
     assert [access.current() for _ in range(3)] == [first] * 3
@@ -271,7 +264,7 @@ def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
 
 
 def test_a_file_that_a_broken_web_config_waits_for_is_found_when_it_comes(access, folder):
-    """While a file is refused it is tried again every ten seconds: what it names is not watched yet."""
+    """A refused file is tried again every ten seconds, because the files that it names are not watched."""
     first = access.current()
     access.path.write_text(f"{TLS.replace('server.', 'late.')}}}\nbasic_auth_users: {{alice: {HASH}}}")
     assert access.current() is first
@@ -284,7 +277,7 @@ def test_a_file_that_a_broken_web_config_waits_for_is_found_when_it_comes(access
 
 @pytest.mark.parametrize("text", ["http_server_config: {}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""])
 def test_no_change_of_the_file_opens_the_port(access, text):
-    """TLS and users stay until a restart: an editor that writes a file in two steps must not open the robot."""
+    """TLS and users stay until a restart, so that an editor that writes a file in two steps cannot open the robot."""
     first = access.current()
     access.path.write_text(text)
     assert access.current() is first
@@ -292,13 +285,13 @@ def test_no_change_of_the_file_opens_the_port(access, text):
 
 
 def test_what_is_open_to_the_network_is_said(access):
-    """Beyond loopback, TLS and one of users and certificates are needed for silence."""
+    """Beyond loopback there is a risk without TLS, and without users or client certificates."""
     both = access.current()
     users = Protection(users=both.users)
     assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
     assert exposure("0.0.0.0", Protection()).startswith("anyone who reaches it can read it; ")
     assert exposure("fe80::1%eth0", Protection(tls=both.tls)).startswith("anyone who reaches it can read it; ")
-    assert exposure("::", users).startswith("passwords cross the network in clear; ")
+    assert exposure("::", users).startswith("passwords cross the network unencrypted; ")
     assert exposure("192.0.2.1", both) == ""
     assert exposure("192.0.2.1", Protection(tls=both.tls, requires_certificate=True)) == ""
 
@@ -314,7 +307,7 @@ def test_what_is_open_to_the_network_is_said(access):
     ],
 )
 def test_alternative_names_are_matched_whole(allowed, is_allowed):
-    """DNS, IP in any spelling, e-mail and URI count; a part of a name does not, and no certificate has no name."""
+    """DNS, IP in any spelling, e-mail and URI match as a whole; no certificate matches nothing."""
     names = (("DNS", "a.example"), ("IP Address", "2001:DB8:0:0:0:0:0:1"), ("email", "x@y.z"), ("DirName", "b.example"))
     assert has_allowed_name({"subjectAltName": names}, allowed) is is_allowed
     assert not has_allowed_name(None, allowed)
