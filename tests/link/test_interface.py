@@ -201,7 +201,7 @@ def test_a_real_rename_is_followed(link, reader):
     after = reader.until("up")
     assert (after["name"], after["index"]) == ("uplink", before["index"])
     assert after["rx_bytes"] >= before["rx_bytes"] + sent
-    assert f"the link interface {INTERFACE} is now called uplink, and is followed" in reader.log.read_text()
+    assert f"the link interface {INTERFACE} is now called uplink; arpd follows it" in reader.log.read_text()
 
 
 def test_a_real_interface_made_anew_is_taken_on(link, reader):

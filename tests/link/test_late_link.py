@@ -81,4 +81,4 @@ def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
         assert metric(link, "arpd_peer_reports_total") == 0
         ip(link.robot, "address", "add", f"{link.robot.address}/30", "dev", INTERFACE)
         until(lambda: (metric(link, "arpd_peer_reports_total") or 0) > 10, "the peer is heard")
-        assert f"arpd: {INTERFACE} has an address that ROS here does not know of" in (tmp_path / "log").read_text()
+        assert f"arpd: {INTERFACE} has a new address, which ROS" in (tmp_path / "log").read_text()

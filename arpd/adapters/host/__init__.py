@@ -1,1 +1,1 @@
-"""The host as arpd sees it: link counters and memory."""
+"""The host: link interface, radio, addresses and memory."""

@@ -1,4 +1,4 @@
-"""Whether this host has an address on the link that its ROS nodes do not know of."""
+"""Notices addresses on the link that are newer than ROS in this process."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _LOOK_S = 1.0
-_SETTLED_S = 3.0  # an interface that comes gets its addresses one by one
+_SETTLED_S = 3.0  # a new interface gets its addresses one by one
 
 
 class Addresses:
-    """Notices that the link interface has an address that ROS in this process does not tell anybody.
+    """Notices that the link interface has an address that ROS in this process does not use.
 
-    Fast DDS 2.14 reads the addresses of its host once in a process. Measured: a node older than the address of the link
-    sends nothing by it, nor does a second node of the same process; a new process is heard within seconds.
+    Fast DDS 2.14 reads the addresses of its host once per process. Measured: a node that is older than the link's
+    address sends nothing over the link, and neither does a second node of the same process; the peer hears a new
+    process within seconds.
 
     Parameters
     ----------
-    interface : names the link interface now
-    addresses : those of every interface
+    interface : returns the current name of the link interface
+    addresses : returns the addresses of every interface
     clock : monotonic clock (s)
     """
 
@@ -39,18 +40,18 @@ class Addresses:
         self._addresses = addresses
         self._clock = clock
         self._known = frozenset[str]().union(*addresses().values())
-        self._strange: frozenset[str] = frozenset()
-        self._strange_since_s = self._looked_s = clock()
+        self._new: frozenset[str] = frozenset()
+        self._new_since_s = self._looked_s = clock()
 
     def are_outdated(self) -> bool:
-        """Whether the link has had a new address for a while; asked at every tick."""
+        """Return whether the link has had a new address for three seconds; cheap enough for every tick."""
         if (now_s := self._clock()) - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
-            strange = self._addresses().get(self._interface(), frozenset()) - self._known
-            if strange != self._strange:
-                self._strange, self._strange_since_s = strange, now_s
-        return bool(self._strange) and now_s - self._strange_since_s >= _SETTLED_S
+            new = self._addresses().get(self._interface(), frozenset()) - self._known
+            if new != self._new:
+                self._new, self._new_since_s = new, now_s
+        return bool(self._new) and now_s - self._new_since_s >= _SETTLED_S
 
     def error(self) -> LinkError:
-        """Return what to end the process with: another one is heard."""
-        return LinkError(f"{self._interface()} has an address that ROS here does not know of; start this again")
+        """Return the error that ends the process, because only a new process uses the address."""
+        return LinkError(f"{self._interface()} has a new address, which ROS in this process cannot use; start it again")

@@ -1,4 +1,4 @@
-"""The link interface of this host, followed through what can happen to it, and the host's memory."""
+"""Reads the link interface of this host, also after renames and replacements, and the host's memory."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def likeliest_interface(
     route: Path = _PROC_ROUTE,
     names: Callable[[], Mapping[str, Any]] | None = None,
 ) -> str | None:
-    """Return the interface that ``auto`` takes now, None when nothing tells.
+    """Return the interface that ``auto`` means now, None if none stands out.
 
     It is a wireless interface that is up, else the interface of the default route, else the only one besides loopback.
 
     Parameters
     ----------
-    sys_net, route, names : the kernel's answers, for tests to give others
+    sys_net, route, names : sources of the kernel's answers
     """
     try:
         stats = (names or psutil.net_if_stats)()
@@ -52,9 +52,9 @@ def likeliest_interface(
 
 
 def read_counters(name: str) -> LinkCounters | None:
-    """Return the counters an interface has now, as the kernel keeps them; None when there is none of that name.
+    """Return the kernel's counters of an interface, None if there is none of that name.
 
-    What its queue drops counts as dropped by the interface; drivers do not count it.
+    They include the drops of the queue, which drivers do not count.
     """
     if (index := index_of(name)) is None or (device := read_device(index)) is None:
         return None
@@ -73,7 +73,7 @@ def read_counters(name: str) -> LinkCounters | None:
 
 
 def hardware_address(name: str) -> str:
-    """Return an interface's Ethernet address as lower-case hexadecimal digits, empty when it has none."""
+    """Return an interface's Ethernet address as lower-case hexadecimal digits, empty if it has none."""
     addresses = psutil.net_if_addrs().get(name, [])
     found = next((address.address for address in addresses if address.family == psutil.AF_LINK), "")
     digits = re.sub("[^0-9a-f]", "", found.lower())
@@ -81,7 +81,7 @@ def hardware_address(name: str) -> str:
 
 
 def ipv4_addresses() -> dict[str, frozenset[str]]:
-    """Return the IPv4 addresses of every interface that has any; none when the kernel does not tell."""
+    """Return the IPv4 addresses of every interface that has any; empty if the kernel does not answer."""
     try:
         every = psutil.net_if_addrs()
     except OSError:
@@ -94,7 +94,7 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
 
 
 def index_of(name: str) -> int | None:
-    """Return the kernel's number of an interface, None when there is none of that name."""
+    """Return the kernel's number of an interface, None if there is none of that name."""
     try:
         return socket.if_nametoindex(name)
     except OSError:
@@ -102,7 +102,7 @@ def index_of(name: str) -> int | None:
 
 
 def name_of(index: int) -> str | None:
-    """Return the name of an interface, None when there is none of that number."""
+    """Return the name of an interface, None if there is none of that number."""
     try:
         return socket.if_indextoname(index)
     except OSError:
@@ -110,18 +110,18 @@ def name_of(index: int) -> str | None:
 
 
 class InterfaceReader:
-    """Reads one interface again and again; what happens to it is a state, said once in the log.
+    """Reads one interface repeatedly and logs each change of its state once.
 
-    The kernel's number tells an interface from its name: one that is renamed is followed, and one that comes back
-    under its first or its last name is taken on, with totals that go on where they stood. It may come late, too: what
-    ``auto`` stands for is chosen anew until the interface chosen has been up once.
+    The reader follows a renamed interface by the kernel's number. An interface that returns under its first or its last
+    name continues the old totals. The interface may appear late: the reader chooses again for ``auto`` until the chosen
+    interface has been up once.
 
     Parameters
     ----------
     name : the interface, as configured
-    read, index_of, name_of : the kernel's answers, for tests to give others
-    choose : what ``auto`` stands for now, None = nothing yet
-    note : told of a change of its state or its name, with a logging level; it is logged by default
+    read, index_of, name_of : the kernel's answers
+    choose : returns the interface that ``auto`` means now, None = none yet
+    note : called with a logging level and a text at every change of state or name
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class InterfaceReader:
         self._name_of = name_of
         self._choose = choose
         self._note = note
-        self._is_open = name == AUTO  # to another choice
+        self._may_choose = name == AUTO
         self._index: int | None = None
         self._raw: LinkCounters | None = None
         self._total: LinkCounters | None = None
@@ -148,31 +148,31 @@ class InterfaceReader:
 
     @property
     def name(self) -> str:
-        """The name it has now, or had last; ``auto`` before there was any."""
+        """Current or last name; ``auto`` before there was an interface."""
         return self._name
 
     @property
     def index(self) -> int | None:
-        """The kernel's number of the interface, None while it is gone."""
+        """Kernel's number of the interface, None while it is gone."""
         return self._index
 
     def read(self) -> LinkCounters | None:
-        """Return counters and state, None while the interface is gone; the counters never fall."""
-        if self._is_open:
+        """Return counters, which never fall, and state; None while the interface is gone."""
+        if self._may_choose:
             self._take_choice()
         name = self._find()
         raw = None if name is None else self._read(name)
         if raw is not None:
-            # Of an interface that is new to us, the past is not the link's.
+            # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = continue_counters(self._total or raw, self._raw or raw, raw)
             self._raw = raw
-            self._is_open = self._is_open and not raw.is_up
+            self._may_choose = self._may_choose and not raw.is_up
         self._note_state(state_of(raw))
         return raw and self._total
 
     def _take_choice(self) -> None:
         if (chosen := self._choose()) is not None and chosen != self._configured:
-            log.info("link.interface is auto: %s is the link", chosen)
+            log.info("link.interface is auto: arpd uses %s", chosen)
             self._configured = self._name = chosen
             self._index = self._raw = self._total = self._state = None
 
@@ -183,7 +183,7 @@ class InterfaceReader:
             name, self._index = next(((name, index) for name, index in found if index is not None), (None, None))
             self._raw = None
         elif name != self._name:
-            self._note(logging.WARNING, f"the link interface {self._name} is now called {name}, and is followed")
+            self._note(logging.WARNING, f"the link interface {self._name} is now called {name}; arpd follows it")
         self._name = name or self._name
         return name
 
@@ -195,33 +195,33 @@ class InterfaceReader:
             level = logging.WARNING if state.fault else logging.INFO
             self._note(level, f"the link interface {self._name} {state.fault or 'is up again'}")
         elif self._name == AUTO:
-            yet = "link.interface is auto, and no interface looks like the link yet; it is taken when it comes"
-            self._note(logging.WARNING, yet)
+            text = "link.interface is auto and no interface looks like the link yet; arpd uses the first that does"
+            self._note(logging.WARNING, text)
         else:
-            self._note(logging.WARNING, f"the link interface {self._name} is not there yet; it is taken when it comes")
+            self._note(logging.WARNING, f"the link interface {self._name} is not there yet; arpd waits for it")
 
 
 class MemoryReader:
-    """Reads the host's memory; while the kernel does not tell, what it told last stands.
+    """Reads the host's memory; while the kernel does not answer, the last values stay.
 
     Parameters
     ----------
-    read : psutil's answer, for tests to give another
+    read : psutil's answer
     """
 
     def __init__(self, read: Callable[[], Any] = psutil.virtual_memory) -> None:
         self._read = read
-        self._last = MemoryState(total_bytes=0, available_bytes=0)  # not known yet: plan for little
+        self._last = MemoryState(total_bytes=0, available_bytes=0)  # unknown, so plan for little
         self._fault = ""
 
     def read(self) -> MemoryState:
-        """Return the memory there is, and what new work could have of it."""
+        """Return the total memory and the memory available to new work."""
         try:
             memory = self._read()
         except (OSError, ValueError) as error:
             if (fault := str(error)) != self._fault:
                 self._fault = fault
-                log.warning("the kernel does not tell of its memory (%s); what it told last stands", fault)
+                log.warning("cannot read this host's memory (%s); arpd keeps the last values", fault)
             return self._last
         self._fault = ""
         self._last = MemoryState(total_bytes=memory.total, available_bytes=memory.available)
@@ -229,7 +229,7 @@ class MemoryReader:
 
 
 def _default_route(route: Path) -> str:
-    """Interface of the IPv4 default route (/proc/net/route, proc_net(5)), empty if there is none."""
+    """Return the interface of the IPv4 default route (/proc/net/route, proc_net(5)), empty if there is none."""
     try:
         lines = route.read_text().splitlines()[1:]
     except OSError:
@@ -244,14 +244,14 @@ def list_interfaces() -> list[str]:
 
 
 def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:
-    """Return the nominal rate of an interface, None where there is none or it means nothing (bytes/s).
+    """Return the nominal rate of an interface, None if it has none (bytes/s).
 
-    Only hardware knows its own: a tunnel reports 10 Mbit/s whatever it runs over, a radio nothing.
+    Only hardware counts: a tunnel reports 10 Mbit/s over any link, and a radio reports nothing.
     """
     if not (sys_net / name / "device").exists():
         return None
     try:
         stats = psutil.net_if_stats().get(name)
-    except OSError:  # it vanished between two of psutil's questions
+    except OSError:  # the interface vanished while psutil asked
         return None
     return stats.speed * 1e6 / 8 if stats is not None and stats.speed > 0 else None

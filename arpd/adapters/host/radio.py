@@ -1,4 +1,4 @@
-"""The bit rate a Wi-Fi interface transmits at, through nl80211: no estimate, but a bound for one."""
+"""Reads the bit rate at which a Wi-Fi interface transmits, through nl80211; it bounds the capacity estimate."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _BYTES_PER_S = 100_000 / 8  # nl80211 counts in 100 kbit/s (linux/nl80211.h, NL8
 
 
 def ask_stations(index: int) -> list[Any]:
-    """Return what nl80211 tells of the stations an interface talks to: the access point, or each of its clients."""
-    from pyroute2.iwutil import IW  # noqa: PLC0415 - a quarter of a second, and only where there is a radio
+    """Return nl80211's answers about the stations of an interface: its access point, or each of its clients."""
+    from pyroute2.iwutil import IW  # noqa: PLC0415 - takes a quarter of a second, and only a radio needs it
 
     with IW() as nl80211:
         return list(nl80211.get_stations(index))
 
 
 def transmit_rate(stations: Iterable[Any]) -> float | None:
-    """Return the bit rate of the physical layer, None when no station tells one (bytes/s).
+    """Return the bit rate of the physical layer, None if no station has one (bytes/s).
 
-    With several stations, it is that of the fastest: which of them is the peer is not known, and a bound must hold.
+    It is the rate of the fastest station, because any of them may be the peer and the bound must hold.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def _rate_of(station: Any) -> int | None:
 
 
 class Radio:
-    """Reads the radio of an interface; every reason not to know its rate is None, and is said once in the log.
+    """Reads the radio of an interface and logs each reason for an unknown rate once.
 
     Parameters
     ----------
-    ask : asks nl80211 about an interface, by the kernel's number
-    sys_net : where the kernel lists interfaces
+    ask : asks nl80211 about the interface with a number of the kernel
+    sys_net : folder where the kernel lists interfaces
     """
 
     def __init__(self, *, ask: Callable[[int], Iterable[Any]] = ask_stations, sys_net: Path = _SYS_NET) -> None:
@@ -61,18 +61,18 @@ class Radio:
         self._said = ""
 
     def read(self, interface: str, index: int | None) -> float | None:
-        """Return the bit rate that the radio transmits at, None where there is no radio or it does not tell (bytes/s).
+        """Return the bit rate at which the radio transmits, None if there is no radio or no answer (bytes/s).
 
         Parameters
         ----------
-        interface, index : name and the kernel's number of the interface; None = it is gone
+        interface, index : name and kernel's number of the interface, None = gone
         """
         if index is None or not (self._sys_net / interface / "phy80211").exists():
             return None
         try:
             return transmit_rate(self._ask(index))
-        except Exception as error:  # noqa: BLE001 - permission, driver, pyroute2: a bound is not worth a daemon
+        except Exception as error:  # noqa: BLE001 - permission, driver or pyroute2; arpd works without the bound
             if (said := f"{type(error).__name__}: {error}") != self._said:
                 self._said = said
-                log.info("the radio of %s does not tell its bit rate (%s); the estimate goes without", interface, said)
+                log.info("cannot read the bit rate of the radio of %s (%s); arpd goes without it", interface, said)
             return None

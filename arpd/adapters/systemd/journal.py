@@ -1,7 +1,7 @@
-"""Logging into the systemd journal with fields of its own, so that `journalctl ARPD_EVENT=plan` finds every plan.
+"""Logs to the systemd journal with fields of its own, so that `journalctl ARPD_EVENT=plan` finds every plan.
 
-The wire protocol is logging-journald's: pure Python, where systemd-python and cysystemd need libsystemd to build with.
-Its handler is not used: it waits for a journal that is full, and gives every message another MESSAGE_ID.
+logging-journald speaks the wire protocol in pure Python; systemd-python and cysystemd need libsystemd to build. arpd
+does not use its handler, which waits for a full journal and gives every message another MESSAGE_ID.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 SOCKET = Path("/run/systemd/journal/socket")
-# Fixed for ever: `journalctl MESSAGE_ID=…` and systemd/arpd.catalog know an event by it.
+# These must never change: `journalctl MESSAGE_ID=…` and systemd/arpd.catalog identify events by them.
 MESSAGE_IDS: Mapping[EventKind, str] = MappingProxyType(
     {
         EventKind.STARTED: "4e20a19c0e7e4a5493ca2757515a75d5",
@@ -60,30 +60,31 @@ def priority_of(level: int) -> int:
 
 
 def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
-    """Whether what is written to a stream goes to the journal: JOURNAL_STREAM names its file (systemd.exec(5))."""
+    """Return whether a stream leads to the journal: JOURNAL_STREAM names its file then (systemd.exec(5))."""
     try:
         status = os.fstat(stream.fileno())
-    except (OSError, ValueError):  # closed, or no file at all
+    except (OSError, ValueError):  # closed, or not a file
         return False
     return environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
 
 
 class JournalHandler(logging.Handler):
-    """Sends every record as one entry; never waits, for a tick may be what logs.
+    """Sends every record as one entry; never waits, because a tick may log.
 
-    What the journal does not take goes to stderr with a priority, and what that does not take either is counted.
+    A record that the journal does not take goes to stderr with a priority. The handler counts records that stderr does
+    not take either.
 
     Parameters
     ----------
-    identifier : SYSLOG_IDENTIFIER, the name `journalctl -t` and every line shows
-    stderr : where records go while the journal takes none
+    identifier : SYSLOG_IDENTIFIER, the name that every line and `journalctl -t` show
+    stderr : stream for records that the journal does not take
     path : the journal's socket
     """
 
     def __init__(self, identifier: str, *, stderr: TextIO, path: Path = SOCKET) -> None:
         super().__init__()
         self._identifier = identifier
-        self._transport = JournaldTransport(path, connected=False)  # finds a journal that was restarted
+        self._transport = JournaldTransport(path, connected=False)  # unconnected, it finds a restarted journal
         self._transport.socket.settimeout(0.0)
         self._stderr = stderr
         self._lost = 0
@@ -92,7 +93,7 @@ class JournalHandler(logging.Handler):
         """Send one record."""
         try:
             message = self.format(record)
-        except Exception:  # noqa: BLE001 - whatever a record holds, logging never raises
+        except Exception:  # noqa: BLE001 - logging must not raise for any record
             self.handleError(record)
             return
         try:
@@ -100,7 +101,7 @@ class JournalHandler(logging.Handler):
         except (OSError, ValueError):
             self._write(record, message)
         else:
-            self._tell_lost()
+            self._report_lost()
 
     def close(self) -> None:
         """Close the socket."""
@@ -124,7 +125,7 @@ class JournalHandler(logging.Handler):
         yield "SYSLOG_FACILITY", Facility.DAEMON.value
 
     def _write(self, record: logging.LogRecord, message: str) -> None:
-        """Write to stderr, unless that would wait: it is the journal's, too."""
+        """Write to stderr unless that would wait, because stderr is the journal's, too."""
         line = prefixed(record.levelno, message)
         try:
             if not _is_writable(self._stderr):
@@ -135,18 +136,18 @@ class JournalHandler(logging.Handler):
         except (OSError, ValueError):
             self._lost += 1
 
-    def _tell_lost(self) -> None:
+    def _report_lost(self) -> None:
         if not self._lost:
             return
         lost, self._lost = self._lost, 0
         try:
-            self._transport.send(self._frame(4, f"messages that the journal did not take and that are lost: {lost}"))
+            self._transport.send(self._frame(4, f"lost {lost} messages, because the journal did not take them"))
         except OSError:
             self._lost += lost
 
 
 def prefixed(level: int, message: str) -> str:
-    """Write ``<n>``, the syslog priority that systemd takes off every line (sd-daemon(3)), before each of them."""
+    """Return the message with ``<n>`` before every line, the syslog priority that systemd strips (sd-daemon(3))."""
     return "\n".join(f"<{priority_of(level)}>{line}" for line in message.splitlines())
 
 
@@ -164,7 +165,7 @@ def _fields_of(event: Event) -> Iterator[tuple[str, str | int]]:
 
 
 def _text(text: str) -> str:
-    """Return a text that has a UTF-8 form: file names and ROS names may hold bytes that have none."""
+    """Return a text that has a UTF-8 form, because file names and ROS names may hold other bytes."""
     return text.encode("utf-8", "replace").decode()
 
 
@@ -173,9 +174,9 @@ def _is_writable(stream: TextIO) -> bool:
         number = stream.fileno()
     except (OSError, ValueError, io.UnsupportedOperation):
         return True
-    waiting = select.poll()
-    waiting.register(number, select.POLLOUT)
-    return bool(waiting.poll(0))
+    poll = select.poll()
+    poll.register(number, select.POLLOUT)
+    return bool(poll.poll(0))
 
 
 log = logging.getLogger("arpd.events")
@@ -198,12 +199,12 @@ def configure_logging(
     stderr: TextIO | None = None,
     journal: Path = SOCKET,
 ) -> None:
-    """Log at ``level`` (a name of the logging module, any case): to the journal where stderr goes there anyway.
+    """Log at ``level`` (a name of the logging module, any case): to the journal if stderr leads there, else to stderr.
 
     Parameters
     ----------
-    name : of the process, as the journal shows it
-    stderr : the process's own when None
+    name : name of the process in the journal
+    stderr : None = the process's own
     journal : socket of the journal
     """
     logging.basicConfig(level=level.upper(), handlers=[_handler(name, environ, stderr or sys.stderr, journal)])
@@ -221,5 +222,5 @@ def _handler(name: str, environ: Mapping[str, str], stderr: TextIO, journal: Pat
 
 
 def log_event(event: Event) -> None:
-    """Log one line of the decision log; in the journal it has fields of its own (`arpd.adapters.systemd.journal`)."""
+    """Log one line of the decision log; in the journal it has fields of its own."""
     log.log(_LEVELS[event.severity], "%s", event.text, extra={"event": event})

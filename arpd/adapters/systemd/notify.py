@@ -1,8 +1,8 @@
-"""systemd's notify protocol (sd_notify(3)): READY, RELOADING, STOPPING, STATUS and the watchdog.
+"""Speaks systemd's notify protocol (sd_notify(3)): READY, RELOADING, STOPPING, STATUS and the watchdog.
 
-The protocol is one datagram to ``$NOTIFY_SOCKET``. ``sdnotify`` (no release since 2017), ``sd-notify`` and
-``systemd-watchdog`` send the same datagram, but none adds MONOTONIC_USEC or guards STATUS= against newlines;
-``cysystemd`` is a C extension that would have to be built on the Pi. A dependency would cost more than it saves.
+The protocol is one datagram to ``$NOTIFY_SOCKET``, so a dependency would cost more than it saves. ``sdnotify`` (no
+release since 2017), ``sd-notify`` and ``systemd-watchdog`` neither add MONOTONIC_USEC nor guard STATUS= against
+newlines; ``cysystemd`` is a C extension that the Pi would have to build.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _BEAT_S = 1.0
-_STALE_S = 5.0  # a part that has finished nothing for so long hangs; the watchdog then waits for its own time
+_STALE_S = 5.0  # a part that has finished no round for so long hangs, and the watchdog's own time runs out
 
 
 def _datagram_socket() -> socket.socket:
@@ -28,11 +28,11 @@ def _datagram_socket() -> socket.socket:
 
 
 class Notifier:
-    """Tells systemd how the service is; does nothing outside systemd, and never raises into the loop that calls it.
+    """Reports the state of the service to systemd; does nothing outside systemd and never raises.
 
     Parameters
     ----------
-    environ : where NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are looked up
+    environ : environment with NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID
     make_socket : opens an unconnected AF_UNIX datagram socket
     """
 
@@ -49,15 +49,15 @@ class Notifier:
         self.watchdog_period_s = _watchdog_period_s(environ)
 
     def ready(self) -> None:
-        """Say that starting, or a reload, has finished."""
+        """Report the end of the start or of a reload."""
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """Say that a reload has begun; ``ready`` ends it, also when the new configuration was refused."""
+        """Report the begin of a reload; ``ready`` ends it, also after a refused configuration."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """Say that a clean stop has begun."""
+        """Report the begin of a clean stop."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
@@ -65,7 +65,7 @@ class Notifier:
         self._send("STATUS=" + " ".join(text.split()))  # a newline would start another assignment
 
     def watchdog(self) -> None:
-        """Say that the service works; call it after finished work only."""
+        """Report that the service works; call it only after finished work."""
         if self.watchdog_period_s is not None:
             self._send("WATCHDOG=1")
 
@@ -74,11 +74,11 @@ class Notifier:
             return
         try:
             with self._make_socket() as channel:
-                channel.settimeout(1.0)  # a stuck manager must not stop the tick
+                channel.settimeout(1.0)  # a systemd that hangs must not stop the tick
                 channel.connect(self._address)
                 channel.sendall(message.encode())
         except OSError as error:
-            log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
+            log.warning("cannot send %s to systemd: %s", message.split("\n", 1)[0], error)
 
 
 class Watchdog:
@@ -87,7 +87,7 @@ class Watchdog:
     Parameters
     ----------
     notifier : where the watchdog listens
-    parts : for each other thread that must not hang, when it last finished a round, on the same clock (s)
+    parts : for each other thread that must not hang, returns the end of its last round, on the same clock (s)
     clock : monotonic clock (s)
     """
 
@@ -104,7 +104,7 @@ class Watchdog:
         self._beat_s = -math.inf
 
     def beat(self) -> None:
-        """Note that the calling thread has finished a round."""
+        """Note the end of a round of the calling thread."""
         now_s = self._clock()
         if now_s - self._beat_s >= _BEAT_S and all(now_s - finished_s() < _STALE_S for finished_s in self._parts):
             self._beat_s = now_s
@@ -112,7 +112,7 @@ class Watchdog:
 
 
 def _watchdog_period_s(environ: Mapping[str, str]) -> float | None:
-    """Time within which systemd wants a ping (s); None if it wants none, or wants it from another process."""
+    """Return the time within which systemd wants a ping (s), None if it wants none from this process."""
     try:
         period_s = int(environ["WATCHDOG_USEC"]) / 1e6
         for_us = int(environ.get("WATCHDOG_PID", os.getpid())) == os.getpid()

@@ -1,4 +1,4 @@
-"""Which interface is the link, and what becomes of its counters."""
+"""The choice of the link interface, and its counters over time."""
 
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 
 @pytest.fixture
 def host(tmp_path):
-    """Choose on a host of interfaces: name → (state, is wireless)."""
+    """Return a function that chooses on a host of interfaces: name → (state, is wireless)."""
 
     def choose(**interfaces):
         for name, (_, wireless) in interfaces.items():
@@ -38,22 +38,22 @@ def host(tmp_path):
 
 
 def test_auto_prefers_a_wireless_interface_that_is_up(host):
-    """Of two radios the one that is up is the link, whatever the route says."""
+    """The radio that is up is the link, even if the route leads elsewhere."""
     assert host(eth0=(UP, False), wlan0=(DOWN, True), wlan1=(UP, True)) == "wlan1"
 
 
 def test_auto_takes_the_default_route_without_a_radio(host):
-    """Without a radio that is up, the default route tells."""
+    """Without a radio that is up, the link has the default route."""
     assert host(eth0=(UP, False), eth1=(UP, False), wlan0=(DOWN, True)) == "eth0"
 
 
 def test_auto_takes_the_only_one_there_is_and_does_not_guess(host):
-    """Without a radio or a route to tell by, a lone interface is the link, and of two neither is."""
+    """Without a radio or a route, a lone interface is the link; with two there is no link."""
     assert host(usb0=(UP, False)) == "usb0"
     assert host(usb1=(UP, False), usb2=(UP, False)) is None
 
 
-# -- what happens to it later
+# -- the interface over time
 
 
 class Kernel:
@@ -97,7 +97,7 @@ def received(counters):
 
 
 def test_a_counter_of_32_bits_wraps_and_the_total_goes_on(kernel):
-    """A lone counter that falls from near 2^32 went on behind it, to the byte."""
+    """If one counter alone falls from near 2^32, it has wrapped, and the total is exact."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=(2**32 - 100, 7_000_000), tx=(5_000, 50))
     assert received(reader.read()) == (2**32 - 100, 7_000_000)
@@ -109,7 +109,7 @@ def test_a_counter_of_32_bits_wraps_and_the_total_goes_on(kernel):
 
 @pytest.mark.parametrize("before", [(2**32 - 100, 7_000_000), (10**12, 10**9), (4_000, 40)])
 def test_counters_that_start_anew_add_what_they_count_since(kernel, before):
-    """A driver that starts over takes all counters to zero, and no gigabytes were received."""
+    """If a driver restarts all counters at zero, the total grows only by what they count since."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=before, tx=(800, 8))
     reader.read()
@@ -120,7 +120,7 @@ def test_counters_that_start_anew_add_what_they_count_since(kernel, before):
 
 
 def test_a_lone_small_counter_that_falls_did_not_wrap(kernel):
-    """A count of drops that falls from seven began anew, and is not four billion."""
+    """A count of drops that falls from seven has restarted, and four billion are not added."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", dropped=7)
     reader.read()
@@ -129,7 +129,7 @@ def test_a_lone_small_counter_that_falls_did_not_wrap(kernel):
 
 
 def test_a_change_of_state_is_logged_once(kernel, caplog):
-    """Every state has its name in the log when it begins, and only then."""
+    """The log names every state once, when it begins."""
     caplog.set_level("INFO")
     reader = kernel.reader("wlan0")
     for state in (InterfaceState.UP, InterfaceState.NO_CARRIER, InterfaceState.DOWN, None, InterfaceState.UP):
@@ -145,18 +145,18 @@ def test_a_change_of_state_is_logged_once(kernel, caplog):
 
 
 def test_an_interface_that_is_not_there_at_first_is_taken_when_it_comes(kernel, caplog):
-    """A reader may be older than its interface; the log says once what is missing."""
+    """A reader may be older than its interface; the log names the missing interface once."""
     reader = kernel.reader("wlan0")
     assert [reader.read() for _ in range(3)] == [None, None, None]
     assert [record.message for record in caplog.records] == [
-        "the link interface wlan0 is not there yet; it is taken when it comes"
+        "the link interface wlan0 is not there yet; arpd waits for it"
     ]
     kernel.put(3, "wlan0", rx=(500, 5))
     assert received(reader.read()) == (500, 5)
 
 
 def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
-    """A late radio is taken in place of an interface that never was up; one that was up is the link for good."""
+    """A late radio replaces an interface that was never up; an interface that was up stays the link."""
     caplog.set_level("INFO")
     choice: list[str | None] = [None]
     reader = kernel.reader("auto", choose=lambda: choice[0])
@@ -171,16 +171,16 @@ def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
     kernel.put(3, "wlan0", state=InterfaceState.NO_CARRIER, rx=(600, 6))
     assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
     assert [record.message for record in caplog.records] == [
-        "link.interface is auto, and no interface looks like the link yet; it is taken when it comes",
-        "link.interface is auto: eth0 is the link",
+        "link.interface is auto and no interface looks like the link yet; arpd uses the first that does",
+        "link.interface is auto: arpd uses eth0",
         "the link interface eth0 has no carrier",
-        "link.interface is auto: wlan0 is the link",
+        "link.interface is auto: arpd uses wlan0",
         "the link interface wlan0 has no carrier",
     ]
 
 
 def test_a_renamed_interface_is_followed(kernel, caplog):
-    """The same interface under another name goes on counting, and the name is logged once."""
+    """A renamed interface counts on, and the log names the new name once."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=(500, 5))
     reader.read()
@@ -189,12 +189,12 @@ def test_a_renamed_interface_is_followed(kernel, caplog):
         counters = reader.read()
         assert (counters.interface, counters.rx_bytes, reader.index) == ("uplink", size, 3)
     assert [record.getMessage() for record in caplog.records] == [
-        "the link interface wlan0 is now called uplink, and is followed"
+        "the link interface wlan0 is now called uplink; arpd follows it"
     ]
 
 
 def test_a_stranger_that_takes_the_name_is_not_the_link(kernel):
-    """After a rename, the number tells who is who."""
+    """After a rename, the kernel's number identifies the link, not the name."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=(500, 5))
     reader.read()
@@ -205,7 +205,7 @@ def test_a_stranger_that_takes_the_name_is_not_the_link(kernel):
 
 @pytest.mark.parametrize("name", ["wlan0", "uplink"])
 def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel, name):
-    """A radio plugged in again is taken on under its configured or its last name; totals never fall or jump."""
+    """A radio that is plugged in again under its configured or last name continues the totals without a jump."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=(10**9, 10**6))
     reader.read()
@@ -221,7 +221,7 @@ def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel, name):
 
 
 def test_an_interface_replaced_between_two_readings_does_not_jump(kernel):
-    """A new number under the same name brings its own past, which was not the link's."""
+    """The past traffic of a new interface under the same name is not added."""
     reader = kernel.reader("wlan0")
     kernel.put(3, "wlan0", rx=(500, 5))
     reader.read()
@@ -234,7 +234,7 @@ def test_an_interface_replaced_between_two_readings_does_not_jump(kernel):
 
 
 def test_loopback_reads_up():
-    """The kernel's own answers for an interface every host has, and for one that none has."""
+    """The kernel answers for loopback, and has no answer for a missing interface."""
     counters = InterfaceReader("lo").read()
     assert counters is not None
     assert (counters.interface, counters.state) == ("lo", InterfaceState.UP)
@@ -248,39 +248,25 @@ def test_loopback_reads_up():
 
 @pytest.mark.parametrize(
     ("is_up", "is_running", "state"),
-    [
-        (True, True, InterfaceState.UP),
-        (True, False, InterfaceState.NO_CARRIER),
-        (False, False, InterfaceState.DOWN),
-    ],
+    [(True, True, InterfaceState.UP), (True, False, InterfaceState.NO_CARRIER), (False, False, InterfaceState.DOWN)],
 )
 def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state):
-    """Switched on without carrier is not switched off."""
-    device = NetDevice(
-        name="wlan0",
-        is_up=is_up,
-        is_running=is_running,
-        rx_bytes=1,
-        tx_bytes=2,
-        rx_packets=3,
-        tx_packets=4,
-        tx_dropped=5,
-    )
+    """An interface without carrier differs from one that is switched off."""
+    counters = {"rx_bytes": 1, "tx_bytes": 2, "rx_packets": 3, "tx_packets": 4, "tx_dropped": 5}
+    device = NetDevice(name="wlan0", is_up=is_up, is_running=is_running, **counters)
     monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
     monkeypatch.setattr("arpd.adapters.host.interface.read_device", {999_999: device}.get)
-    assert read_counters("wlan0") == LinkCounters(
-        interface="wlan0", rx_bytes=1, tx_bytes=2, rx_packets=3, tx_packets=4, tx_dropped=5, state=state
-    )
+    assert read_counters("wlan0") == LinkCounters(interface="wlan0", state=state, **counters)
 
 
 def test_an_interface_that_vanishes_between_two_questions_is_none(monkeypatch):
-    """Its number is known, and the kernel has nothing of that number any more."""
+    """A known number without an interface gives None."""
     monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
     assert read_counters("wlan0") is None
 
 
 def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
-    """Of an Ethernet address, only its digits; an address of zeros is none."""
+    """Only the digits of an Ethernet address are returned."""
     addresses = [
         SimpleNamespace(family=2, address="10.0.0.1"),
         SimpleNamespace(family=psutil.AF_LINK, address="B8:27:EB:12:3f:2A"),
@@ -290,7 +276,7 @@ def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
 
 
 def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
-    """Where no file can be opened any more there is no interface, no address and no choice, and the tick goes on."""
+    """If no file can be opened, there is no interface, address or choice, and nothing raises."""
 
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
@@ -303,7 +289,7 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
 
 
 def test_memory_that_cannot_be_read_is_what_it_was(caplog):
-    """Nothing is known at first, so little is planned with; then what was told last stands."""
+    """Memory is zero at first, and the last reading stays when the kernel does not answer."""
     answers = iter(
         [None, SimpleNamespace(total=100, available=40), None, None, SimpleNamespace(total=100, available=30)]
     )

@@ -1,4 +1,4 @@
-"""The radio's bit rate: nl80211's answers as the kernel encodes them, and every reason not to have one."""
+"""The radio's bit rate: nl80211's answers as the kernel encodes them, and every reason for an unknown rate."""
 
 import gc
 import struct
@@ -23,7 +23,7 @@ NESTED = 0x8000
 
 
 def attribute(kind, value, *, nested=False):
-    """One netlink attribute: length, type, value, padded to four bytes (netlink(7))."""
+    """Return one netlink attribute: length, type, value, padded to four bytes (netlink(7))."""
     if nested:
         kind, value = kind | NESTED, b"".join(value)
     return struct.pack("HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
@@ -51,7 +51,7 @@ def station(*info):
 
 
 def test_the_rate_is_told_in_bytes_per_second():
-    """866.7 Mbit/s, in the units of nl80211; the receive rate beside it is another matter."""
+    """The transmit rate of 866.7 Mbit/s is converted; the receive rate beside it is ignored."""
     found = station(
         attribute(STA_INFO_SIGNAL, b"\xc4"),
         rate(STA_INFO_TX_BITRATE, bitrate=8667, bitrate32=8667),
@@ -61,7 +61,7 @@ def test_the_rate_is_told_in_bytes_per_second():
 
 
 def test_an_old_kernel_tells_it_in_16_bits_and_a_fast_radio_in_32():
-    """Either attribute is enough."""
+    """Either attribute gives the rate."""
     assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate=10))]) == pytest.approx(1e6 / 8)
     assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate32=96_078))]) == pytest.approx(9.6078e9 / 8)
 
@@ -79,7 +79,7 @@ def test_a_station_that_tells_no_rate_bounds_nothing(stations):
 
 
 def test_a_rate_of_zero_is_no_bound():
-    """Some drivers say zero until they have sent something."""
+    """A rate of zero is unknown, because some drivers report zero until they send."""
     assert transmit_rate([station(rate(STA_INFO_TX_BITRATE, bitrate=0, bitrate32=0))]) is None
 
 
@@ -91,7 +91,7 @@ def sys_net(tmp_path):
 
 
 def test_only_a_radio_is_asked(sys_net):
-    """The kernel is asked about the number of an interface that has a radio, and about no other."""
+    """The reader asks the kernel only about an interface that exists and has a radio."""
     asked = []
 
     def ask(index):
@@ -114,7 +114,7 @@ def test_only_a_radio_is_asked(sys_net):
     ],
 )
 def test_no_fault_of_the_radio_leaves_its_module(sys_net, caplog, fault):
-    """Every fault is None, said once as long as it stays the same."""
+    """Every fault gives None, and the log names it once while it stays the same."""
     caplog.set_level("INFO")
 
     def ask(_index):
@@ -127,7 +127,7 @@ def test_no_fault_of_the_radio_leaves_its_module(sys_net, caplog, fault):
 
 
 def test_a_fault_halfway_through_the_answer_is_a_fault(sys_net):
-    """Answers come one by one; one that breaks off is no rate."""
+    """An answer that breaks off gives no rate."""
 
     def ask(_index):
         yield station()
@@ -137,7 +137,7 @@ def test_a_fault_halfway_through_the_answer_is_a_fault(sys_net):
 
 
 def test_this_hosts_own_interfaces_without_a_radio_tell_none():
-    """For real: loopback has no radio, an absent interface has nothing."""
+    """Loopback and a missing interface have no rate on a real host."""
     assert Radio().read("lo", index_of("lo")) is None
     assert Radio().read("none9", 999_999) is None
 
@@ -148,7 +148,7 @@ def open_files():
 
 
 def test_the_kernel_is_really_asked(tmp_path):
-    """With a radio made up for loopback, nl80211 (or its absence) answers: None, and no socket stays open."""
+    """If loopback pretends to have a radio, the kernel gives no rate, and no socket stays open."""
     (tmp_path / "lo" / "phy80211").mkdir(parents=True)
     radio = Radio(ask=ask_stations, sys_net=tmp_path)
     radio.read("lo", index_of("lo"))

@@ -1,4 +1,4 @@
-"""The journal's native protocol, spoken to a socket of the test's own."""
+"""The journal's native protocol, at a socket of the test."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CATALOG = Path(__file__).parents[4] / "systemd/arpd.catalog"
 
 
 def fields(data):
-    """Read one entry as journald does: `KEY=value`, or `KEY`, a length of 64 bits and the value."""
+    """Return the fields of one entry: `KEY=value`, or `KEY`, a length of 64 bits and the value."""
     found = {}
     while data:
         line, _, rest = data.partition(b"\n")
@@ -35,7 +35,7 @@ def fields(data):
 
 
 class Journal:
-    """A journald that takes what it is sent when it is asked to."""
+    """A journald that reads an entry when the test asks."""
 
     def __init__(self, path):
         self.path = path
@@ -44,7 +44,7 @@ class Journal:
         self.socket.settimeout(2.0)
 
     def entry(self):
-        """Take one entry, be it in the datagram or in a file sent along."""
+        """Return one entry, from the datagram or from the file sent with it."""
         data, ancillary, _, _ = self.socket.recvmsg(1 << 18, socket.CMSG_SPACE(4))
         if not ancillary:
             return fields(data)
@@ -72,7 +72,7 @@ def journal(tmp_path):
 
 @pytest.fixture
 def pipe():
-    """Return both ends of a stderr that somebody may read, or not."""
+    """Return both ends of a stderr that the test may read."""
     reader, writer = os.pipe()
     with os.fdopen(reader, "rb", buffering=0) as at, os.fdopen(writer, "w") as stream:
         yield at, stream
@@ -106,7 +106,7 @@ def event(**more):
 
 
 def test_an_event_is_an_entry_with_its_fields(journal, logger):
-    """`journalctl ARPD_EVENT=plan` finds it: name, severity, number and every detail are fields."""
+    """Kind, severity, number and every detail of an event are fields."""
     log_event(event())
     entry = journal.entry()
     assert {name: text for name, text in entry.items() if name.startswith(("ARPD_", "MESSAGE", "PRIO", "SYSLOG"))} == {
@@ -124,14 +124,14 @@ def test_an_event_is_an_entry_with_its_fields(journal, logger):
 
 
 def test_a_topic_and_a_node_are_fields_where_there_is_one(journal, logger):
-    """An event of one publisher is found by its topic and by its node."""
+    """An event of one publisher has fields for its topic and its node."""
     log_event(event(kind=EventKind.SWAP, topic="/scan", node="/lidar"))
     entry = journal.entry()
     assert (entry["ARPD_TOPIC"], entry["ARPD_NODE"], entry["ARPD_EVENT"]) == ("/scan", "/lidar", "swap")
 
 
 def test_a_plain_record_says_where_it_comes_from(journal, logger):
-    """Any other log line has its priority, its logger and its place in the code, and no field of an event."""
+    """Any other log line has priority, logger and place in the code, and no field of an event."""
     logger.error("no")
     entry = journal.entry()
     assert (entry["PRIORITY"], entry["LOGGER"], entry["CODE_FILE"]) == ("3", "arpd.events", __file__)
@@ -141,7 +141,7 @@ def test_a_plain_record_says_where_it_comes_from(journal, logger):
 
 
 def test_a_message_of_several_lines_is_one_entry(journal, logger):
-    """A traceback stays in one piece, and no line of it can pass for a field."""
+    """A message of several lines is one entry, and none of its lines becomes a field."""
     logger.warning("first\nPRIORITY=0\nlast")
     entry = journal.entry()
     assert entry["MESSAGE"] == "first\nPRIORITY=0\nlast"
@@ -149,13 +149,13 @@ def test_a_message_of_several_lines_is_one_entry(journal, logger):
 
 
 def test_a_message_too_large_for_a_datagram_arrives_whole(journal, logger):
-    """Half a megabyte travels in a sealed file, as sd_journal_send sends it."""
+    """Half a megabyte arrives in a sealed file, as sd_journal_send sends it."""
     logger.info("x" * 500_000)
     assert journal.entry()["MESSAGE"] == "x" * 500_000
 
 
 def test_text_that_is_no_utf8_is_logged_all_the_same(journal, logger):
-    """A name with a byte that has no character loses that, and nothing else."""
+    """A byte without a character becomes a question mark."""
     apart = logging.Logger("apart")  # noqa: LOG001 - pytest would keep the line, and xdist could not send it
     apart.addHandler(logger.handlers[0])
     apart.info("/scan\udcff is odd")
@@ -163,7 +163,7 @@ def test_text_that_is_no_utf8_is_logged_all_the_same(journal, logger):
 
 
 def test_a_journal_that_comes_back_is_found(journal, logger, pipe, tmp_path):
-    """While there is no journal lines go to stderr with their priority; a new one at the same place gets the next."""
+    """Without a journal, lines go to stderr with their priority; a new journal at the same path gets the next."""
     journal.socket.close()
     journal.path.unlink()
     logger.warning("one\ntwo")
@@ -175,7 +175,7 @@ def test_a_journal_that_comes_back_is_found(journal, logger, pipe, tmp_path):
 
 
 def test_a_journal_that_hangs_stops_nobody(journal, logger, pipe):
-    """When neither journal nor stderr take any more, logging returns, counts what is lost, and says so later."""
+    """If journal and stderr are full, logging does not wait; it counts the lost lines and reports them later."""
     for number in range(20_000):
         logger.warning("line %05d %s", number, "x" * 200)
     taken = 0
@@ -192,24 +192,24 @@ def test_a_journal_that_hangs_stops_nobody(journal, logger, pipe):
     logger.warning("again")
     assert journal.entry()["MESSAGE"] == "again"
     lost = 20_000 - taken - written
-    assert journal.entry()["MESSAGE"] == f"messages that the journal did not take and that are lost: {lost}"
+    assert journal.entry()["MESSAGE"] == f"lost {lost} messages, because the journal did not take them"
 
 
 def test_every_kind_of_event_has_an_id_of_its_own():
-    """128 bits in hexadecimal, each once, none missing."""
+    """Every kind of event has its own id of 128 bits."""
     assert set(MESSAGE_IDS) == set(EventKind)
     assert len({*MESSAGE_IDS.values()}) == len(EventKind)
     assert all(len(number) == 32 and int(number, 16) for number in MESSAGE_IDS.values())
 
 
 def catalog():
-    """Read the catalog: message id → its headers and its words."""
+    """Return the catalog: message id → headers and text."""
     entries = [entry.split("\n\n", 1) for entry in CATALOG.read_text().split("\n-- ")[1:]]
     return {head.split("\n")[0]: (head, words) for head, words in entries}
 
 
 def test_the_catalog_explains_every_event():
-    """`journalctl -x` has a subject and an explanation for each kind, and for nothing else."""
+    """The catalog has a subject and an explanation for every kind of event, and no other entry."""
     assert set(catalog()) == set(MESSAGE_IDS.values())
     for head, words in catalog().values():
         assert "\nSubject: " in head
@@ -217,7 +217,7 @@ def test_the_catalog_explains_every_event():
 
 
 def test_the_catalog_compiles(tmp_path):
-    """The command `journalctl --update-catalog` reads the file without a complaint."""
+    """`journalctl --update-catalog` accepts the file."""
     root = tmp_path / "usr/lib/systemd/catalog"
     root.mkdir(parents=True)
     (root / "arpd.catalog").write_text(CATALOG.read_text())

@@ -1,4 +1,4 @@
-"""Where the log of a process goes."""
+"""The destination of a process's log: terminal, journal or a redirected stderr."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from arpd.adapters.systemd.journal import JournalHandler, configure_logging
 
 @pytest.fixture(autouse=True)
 def root():
-    """Give logging back as it was."""
+    """Restore the root logger after the test."""
     logger = logging.getLogger()
     handlers, level = logger.handlers[:], logger.level
     yield logger
@@ -30,13 +30,13 @@ def stderr(tmp_path):
 
 
 def stream_of(file):
-    """Name a file as JOURNAL_STREAM does."""
+    """Return the JOURNAL_STREAM that names a file."""
     status = os.fstat(file.fileno())
     return {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
 
 
 def configure(**options):
-    """Configure a process that has no logging yet: pytest has put handlers of its own there."""
+    """Configure logging as in a new process, without pytest's handlers."""
     logging.getLogger().handlers.clear()
     configure_logging("info", **options)
 
@@ -48,19 +48,19 @@ def logged(stderr, text):
 
 
 def test_a_terminal_gets_plain_lines(stderr, tmp_path):
-    """Outside systemd a line has its level and its logger, and no number before it."""
+    """Outside systemd a line has level and logger, and no priority."""
     configure(environ={}, stderr=stderr, journal=tmp_path / "none")
     assert logged(stderr, "first\nsecond") == "WARNING arpd.daemon.tick: first\nsecond\n"
 
 
 def test_every_line_carries_its_priority(stderr, tmp_path):
-    """Where stderr is the journal's and its socket is out of reach, a warning is a warning on each of its lines."""
+    """If stderr leads to the journal but its socket is missing, every line of a warning has its priority."""
     configure(environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "none")
     assert logged(stderr, "first\nsecond") == "<4>WARNING arpd.daemon.tick: first\n<4>second\n"
 
 
 def test_under_systemd_entries_go_to_the_journal(stderr, tmp_path, root):
-    """Where stderr is the journal's, records go to its socket by the process's name, and none to stderr."""
+    """If stderr leads to the journal, records go to its socket under the process's name, and none to stderr."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(str(tmp_path / "socket"))
         configure(name="arpd-relay", environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "socket")
@@ -72,7 +72,7 @@ def test_under_systemd_entries_go_to_the_journal(stderr, tmp_path, root):
 
 @pytest.mark.parametrize("stream", ["1:2", "", "nonsense"])
 def test_a_stderr_that_was_redirected_is_written_to(stderr, tmp_path, stream):
-    """A JOURNAL_STREAM that names another file than stderr was inherited, and means nothing."""
+    """A JOURNAL_STREAM that names another file than stderr has no effect."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(str(tmp_path / "socket"))
         configure(environ={"JOURNAL_STREAM": stream}, stderr=stderr, journal=tmp_path / "socket")

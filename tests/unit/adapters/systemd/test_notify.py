@@ -15,7 +15,7 @@ from arpd.adapters.systemd.notify import Notifier, Watchdog
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
-    """Stand in for systemd: the environment it gives, and what it then hears."""
+    """Return the environment that systemd gives, and a function that returns its next message."""
     name = str(tmp_path / "notify") if request.param == "path" else f"@arpd-test-{uuid.uuid4()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
         channel.bind(name.replace("@", "\0", 1) if request.param == "abstract" else name)
@@ -24,7 +24,7 @@ def manager(request, tmp_path):
 
 
 def test_each_message_is_one_datagram(manager):
-    """READY, STOPPING, STATUS and WATCHDOG reach systemd's socket as the protocol spells them."""
+    """READY, STATUS, WATCHDOG and STOPPING reach systemd's socket as the protocol spells them."""
     environ, heard = manager
     notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
     notifier.ready()
@@ -35,7 +35,7 @@ def test_each_message_is_one_datagram(manager):
 
 
 def test_a_reload_carries_the_monotonic_clock(manager):
-    """RELOADING comes with the microseconds of the monotonic clock, between the moments around the call."""
+    """RELOADING carries the monotonic time of the call in microseconds."""
     environ, heard = manager
     before_us = time.monotonic_ns() // 1000
     Notifier(environ).reloading()
@@ -68,7 +68,7 @@ def test_outside_systemd_nothing_is_opened():
 
 
 def test_a_socket_that_is_gone_does_not_stop_the_daemon(tmp_path, caplog):
-    """A notification that cannot be sent is logged and swallowed."""
+    """A notification that cannot be sent is logged and raises nothing."""
     Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
     assert "READY=1" in caplog.text
 
@@ -85,12 +85,12 @@ def test_a_socket_that_is_gone_does_not_stop_the_daemon(tmp_path, caplog):
     ],
 )
 def test_the_watchdog_period_is_ours_or_nobodys(environ, period_s):
-    """The period is read from the environment, and only if it is meant for this process."""
+    """The environment gives the period only if it is meant for this process."""
     assert Notifier(environ).watchdog_period_s == period_s
 
 
 def test_no_ping_is_sent_when_no_watchdog_listens(manager):
-    """Without a watchdog, watchdog() stays silent."""
+    """Without a watchdog, `watchdog` sends nothing."""
     environ, heard = manager
     notifier = Notifier(environ)
     notifier.watchdog()
@@ -99,7 +99,7 @@ def test_no_ping_is_sent_when_no_watchdog_listens(manager):
 
 
 class Clock:
-    """A clock and a second thread's last round, both moved by hand."""
+    """A clock and the end of a second thread's last round, both set by the test."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -111,20 +111,20 @@ class Clock:
 
 @pytest.fixture
 def heart(manager):
-    """Return a heartbeat with one part, its clock, and how many pings the watchdog has had."""
+    """Return a watchdog with one part, its clock, and a function that counts pings since its last call."""
     environ, heard = manager
     notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
     clock = Clock()
 
     def pings():
-        notifier.ready()  # ends what the watchdog heard
+        notifier.ready()  # marks the end of the pings
         return sum(message == "WATCHDOG=1" for message in iter(heard, "READY=1"))
 
     return Watchdog(notifier, parts=[lambda: clock.finished_s], clock=clock), clock, pings
 
 
 def test_a_busy_process_pings_once_a_second(heart):
-    """However many rounds a thread finishes, the watchdog hears of them once a second."""
+    """Any number of rounds gives one ping a second."""
     heartbeat, clock, pings = heart
     for _ in range(3000):
         clock.now_s += 1.0 / 1024.0
@@ -134,7 +134,7 @@ def test_a_busy_process_pings_once_a_second(heart):
 
 
 def test_one_hung_part_stops_the_heartbeat(heart):
-    """While another thread has not finished a round for five seconds, this one's rounds feed no watchdog."""
+    """While another thread has not finished a round for five seconds, no ping is sent."""
     heartbeat, clock, pings = heart
     clock.now_s += 4.9
     heartbeat.beat()
@@ -149,7 +149,7 @@ def test_one_hung_part_stops_the_heartbeat(heart):
 
 
 def test_a_peer_says_whether_probes_arrive_and_since_when():
-    """The status changes when the first probe comes, when none came for five seconds, and when they return."""
+    """The status changes at the first probe, after five seconds without one, and when probes return."""
     said: list[str] = []
     moments = iter(["10:00:00", "10:00:20", "10:00:30"])
     status = ProbeStatus("reporting", tell=said.append, wall_clock=lambda: next(moments))
