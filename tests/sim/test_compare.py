@@ -1,4 +1,4 @@
-"""One scenario three ways: with arpd, without it, with an oracle; and what is summed up of a run."""
+"""One scenario three ways, with arpd, without it and with an oracle, and the summary of a run."""
 
 from dataclasses import replace
 from functools import cache
@@ -42,7 +42,7 @@ def moment(t_s, **more):
 
 
 def test_all_three_ways_see_the_same_link_and_the_same_robot():
-    """What differs is only who tells the publishers what to do."""
+    """Link and offered samples are the same three ways."""
     runs = list(falling().ways.values())
     for other in runs[1:]:
         assert [m.truth_bytes_per_second for m in other.moments] == [m.truth_bytes_per_second for m in runs[0].moments]
@@ -52,7 +52,7 @@ def test_all_three_ways_see_the_same_link_and_the_same_robot():
 
 
 def test_the_oracle_is_never_wrong_and_never_measures():
-    """Its estimate is the link's rate but for the moment around a step."""
+    """The oracle's estimate is the link's rate except around a step, and it sends no probes."""
     oracle = falling().oracle
     wrong = [m.t_s for m in oracle.moments if m.t_s > 1.0 and estimate_error(m) > 1e-9]
     assert all(14.8 < t_s < 15.2 for t_s in wrong)
@@ -60,7 +60,7 @@ def test_the_oracle_is_never_wrong_and_never_measures():
 
 
 def test_the_oracle_is_a_bound_that_arpd_comes_near():
-    """It builds the shorter queue at a fall, and after it both deliver alike."""
+    """The oracle builds the shorter queue at a fall; later arpd delivers more than 85 % of its bytes."""
     arpd, oracle = (summarize(falling().ways[way], start_s=10.0, end_s=30.0) for way in ("arpd", "oracle"))
     assert oracle.queue_peak_s < arpd.queue_peak_s
     settled = [summarize(falling().ways[way], start_s=22.0, end_s=30.0) for way in ("arpd", "oracle")]
@@ -68,7 +68,7 @@ def test_the_oracle_is_a_bound_that_arpd_comes_near():
 
 
 def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
-    """The reference is a robot that nobody helps."""
+    """Without arpd there is no estimate, plan, swap or probe, and the queue fills."""
     without = falling().without
     summary = summarize(without, start_s=10.0, end_s=30.0)
     assert summary.error_median is None
@@ -78,20 +78,20 @@ def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
 
 
 def test_a_fall_is_among_the_events():
-    """With the levels before and after it."""
+    """A fall is an event with the levels before and after it."""
     fall = next(event for event in events(falling().arpd) if event.what == "down")
     assert 15.0 < fall.t_s < 20.0
     assert fall.before_bytes_per_second > 3 * fall.after_bytes_per_second > 0
 
 
 def test_it_is_told_which_way_runs():
-    """So that somebody who waits knows what for."""
+    """The callback gets the name of each way before its run."""
     told = []
     compare(Settings(), RateSchedule.parse("0:8mbit"), 1.0, seed=1, model=LinkModel(), topics=ROBOT, on_way=told.append)
     assert told == ["arpd", "without", "oracle"]
 
 
-# -- what a run can be given
+# -- arguments of a run
 
 
 def played(schedule="0:8mbit", duration_s=8.0, **more):
@@ -101,7 +101,7 @@ def played(schedule="0:8mbit", duration_s=8.0, **more):
 
 
 def test_an_oracle_knows_what_else_is_on_the_link():
-    """Foreign traffic is told while it flows, and only then."""
+    """The oracle reports cross traffic while it flows."""
     flow = ForeignFlow(start_s=3.0, end_s=5.0, rate_bytes_per_second=1.0 * MBIT)
     result = played(foreign=(flow,), make_estimator=Oracle)
     told = {m.t_s: m.cross_traffic_bytes_per_second for m in result.moments}
@@ -110,7 +110,7 @@ def test_an_oracle_knows_what_else_is_on_the_link():
 
 @pytest.mark.parametrize("is_stalled", [False, True])
 def test_an_oracle_knows_an_outage(is_stalled):
-    """One in which everything is lost, and one in which nothing is carried."""
+    """The oracle reports an outage when all packets are lost and when the rate is zero."""
     stalled = RateSchedule(
         steps=tuple(
             RateStep(start_s=at_s, rate_bytes_per_second=rate * MBIT) for at_s, rate in ((0, 8), (5, 0), (6, 8))
@@ -127,25 +127,25 @@ def test_an_oracle_knows_an_outage(is_stalled):
 
 
 def test_an_oracle_knows_what_a_packet_costs_on_a_busy_link():
-    """Full aggregates share one overhead."""
+    """On a busy link an aggregate shares one overhead."""
     model = LinkModel(packet_overhead_s=200e-6, aggregate_packets=8)
     assert played(model=model, make_estimator=Oracle).moments[-1].packet_overhead_s == 25e-6
 
 
 def test_a_rate_that_changes_faster_than_anybody_looks_is_shown_in_the_mean():
-    """A recorded link changes every 20 ms."""
+    """Moments show the mean of a rate that changes every 20 ms."""
     jagged = RateSchedule(
         steps=tuple(RateStep(start_s=k * 0.02, rate_bytes_per_second=(k % 2) * 16 * MBIT) for k in range(600))
     )
     truths = [m.truth_bytes_per_second for m in played(jagged).moments]
-    # Five spans of 20 ms in a tenth of a second: two or three of them carry.
+    # Two or three of the five spans of 20 ms in a tenth of a second carry bytes.
     assert min(truths) == pytest.approx(6.4 * MBIT)
     assert max(truths) == pytest.approx(9.6 * MBIT)
     assert sum(truths) / len(truths) == pytest.approx(8 * MBIT)
 
 
 def test_what_is_counted_never_falls():
-    """Bytes and swaps are running totals, and with arpd all of them grow."""
+    """Counts of bytes and swaps never fall, and with arpd all of them grow."""
     moments = falling().arpd.moments
     for name in ("delivered_bytes", "probe_bytes", "report_bytes", "swaps"):
         counts = [getattr(m, name) for m in moments]
@@ -153,17 +153,16 @@ def test_what_is_counted_never_falls():
         assert counts[-1] > 0
 
 
-def test_only_a_carried_topic_pays_the_relays_hop():
-    """A topic with a publisher of its own crosses under its own name."""
-    topics = {topic.topic: topic for topic in falling().oracle.topics}
-    assert set(topics) == {topic.name for topic in ROBOT}
+def test_topics_have_the_applications_names():
+    """The results name relayed and other topics as the application does."""
+    assert {topic.topic for topic in falling().oracle.topics} == {topic.name for topic in ROBOT}
 
 
 # -- the robot of a configuration
 
 
 def test_a_configuration_describes_a_robot():
-    """Topics of which it says what they publish; those under the relay's prefix keep the application's name."""
+    """The robot has the topics with a configured rate; relayed topics keep the application's name."""
     settings = Settings(
         relay=RelaySettings(topics=("/scan", "/unknown"), prefix="/air"),
         topics={
@@ -185,7 +184,7 @@ def test_a_configuration_describes_a_robot():
 
 
 def test_a_summary_is_of_its_span():
-    """What was counted before its start is not counted again."""
+    """A summary counts only what happens in its span."""
     believed = {"estimate_bytes_per_second": 1100.0, "level_bytes_per_second": 900.0, "generation": 1}
     result = course(
         moment(0.0, delivered_bytes=5, swaps=3, probe_bytes=7, report_bytes=1, cause="start", **believed),
@@ -204,7 +203,7 @@ def test_a_summary_is_of_its_span():
 
 
 def test_a_link_that_is_not_there_has_no_error():
-    """Nothing can be said of an estimate while the rate is zero, and a link of no rate carries no share of anything."""
+    """While the rate is zero there is no error of the estimate and no share of measuring."""
     stalled = replace(moment(0.0, estimate_bytes_per_second=5.0), truth_bytes_per_second=0.0)
     assert estimate_error(stalled) is None
     summary = summarize(course(stalled, replace(stalled, t_s=1.0)), start_s=0.0, end_s=2.0)
@@ -213,7 +212,7 @@ def test_a_link_that_is_not_there_has_no_error():
 
 
 def test_events_are_plans_and_outages():
-    """The first plan replaces nothing; an outage is told when it begins and when it ends."""
+    """Events are plans, the first without a level before it, and begins and ends of outages."""
     planned = {"level_bytes_per_second": 900.0, "generation": 1}
     found = events(
         course(
@@ -233,6 +232,6 @@ def test_events_are_plans_and_outages():
 
 
 def test_a_span_includes_its_start_and_not_its_end():
-    """So that spans side by side count every moment once."""
+    """A span includes its start and excludes its end, so that adjacent spans count every moment once."""
     moments = [moment(float(t_s)) for t_s in range(5)]
     assert [m.t_s for m in between(moments, 1.0, 3.0)] == [1.0, 2.0]

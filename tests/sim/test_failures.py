@@ -1,4 +1,4 @@
-"""What goes wrong around a daemon that governs, in virtual time: what it does then, and what it leaves alone."""
+"""Failures around a daemon that governs, in virtual time."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ TOPICS = (
 
 @pytest.fixture
 def play(monkeypatch):
-    """Play the robot while something goes wrong; return the course, and the daemon with what it did."""
+    """Return a function that plays the robot with failures and returns the result and the daemon."""
 
     def play(*, do=None, see=None, link="0:20mbit", duration_s=LASTS_S, settings=None, model=None, seed=1):
         """Play.
 
         Parameters
         ----------
-        do : run time (s) → what happens to the daemon then
-        see : turns run time and what is there into what the daemon sees
+        do : run time (s) → called with the daemon at that time
+        see : changes the daemon's observation, given the run time (s)
         """
         orders = sorted((do or {}).items())
         seen = []
@@ -70,12 +70,12 @@ def play(monkeypatch):
 
 
 def plans(daemon, since_s, until_s=LASTS_S):
-    """Causes of the plans made in that time; what follows the end of the sources is left out."""
+    """Return the causes of the plans made in that time, which ends with the sources."""
     return [made.reason for at_s, made in daemon.decisions if since_s <= at_s < until_s and made.level_changed]
 
 
 def settled(result):
-    """Whether the last plan is in force on all publishers."""
+    """Return whether all publishers confirm the last plan."""
     last = result.moments[-1]
     return last.planned == last.confirmed == len(TOPICS)
 
@@ -91,7 +91,7 @@ SLACK = Settings(program=ProgramSettings(deadline_slack=2.0))  # changes QoS of 
 
 
 def test_a_reload_during_a_swap_wins(play):
-    """What it asks for is in force in the end, and nothing is lost on the way."""
+    """The last of several reloads is in force in the end, and no sample is lost."""
     result, daemon = play(do={14.0: reload(SLACK), 15.0: reload(Settings()), 16.0: reload(SLACK)})
     assert plans(daemon, 14.0) == ["reload", "reload", "reload"]
     assert settled(result)
@@ -101,7 +101,7 @@ def test_a_reload_during_a_swap_wins(play):
 
 
 def test_a_reload_in_an_outage_is_planned_for_when_the_link_is_back(play):
-    """The settings are in force at once; no plan is made for a link that is gone."""
+    """The settings are in force at once; the plan waits until the link is back."""
     result, daemon = play(do={13.0: reload(SLACK)}, model=LinkModel(outages=((10.0, 16.0),)))
     assert plans(daemon, 10.0, 16.0) == []
     assert daemon.settings == SLACK
@@ -110,7 +110,7 @@ def test_a_reload_in_an_outage_is_planned_for_when_the_link_is_back(play):
 
 
 def test_a_reload_while_standing_by_is_in_force_when_it_is_called_to_drive(play):
-    """It makes one plan, of the new settings, and none while another daemon drives."""
+    """A daemon makes no plan while another one drives, and then one plan with the new settings."""
     result, daemon = play(
         do={10.0: reload(SLACK)},
         see=lambda t_s, seen: (
@@ -126,7 +126,7 @@ def test_a_reload_while_standing_by_is_in_force_when_it_is_called_to_drive(play)
 
 
 def test_a_partition_of_the_graph_makes_no_plan(play):
-    """When all far readers vanish and come back one after the other, the plan in force is the one from before."""
+    """If all remote readers vanish and return one after the other, no plan is made."""
     back_s = {"/points": 21.0, "/odom": 21.6, "/cmd_vel": 22.2}
 
     def see(t_s, seen):
@@ -144,7 +144,7 @@ def test_a_partition_of_the_graph_makes_no_plan(play):
 
 
 def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force(play):
-    """Where others answer, its silence is no outage: the link is used as before, and measured when it returns."""
+    """While other hosts answer, the peer's silence is no outage: gate and plan stay."""
 
     def see(t_s, seen):
         return replace(seen, reports=()) if 8.0 <= t_s < 22.0 else seen
@@ -159,7 +159,7 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force(play):
 
 @pytest.mark.parametrize(("others_hz", "is_over"), [(0.2, False), (1.0, True)])
 def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(play, others_hz, is_over):
-    """The gate closes at once; ten seconds on, it opens again only if somebody else is there on the other side."""
+    """The gate closes at once; after ten seconds it opens only if another host on the far side answers."""
     heard = []
 
     def see(t_s, seen):
@@ -181,7 +181,7 @@ def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(play, othe
 
 @pytest.mark.parametrize(("trickle_kbit", "is_followed"), [(16, False), (24, False), (100, True)])
 def test_a_trickle_is_an_outage_and_a_slow_link_is_followed(play, trickle_kbit, is_followed):
-    """When the peer is long silent and frames leave one by one, nothing is planned for them; a link that is used is."""
+    """A silent peer and a trickle of frames are an outage; on a slow link in use the estimate follows the rate."""
     rate = trickle_kbit * 1e3 / 8
     frame, begin_s, end_s = 1514, 10.0, 26.0
     first = []
@@ -212,7 +212,7 @@ def test_a_trickle_is_an_outage_and_a_slow_link_is_followed(play, trickle_kbit, 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
 def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(play, monkeypatch, step_s):
-    """Neither the far host's clock nor this one's, which stamp what is sent and received, decides anything."""
+    """A step of the peer's or of this host's clock changes no decision and no queue."""
 
     def step(_daemon):
         monkeypatch.setattr(world, "_PEER_CLOCK_S", world._PEER_CLOCK_S + step_s)
@@ -236,7 +236,7 @@ DEEP = Settings(
 
 
 def memory(available):
-    """Make what is seen of a computer with so much memory available, by run time (bytes)."""
+    """Return a `see` for `play` with this much memory available, a function of run time (bytes)."""
     return lambda t_s, seen: replace(seen, memory=replace(seen.memory, available_bytes=available(t_s)))
 
 
@@ -253,7 +253,7 @@ def announced_bytes(publishers):
 
 
 def test_depths_fall_as_soon_as_memory_does(play):
-    """Within a tick of less than the reserve being left the plan asks for less, and a swap later it is in force."""
+    """The plan asks for less memory within a tick after the fall, and a writer swap brings it into force."""
     fall_s = 14.0
     result, daemon = play(
         settings=DEEP, see=memory(lambda t_s: 512 * MIB if t_s < fall_s else RESERVE + MIB / 2), duration_s=22.0
@@ -273,7 +273,7 @@ def test_depths_fall_as_soon_as_memory_does(play):
 
 
 def test_memory_that_falls_slowly_is_followed_in_steps(play):
-    """Not with a plan for every byte."""
+    """Slowly falling memory makes at most twelve plans."""
     _, daemon = play(settings=DEEP, see=memory(lambda t_s: RESERVE + MIB * max(1.0, 20.0 - t_s)), duration_s=26.0)
     made = plans(daemon, 12.0, 26.0)
     assert set(made) == {"memory"}
@@ -282,7 +282,7 @@ def test_memory_that_falls_slowly_is_followed_in_steps(play):
 
 
 def test_memory_that_swings_is_not_followed_upwards(play):
-    """What returns for some seconds only is not planned with; what stays is, after half a minute."""
+    """Memory that returns for seconds makes no plan; memory that stays makes one after half a minute."""
 
     def available(t_s):
         if t_s < 14.0 or t_s >= 40.0:

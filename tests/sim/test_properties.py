@@ -1,4 +1,4 @@
-"""What holds of arpd on any link: bounds, dwell, rest. The links are drawn at random, and named by their seed."""
+"""Properties of arpd on any link: bounds, dwell and rest, over random links with fixed seeds."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ SETTINGS = Settings(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Tick:
-    """What one tick believed and decided."""
+    """Time and snapshot of one tick."""
 
     t_s: float
     snapshot: Snapshot
 
 
 def watched(schedule: RateSchedule, duration_s: float, model: LinkModel, *, seed: int, topics=ROBOT) -> list[Tick]:
-    """Let the robot run under arpd and return every tick of the daemon."""
+    """Run the robot under arpd and return every tick of the daemon."""
     ticks: list[Tick] = []
 
     class Watched(Daemon):
@@ -68,7 +68,7 @@ def watched(schedule: RateSchedule, duration_s: float, model: LinkModel, *, seed
 
 
 def random_rates(random: Random, until_s: float) -> list[RateStep]:
-    """Draw a link that goes anywhere from 0.3 to 50 Mbit/s, by steps of 0.1 s to 10 s, and stalls now and then."""
+    """Draw steps of 0.1 s to 10 s between 0.3 and 50 Mbit/s, with a stall now and then."""
     steps, t_s = [], 0.0
     while t_s < until_s:
         stalls = random.random() < 0.1
@@ -79,7 +79,7 @@ def random_rates(random: Random, until_s: float) -> list[RateStep]:
 
 
 def random_model(random: Random, until_s: float) -> LinkModel:
-    """Draw everything else that a link does to packets; what comes and goes has gone by then."""
+    """Draw delay, queue, losses and overhead; outages and steps of loss end before ``until_s``."""
     outages, losses, t_s = [], [], 0.0
     while random.random() < 0.4 and (t_s := t_s + random.uniform(1.0, 20.0)) < until_s - 4.0:
         outages.append((t_s, t_s + random.uniform(0.1, 4.0)))
@@ -105,7 +105,7 @@ def random_model(random: Random, until_s: float) -> LinkModel:
 
 @cache
 def anywhere(seed):
-    """Play a link that changes to the end, with bursts of loss on some."""
+    """Play a link that changes until the end; some links have bursts of loss."""
     random = Random(f"anywhere {seed}")
     steps = random_rates(random, PAST_S)
     model = random_model(random, PAST_S)
@@ -118,7 +118,7 @@ def anywhere(seed):
 
 @cache
 def settling(seed, mbits):
-    """Play a link that has a random past, and is constant and loses nothing from then on."""
+    """Play a link with a random past that is constant and loses nothing later."""
     random = Random(f"settling {seed}")
     last = RateStep(start_s=PAST_S, rate_bytes_per_second=mbits * MBIT)
     steps = [step for step in random_rates(random, PAST_S) if step.start_s < PAST_S]
@@ -135,7 +135,7 @@ def plans(ticks):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_is_believed_and_told_is_a_number(seed):
-    """Nothing is negative, infinite or not a number, and the gate is a factor."""
+    """Estimates and plans are finite and not negative, and the gate is a factor in (0, 1]."""
     for tick in anywhere(seed):
         link, decision = tick.snapshot.link, tick.snapshot.decision
         for field in fields(link):
@@ -150,7 +150,7 @@ def test_what_is_believed_and_told_is_a_number(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_level_is_above_what_was_ever_believed(seed):
-    """A level is what the headroom leaves of some capacity the estimator did believe."""
+    """A level is at most the headroom's share of the largest estimate so far."""
     most = 0.0
     for tick in anywhere(seed):
         most = max(most, tick.snapshot.link.capacity_bytes_per_second)
@@ -160,7 +160,7 @@ def test_no_level_is_above_what_was_ever_believed(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_rate_is_above_what_its_source_wanted(seed):
-    """Nobody is paced above a little more than its source publishes, which is so that jitter is not throttled."""
+    """No planned rate exceeds the source's rate by more than the margin for jitter."""
     desired: dict[str, float] = {}
     for tick in anywhere(seed):
         for topic in topics_to_plan(tick.snapshot.observation.publishers, SETTINGS):
@@ -171,7 +171,7 @@ def test_no_rate_is_above_what_its_source_wanted(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_rise_comes_sooner_than_the_dwell(seed):
-    """After any other plan, and on any link; in an outage there is none at all."""
+    """No rise follows another plan sooner than the dwell, and no plan is made in an outage."""
     ticks = anywhere(seed)
     for (before_s, _), (at_s, cause) in pairwise(plans(ticks)):
         assert cause not in ("up", "demand") or at_s - before_s >= SETTINGS.governor.dwell_s - 1e-6
@@ -181,14 +181,14 @@ def test_no_rise_comes_sooner_than_the_dwell(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_minute_has_more_plans_than_it_has_dwells(seed):
-    """Falls need no dwell, but each leaves less to fall, and soon after a rise it is held."""
+    """No minute has more plans than dwells, although falls need no dwell."""
     moments_s = [at_s for at_s, _ in plans(anywhere(seed))]
     most = 60.0 / SETTINGS.governor.dwell_s
     assert 0 < max(sum(at_s <= other_s < at_s + 60.0 for other_s in moments_s) for at_s in moments_s) <= most
 
 
 def test_these_links_are_hard():
-    """Else the above would say little: they are out, they queue, the gate closes, the level goes up and down."""
+    """The random links have outages, queues, a closed gate, rises and falls, so that the tests above mean something."""
     ticks = [tick for seed in SEEDS for tick in anywhere(seed)]
     assert {LinkState.OUTAGE, LinkState.CONGESTED, LinkState.STEADY} <= {tick.snapshot.link.state for tick in ticks}
     assert {"start", "up", "down"} <= {cause for _, cause in plans(ticks)}
@@ -196,19 +196,19 @@ def test_these_links_are_hard():
     assert max(tick.snapshot.link.queue_delay_s for tick in ticks) > 0.5
 
 
-# -- on a link that stays as it is
+# -- on a constant link
 
 
 @pytest.mark.parametrize(("seed", "mbits"), CONSTANTS)
 def test_on_a_constant_link_plans_end(seed, mbits):
-    """Whatever came before, a minute later nothing is swapped any more, for the sources do not change either."""
+    """A minute after the last change of the link no plan is made."""
     ticks = settling(seed, mbits)
     assert not [plan for plan in plans(ticks) if PAST_S + REST_S <= plan[0] < PAST_S + REST_S + WATCH_S]
 
 
 @pytest.mark.parametrize(("seed", "mbits"), CONSTANTS)
 def test_on_a_constant_link_the_truth_is_found(seed, mbits):
-    """Whatever came before, half a minute later the capacity is known within a fifth."""
+    """Half a minute after the last change of the link the capacity is known within a fifth."""
     ticks = [tick for tick in settling(seed, mbits) if PAST_S + 30.0 <= tick.t_s < PAST_S + REST_S + WATCH_S]
     capacities = [tick.snapshot.link.capacity_bytes_per_second for tick in ticks]
     assert 0.8 * mbits * MBIT < min(capacities) <= max(capacities) < 1.2 * mbits * MBIT

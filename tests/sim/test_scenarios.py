@@ -1,14 +1,12 @@
-"""The whole of arpd against the demo robot in virtual time: what an operator would see happen."""
+"""The whole of arpd with the demo robot in virtual time, as an operator sees it."""
 
 import math
 import time
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import pytest
 
-from arpd.adapters.config.load import load_settings
 from arpd.adapters.sim.demo import demo_settings, demo_topics
 from arpd.adapters.sim.foreign import ForeignFlow
 from arpd.adapters.sim.link import LinkModel
@@ -18,7 +16,6 @@ from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
 
 MBIT = 125_000.0
-ROBOT = Path(__file__).parents[2] / "scripts" / "robot" / "arpd.yaml"
 STEADY_S = 60.0
 STEP = "0:20mbit,10:5mbit,22:20mbit"  # falls at 10 s, recovers at 22 s
 STEP_S, FALL_S, RISE_S = 38.0, 10.0, 22.0
@@ -48,7 +45,7 @@ def first(moments, holds):
 
 
 def latency(result):
-    """p99 latency; where more than 1 % never arrived, its p99 is for ever."""
+    """Return the p99 latency, which is infinite if more than 1 % never arrived."""
     return math.inf if result.loss_ratio > 0.01 else result.latency_p99_s
 
 
@@ -56,7 +53,7 @@ def latency(result):
 
 
 def test_a_link_that_carries_everything_is_left_alone():
-    """On a steady 20 Mbit/s nothing is lost, nothing is late and next to nothing is withheld."""
+    """On a steady 20 Mbit/s no sample is lost or late, and less than 2 % are withheld."""
     for topic in play("0:20mbit", STEADY_S).topics:
         assert topic.lost == 0
         assert topic.latency_p50_s < 0.1
@@ -66,7 +63,7 @@ def test_a_link_that_carries_everything_is_left_alone():
 
 
 def test_a_slow_topic_is_not_held_back():
-    """On a link that carries everything no sample of a slow topic waits."""
+    """On a link that carries everything no sample of a slow topic waits 0.1 s."""
     slow = [topic for topic in play("0:20mbit", STEADY_S).topics if topic.source_rate_hz < 5.0]
     assert max(topic.latency_max_s for topic in slow) < 0.1
 
@@ -90,7 +87,7 @@ def test_an_overloaded_link_is_kept_free_of_a_queue():
     result = play("0:5mbit", STEADY_S)
     settled = between(result, 15.0, STEADY_S)
     assert max(moment.queue_delay_s for moment in settled) < 0.2
-    # What is lost is lost in the first seconds, before there is a plan and while everything still flows unpaced.
+    # Samples are lost only in the first seconds, while everything flows unpaced before the first plan.
     assert sum(topic.lost for topic in result.topics) < 0.01 * sum(topic.sent for topic in result.topics)
     delivered = sum(topic.delivered_bytes for topic in result.topics if topic.topic != "/cmd_vel")
     assert delivered / STEADY_S > 0.6 * 5 * MBIT
@@ -102,7 +99,7 @@ def test_an_overloaded_link_is_kept_free_of_a_queue():
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("topic", [t.name for t in demo_topics() if t.name != "/cmd_vel"])
 def test_through_a_fall_every_topic_is_fresher_with_arpd(topic, seed):
-    """Lower p99 latency, lower p99 age and no more loss than with rclpy's defaults."""
+    """With arpd, p99 latency and p99 age are lower and loss is not higher than with rclpy's defaults."""
     without, managed = (
         next(result for result in play(STEP, STEP_S, managed=m, seed=seed).topics if result.topic == topic)
         for m in (False, True)
@@ -113,7 +110,7 @@ def test_through_a_fall_every_topic_is_fresher_with_arpd(topic, seed):
 
 
 def test_commands_are_as_prompt_with_arpd_as_without():
-    """The direction that is not overloaded pays nothing."""
+    """Commands, whose direction is not overloaded, are not later and not lost."""
     commands = [play(STEP, STEP_S, managed=m).topics[-1] for m in (False, True)]
     assert commands[1].lost == 0
     assert commands[1].latency_p99_s < commands[0].latency_p99_s + 0.005
@@ -128,7 +125,7 @@ def test_a_fall_is_known_within_three_seconds(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_gate_answers_a_fall_before_the_plan_does(seed):
-    """The gate closes within half a second, the level follows within five, the queue is gone within four."""
+    """The gate closes within half a second, the queue is gone within four, and the plan follows within five."""
     result = play(STEP, STEP_S, seed=seed)
     after = between(result, FALL_S, RISE_S)
     closed_s = first(after, lambda moment: moment.gate < 0.5)
@@ -140,7 +137,7 @@ def test_the_gate_answers_a_fall_before_the_plan_does(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_recovery_is_used(seed):
-    """Estimate, then level follow the link up in a few steps, and every publisher confirms the plan."""
+    """Estimate and level follow the link up in a few steps, and every publisher confirms the plan."""
     result = play(STEP, STEP_S, seed=seed)
     last = result.moments[-1]
     assert first(between(result, RISE_S, STEP_S), lambda moment: error(moment) < 0.15) <= RISE_S + 10.0
@@ -156,7 +153,7 @@ def test_a_recovery_is_used(seed):
 
 
 def test_an_outage_closes_the_gate_at_once():
-    """Within 0.6 s of silence only the floors flow, and until the link is back."""
+    """From 0.6 s of silence until the link is back, only the floors flow."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
     assert first(between(result, *OUTAGE), lambda moment: moment.gate < 0.05) <= OUTAGE[0] + 0.6
     silent = between(result, OUTAGE[0] + 0.6, OUTAGE[1])
@@ -164,7 +161,7 @@ def test_an_outage_closes_the_gate_at_once():
 
 
 def test_after_an_outage_traffic_and_estimate_return():
-    """The gate opens within half a second of the link's return; in five seconds the estimate is right again."""
+    """The gate opens within half a second after the outage, and the estimate is right after five seconds."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
     after = between(result, OUTAGE[1], OUTAGE_S)
     assert first(after, lambda moment: moment.gate > 0.5) <= OUTAGE[1] + 0.5
@@ -174,23 +171,23 @@ def test_after_an_outage_traffic_and_estimate_return():
 
 
 def test_an_outage_is_no_reason_for_a_plan():
-    """Topics that cannot be heard of are not gone: nothing is planned until the link is back."""
+    """Topics that are silent in an outage are not gone, so no plan is made until the link is back."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
     assert not [moment for moment in result.plans if OUTAGE[0] < moment.t_s < OUTAGE[1] + 1.0]
 
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_what_waited_out_a_standstill_is_no_evidence(seed):
-    """A link that stood still, with reports in its queues too, is soon taken for what it is, and no plan is made."""
+    """After a standstill, late reports do not lower the estimate for long, and no plan is made."""
     schedule = RateSchedule.parse("0:5mbit,22:80bit,37:5mbit")
-    result = run(load_settings(ROBOT, interfaces=None), schedule, 42.0, seed=seed, managed=True)
+    result = run(demo_settings(), schedule, 42.0, seed=seed, managed=True)
     assert not [moment for moment in result.plans if moment.t_s > 22.0]
     assert min(moment.estimate_bytes_per_second for moment in between(result, 37.0, 42.0)) > 0.5 * 5 * MBIT
     assert max(error(moment) for moment in between(result, 40.0, 42.0)) < 0.15
 
 
 def test_a_lossy_link_is_no_slow_link():
-    """Random loss of 1 % of the packets is repaired by resends and does not look like congestion."""
+    """Resends repair random loss of 1 % of the packets, and it does not look like congestion."""
     result = play("0:20mbit", 25.0, loss=0.01)
     errors = [error(moment) for moment in between(result, 10.0, 25.0)]
     assert sum(errors) / len(errors) < 0.15
@@ -198,7 +195,7 @@ def test_a_lossy_link_is_no_slow_link():
     assert not [moment for moment in result.plans if moment.cause == "down"]
 
 
-# -- traffic that is not arpd's
+# -- cross traffic
 
 
 def flow(start_s, end_s, mbits):
@@ -219,14 +216,14 @@ UPLOAD = (flow(UPLOAD_S, UPLOAD_END_S, 2.0),)
     ],
 )
 def test_what_is_arpds_own_is_not_called_foreign(schedule, duration_s, more):
-    """Alone on the link next to nothing is foreign, resends after an overload, a fall or an outage included."""
+    """Alone on the link, less than 5 % counts as cross traffic, resends included."""
     moments = play(schedule, duration_s, **more).moments
     assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_upload_gets_room_and_gives_it_back(seed):
-    """Five seconds after 2 Mbit/s appear on a link of 5 the gate makes room for them, then the plan; and it returns."""
+    """Gate and plan make room for 2 Mbit/s on a link of 5 within five seconds, and take it back afterwards."""
     result = play("0:5mbit", 50.0, seed=seed, foreign=UPLOAD)
     beside = between(result, UPLOAD_S + 5.0, UPLOAD_END_S)
     assert all(1.5 * MBIT < moment.cross_traffic_bytes_per_second < 2.4 * MBIT for moment in beside)
@@ -240,7 +237,7 @@ def test_an_upload_gets_room_and_gives_it_back(seed):
 
 
 def test_an_upload_that_fits_changes_nothing():
-    """Beside 2 Mbit/s the 20 Mbit/s link still carries all that is published: no new plan, no delay."""
+    """An upload of 2 Mbit/s on a link of 20 causes no plan and no delay."""
     result = play("0:20mbit", 35.0, foreign=UPLOAD)
     assert not [moment for moment in result.plans if moment.t_s > 10.0]
     assert max(moment.queue_delay_s for moment in between(result, 10.0, 35.0)) < 0.05
@@ -250,7 +247,7 @@ def test_an_upload_that_fits_changes_nothing():
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_foreign_noise_swaps_nothing(seed):
-    """Bursts that come and go every few seconds move the gate, not the plan."""
+    """Bursts of cross traffic every few seconds move the gate and make no plan."""
     bursts = tuple(flow(start_s, start_s + 1.5, 1.0) for start_s in range(12, 45, 3))
     result = play("0:5mbit", 50.0, seed=seed, foreign=bursts)
     seen = [moment.cross_traffic_bytes_per_second for moment in between(result, 15.0, 45.0)]
@@ -259,7 +256,7 @@ def test_foreign_noise_swaps_nothing(seed):
 
 
 def test_half_of_the_link_stays_the_robots():
-    """A flow that would take everything is yielded half of the capacity and no more."""
+    """A flow that would take everything gets at most half of the capacity."""
     result = play("0:5mbit", 35.0, foreign=(flow(12.0, 35.0, 4.5),))
     yielded = between(result, 19.0, 35.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in yielded) > 2.7 * MBIT
@@ -267,7 +264,7 @@ def test_half_of_the_link_stays_the_robots():
 
 
 def test_a_pinned_capacity_is_shared_too():
-    """What is pinned is what the link carries, not what of it is the robot's."""
+    """A pinned capacity is that of the whole link, from which cross traffic is subtracted."""
     link = LinkSettings(capacity_bytes_per_second=5.0 * MBIT)
     result = play("0:5mbit", 35.0, link=link, foreign=(flow(10.0, 35.0, 2.0),))
     beside = between(result, 27.0, 35.0)
@@ -278,7 +275,7 @@ def test_a_pinned_capacity_is_shared_too():
 
 
 def test_a_pinned_capacity_costs_no_probe_and_is_obeyed():
-    """With the capacity pinned the plan is made for it, whatever the link carries."""
+    """The plan is made for the pinned capacity, even if the link carries more."""
     result = play("0:20mbit", 8.0, link=LinkSettings(capacity_bytes_per_second=4 * MBIT))
     assert result.moments[-1].level_bytes_per_second == pytest.approx(0.85 * 4 * MBIT)
 
@@ -288,7 +285,7 @@ FALLING = RateSchedule.parse("0:20mbit,3:5mbit")
 
 @pytest.mark.parametrize("managed", [False, True])
 def test_the_same_seed_gives_the_same_result(managed):
-    """A run is a function of its arguments, and the seed matters."""
+    """Equal arguments give equal results, and another seed gives another."""
     again = [
         run(demo_settings(), FALLING, 6.0, seed=seed, managed=managed, model=LinkModel(loss=0.01)) for seed in (7, 7, 8)
     ]
@@ -297,7 +294,7 @@ def test_the_same_seed_gives_the_same_result(managed):
 
 
 def test_nothing_is_created_or_forgotten():
-    """Every sample offered was withheld, sent or is the last one waiting; what was sent arrived or is lost."""
+    """Every offered sample is withheld, sent or the last one waiting; every sent sample arrives or is lost."""
     for managed in (False, True):
         for topic in play(STEP, STEP_S, managed=managed).topics:
             assert 0 <= topic.offered - topic.withheld - topic.sent <= 1
@@ -306,7 +303,7 @@ def test_nothing_is_created_or_forgotten():
 
 
 def test_virtual_time_is_fast():
-    """A quarter of a minute of robot time costs far less than that."""
+    """Fifteen seconds of robot time cost less than five seconds of CPU."""
     started_s = time.process_time()
     run(demo_settings(), RateSchedule.parse("0:20mbit"), 15.0, seed=99, managed=True)
     assert time.process_time() - started_s < 5.0

@@ -1,1 +1,1 @@
-"""A robot and its link in virtual time, for fast scenarios."""
+"""A robot, its link and its peer in virtual time, for fast scenarios."""

@@ -1,4 +1,4 @@
-"""A bottleneck that sends in transmissions: each has an overhead, and may carry several packets that stood in line."""
+"""A bottleneck that sends transmissions; each has an overhead and may carry several waiting packets."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _MOST_AIR_S = 5.484e-3  # of one transmission: aPPDUMaxTime of IEEE 802.11 (HT a
 
 @dataclass(kw_only=True, slots=True)
 class _Datagram:
-    """One datagram in line; what is not in line any more is on the air or has arrived.
+    """One datagram; its packets wait in line, are on the air or have arrived.
 
     Parameters
     ----------
-    packet_bytes : of each of its packets (bytes)
+    packet_bytes : size of each packet (bytes)
     in_line : packets that wait
-    is_whole : whether all its packets were accepted, and none was lost so far
+    is_whole : True while all its packets were accepted and none was lost
     """
 
     packet_bytes: float
@@ -37,16 +37,15 @@ class _Datagram:
 
 
 class AggregatingBottleneck(Bottleneck):
-    """A bottleneck that sends in transmissions.
+    """A bottleneck that sends transmissions, with one event for each.
 
-    What a transmission carries is known when it starts: what stands in line then, up to ``aggregate_packets`` and to
-    what 802.11 lets one transmission last. All of it arrives when it ends. A link that is idle does not wait for
-    company. One event per transmission.
+    A transmission carries the packets that wait when it starts, up to ``aggregate_packets`` and up to the longest
+    transmission of 802.11. All of them arrive when it ends. An idle link does not wait for more packets.
 
     Parameters
     ----------
-    timeline, service, losses, delay_s, room_bytes : as of every `Bottleneck`
-    overhead_s : time every transmission takes before its first byte, whatever the rate (s)
+    timeline, service, losses, delay_s, room_bytes : see `Bottleneck`
+    overhead_s : time that every transmission takes before its first byte, at any rate (s)
     aggregate_packets : most packets of one transmission
     """
 
@@ -67,14 +66,14 @@ class AggregatingBottleneck(Bottleneck):
         self._line: deque[_Datagram] = deque()
         self._line_bytes = 0.0
         self._line_packets = 0
-        self._on_air: list[tuple[_Datagram, int]] = []  # and how many of its packets
+        self._on_air: list[tuple[_Datagram, int]] = []  # datagram and number of its packets
         self._air_bytes = 0.0
-        self._air_served = 0.0  # what the service can have carried when this transmission ends
+        self._air_served = 0.0  # bytes that the service can have carried when this transmission ends
         self._air_until_s = -math.inf
         self._arriving: deque[tuple[float, float, int]] = deque()  # when, bytes, packets
 
     def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Queue a datagram; return when nothing of it is on the way any more, if nobody joins it in line (s)."""
+        """Queue a datagram; return when all of it has arrived or is lost, if no other joins its transmission (s)."""
         accepted = self._admit(wire_bytes, packets, self._room_bytes - self.waiting_bytes())
         if not accepted:
             return self._timeline.now_s
@@ -89,15 +88,15 @@ class AggregatingBottleneck(Bottleneck):
         return self._clear_s() + self._delay_s
 
     def waiting_bytes(self) -> float:
-        """Return what is queued or being sent (bytes)."""
+        """Return the bytes in the queue and on the air."""
         return self._line_bytes + self._unsent_on_air()
 
     def wait_s(self) -> float:
-        """Return how long a packet put now would wait before it is sent (s)."""
+        """Return the time that a packet put now would wait before it is sent (s)."""
         return self._clear_s() - self._timeline.now_s if self._on_air else 0.0
 
     def received(self) -> tuple[float, int]:
-        """Return what has reached the far interface (bytes, packets)."""
+        """Return the traffic that has reached the far interface (bytes, packets)."""
         while self._arriving and self._arriving[0][0] <= self._timeline.now_s:
             _, received_bytes, received_packets = self._arriving.popleft()
             self._received_bytes += received_bytes
@@ -111,7 +110,7 @@ class AggregatingBottleneck(Bottleneck):
         return min(self._air_bytes, max(0.0, left))
 
     def _clear_s(self) -> float:
-        """Return when all that is here now has been sent."""
+        """Return the moment at which everything that waits now has been sent (s)."""
         if not self._line_packets:
             return self._air_until_s
         transmissions = -(-self._line_packets // self._aggregate_packets)
@@ -121,7 +120,7 @@ class AggregatingBottleneck(Bottleneck):
         return self._service.when(self._service.by(first_byte_s) + self._line_bytes)
 
     def _transmit(self) -> None:
-        """Start to send what stands in line."""
+        """Start a transmission with the packets in line."""
         room, size = self._aggregate_packets, 0.0
         most_bytes = _MOST_AIR_S * self._service.rate_at(self._timeline.now_s)
         while room and self._line:
@@ -136,7 +135,7 @@ class AggregatingBottleneck(Bottleneck):
             if not head.in_line:
                 self._line.popleft()
         self._line_packets -= self._aggregate_packets - room
-        # Sums of fractions of datagrams: without this an empty line would hold a millionth of a byte.
+        # Rounding of fractions of datagrams would leave a millionth of a byte in an empty line.
         self._line_bytes = self._line_bytes - size if self._line else 0.0
         self._air_bytes = size
         self._air_served = self._service.by(self._timeline.now_s + self._overhead_s) + size
@@ -145,7 +144,7 @@ class AggregatingBottleneck(Bottleneck):
             self._timeline.at(self._air_until_s, self._end)
 
     def _end(self) -> None:
-        """Let what was sent arrive, and send what has come in line meanwhile."""
+        """End the transmission: its packets arrive, and the next transmission starts."""
         arrival_s = self._air_until_s + self._delay_s
         received_bytes, received_packets = 0.0, 0
         for datagram, packets in self._on_air:

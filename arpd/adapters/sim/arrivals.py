@@ -1,4 +1,4 @@
-"""What reaches one reader of one topic, counted the same way on a real and on a virtual link."""
+"""Counts the samples that reach one reader, alike on a real and on a virtual link."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from arpd.adapters.sim.result import Reception, percentile
 
 @dataclass(slots=True)
 class Arrivals:
-    """The books of one reader; sequence numbers count the samples the application published."""
+    """Counts of one reader; sequence numbers count the samples that the application published."""
 
     latencies_s: list[float] = field(default_factory=list)
     ages_s: list[float] = field(default_factory=list)
@@ -21,12 +21,12 @@ class Arrivals:
     newest_stamp_s: float = 0.0
 
     def on_arrival(self, sequence: int, latency_s: float) -> None:
-        """Note when a sample left the wire; the middleware may hold it back until older ones arrive."""
+        """Note the latency of a sample on the wire; the middleware may hold it back until older ones arrive."""
         if sequence not in self.sequences:
             self.latencies_s.append(latency_s)
 
     def on_delivery(self, sequence: int, stamp_s: float, size_bytes: int) -> None:
-        """Note what the reader is handed."""
+        """Count a sample that the reader receives."""
         if sequence in self.sequences:
             self.doubled += 1
             return
@@ -38,12 +38,12 @@ class Arrivals:
             self.newest_sequence, self.newest_stamp_s = sequence, stamp_s
 
     def on_age(self, now_s: float) -> None:
-        """Sample the age of the newest sample."""
+        """Note the age of the newest sample."""
         if self.newest_sequence >= 0:
             self.ages_s.append(now_s - self.newest_stamp_s)
 
     def reception(self) -> Reception:
-        """Sum up the run."""
+        """Return the counts of the run."""
         return Reception(
             received=len(self.sequences),
             doubled=self.doubled,

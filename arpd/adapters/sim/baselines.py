@@ -1,4 +1,4 @@
-"""What arpd's estimator is compared with: an oracle, and two estimates that look at throughput only."""
+"""Estimators to compare arpd's with: an oracle, and two that look at throughput only."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ if TYPE_CHECKING:
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
 
-_FIRST_S = 1.0  # of reports, before the first plan is made
-_ARPD = (
-    EstimatorParameters()
-)  # a delivery rate, an outage and a queue are to the governor what they are in arpd's estimate
+_FIRST_S = 1.0  # reports of this time come before the first plan
+# The governor sees delivery rates, outages and queues by the same definitions as with arpd's estimator.
+_ARPD = EstimatorParameters()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Truth:
-    """What is true of a simulated link at one moment.
+    """True state of a simulated link at one moment.
 
     Parameters
     ----------
-    capacity_bytes_per_second : rate of the link, whatever it loses (bytes/s)
-    queue_delay_s : what a packet sent now would wait on the robot's side (s)
-    cross_traffic_bytes_per_second : what else is sent over the link (bytes/s)
-    packet_overhead_s : link time a packet costs beyond its bytes when the link is busy (s)
-    is_out : whether nothing arrives at all
+    capacity_bytes_per_second : rate of the link, losses included (bytes/s)
+    queue_delay_s : time that a packet sent now would wait on the robot's side (s)
+    cross_traffic_bytes_per_second : other traffic over the link (bytes/s)
+    packet_overhead_s : link time that a packet costs beyond its bytes when the link is busy (s)
+    is_out : True while nothing arrives
     """
 
     capacity_bytes_per_second: float
@@ -45,13 +44,11 @@ class Truth:
 
 
 class Oracle:
-    """Knows the link: the most any estimator can tell the governor. A `arpd.daemon.world.CapacityEstimator`.
-
-    It sends no probes, and its traffic is as long under way as anybody's.
+    """A `CapacityEstimator` that knows the link, the upper bound for every estimator; it sends no probes.
 
     Parameters
     ----------
-    truth : returns what is true now
+    truth : returns the true state of the link
     """
 
     def __init__(self, truth: Callable[[], Truth]) -> None:
@@ -59,11 +56,11 @@ class Oracle:
 
     @property
     def has_evidence(self) -> bool:
-        """From the start."""
+        """True from the start."""
         return True
 
     def update(self, observation: Observation) -> LinkEstimate:
-        """Tell the truth."""
+        """Return the truth as an estimate."""
         truth = self._truth()
         capacity = max(1.0, truth.capacity_bytes_per_second)
         largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
@@ -86,13 +83,13 @@ class Oracle:
         return ()
 
     def reconfigure(self, settings: LinkSettings) -> None:
-        """Keep to the truth."""
+        """Ignore the settings."""
 
 
 class _FromThroughput:
-    """What both estimates from throughput share: delivery rates out of the peer's reports, and silence as an outage.
+    """Base of both estimators: takes delivery rates from the peer's reports, and silence as an outage.
 
-    They see no queue, and cannot tell a link that carries no more from a robot that sends no more.
+    They see no queue, and cannot tell a link that is full from a robot that sends no more.
     """
 
     def __init__(self, settings: LinkSettings) -> None:
@@ -103,11 +100,11 @@ class _FromThroughput:
 
     @property
     def has_evidence(self) -> bool:
-        """After a second of reports."""
+        """True after a second of reports."""
         return self._last_at_s - self._first_at_s >= _FIRST_S
 
     def update(self, observation: Observation) -> LinkEstimate:
-        """Digest the reports."""
+        """Return the estimate after the new reports."""
         for report in observation.reports:
             self._note(report)
         silent_s = observation.now_s - self._last_at_s
@@ -126,7 +123,7 @@ class _FromThroughput:
         return ()
 
     def reconfigure(self, settings: LinkSettings) -> None:
-        """Keep what was measured."""
+        """Ignore the settings."""
 
     @property
     def _delivery_rate(self) -> float:
@@ -135,7 +132,7 @@ class _FromThroughput:
 
     def _note(self, report: PeerReport) -> None:
         if report.received_at_s - self._last_at_s > _ARPD.outage_s:
-            self._reports.clear()  # what was lost with them leaves a gap
+            self._reports.clear()  # the lost reports leave a gap
         self._first_at_s = min(self._first_at_s, report.received_at_s)
         self._last_at_s = report.received_at_s
         self._reports.append(report)
@@ -150,12 +147,12 @@ class _FromThroughput:
 
 
 class ThroughputAverage(_FromThroughput):
-    """An exponentially weighted average of what arrives, the estimate most adaptive streamers begin with.
+    """An exponentially weighted average of arrivals, the first estimate of most adaptive streamers.
 
     Parameters
     ----------
-    settings : first belief
-    time_constant_s : after so long a change has been followed to 63 % (s)
+    settings : settings with the initial capacity
+    time_constant_s : time in which the average follows 63 % of a change (s)
     """
 
     def __init__(self, settings: LinkSettings, *, time_constant_s: float = 1.0) -> None:
@@ -175,13 +172,13 @@ class ThroughputAverage(_FromThroughput):
 class WindowMaximum(_FromThroughput):
     """The largest delivery rate of a window, the bandwidth filter of BBR.
 
-    Cardwell, Cheng, Gunn, Yeganeh, Jacobson: BBR: Congestion-Based Congestion Control, ACM Queue 14(5), 2016: BtlBw is
-    the maximum delivery rate over six to ten round trips, of which Wi-Fi sees many more in the 8 s here; BBR's gain
-    cycle, which sends more than it believes from time to time, is a controller's and not part of it.
+    Cardwell, Cheng, Gunn, Yeganeh, Jacobson: BBR: Congestion-Based Congestion Control, ACM Queue 14(5), 2016. There,
+    BtlBw is the maximum delivery rate over six to ten round trips; Wi-Fi has many more in the 8 s here. BBR's gain
+    cycle, which sends faster from time to time, belongs to the controller and not to the filter.
 
     Parameters
     ----------
-    settings : first belief
+    settings : settings with the initial capacity
     window_s : length of the window (s)
     """
 

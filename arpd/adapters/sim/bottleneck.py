@@ -1,4 +1,4 @@
-"""The bottleneck of a simulated link: a queue with tail drop, and the pipe behind it."""
+"""The bottleneck of a simulated link: a queue with tail drop, and a propagation delay behind it."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.service import Service
     from arpd.adapters.sim.timeline import Timeline
 
-
-#: What has arrived is counted when somebody asks, or when so much may have; nobody may ask in an hour.
+# Arrivals are counted when they are asked for, which may take an hour, or when there may be so many.
 MOST_UNCOUNTED = 1000
 
 
 class Bottleneck(ABC):
-    """What queues, serves and delivers datagrams; it counts what it took, whatever became of it later.
+    """Queues, serves, delivers and counts datagrams.
 
     Parameters
     ----------
     timeline : virtual time
-    service : the rate
-    losses : decides what arrives
-    delay_s : propagation (s)
-    room_bytes : what fits in, what is being served included (bytes)
+    service : rate
+    losses : decides which packets arrive
+    delay_s : propagation delay (s)
+    room_bytes : most bytes that it holds, those in service included (bytes)
 
     Attributes
     ----------
-    accepted_bytes, accepted_packets : taken into the queue
-    dropped_packets : refused, because the queue was full
-    lost_packets : sent, and lost on the way
+    accepted_bytes, accepted_packets : accepted into the queue
+    dropped_packets : dropped because the queue was full
+    lost_packets : sent but lost
     """
 
     def __init__(
@@ -53,22 +52,22 @@ class Bottleneck(ABC):
 
     @abstractmethod
     def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Queue a datagram; return when nothing of it is on the way any more, as far as it is known (s)."""
+        """Queue a datagram; return when all of it has arrived or is lost, as far as this is known (s)."""
 
     @abstractmethod
     def waiting_bytes(self) -> float:
-        """Return what is queued or being served (bytes)."""
+        """Return the bytes in the queue and in service."""
 
     @abstractmethod
     def wait_s(self) -> float:
-        """Return how long a packet put now would wait before it is served (s)."""
+        """Return the time that a packet put now would wait before it is served (s)."""
 
     @abstractmethod
     def received(self) -> tuple[float, int]:
-        """Return what has reached the far interface (bytes, packets)."""
+        """Return the traffic that has reached the far interface (bytes, packets)."""
 
     def _admit(self, wire_bytes: float, packets: int, room_bytes: float) -> int:
-        """Take as many packets of a datagram as there is room for, and count them."""
+        """Accept the packets of a datagram that fit, drop the others, and count both."""
         packet_bytes = wire_bytes / packets
         accepted = packets if wire_bytes <= room_bytes else max(0, int(room_bytes // packet_bytes))
         self.dropped_packets += packets - accepted
@@ -78,10 +77,10 @@ class Bottleneck(ABC):
 
 
 class FluidBottleneck(Bottleneck):
-    """A bottleneck that serves bytes, one after the other, and nothing else.
+    """A bottleneck that serves one byte after the other.
 
-    A FIFO that is never idle while it holds something needs no event per packet: a datagram that arrives behind a
-    backlog leaves when the bottleneck has served the backlog and the datagram, and that moment is known at once.
+    It needs no event per packet. It is never idle while it holds something, so a datagram leaves when the backlog
+    before it and the datagram itself have been served, and that moment is known at once.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class FluidBottleneck(Bottleneck):
         self._crossings: deque[tuple[float, float, float, int]] = deque()  # service start and end, bytes, packets
 
     def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Queue a datagram; return when nothing of it is on the way any more (s)."""
+        """Queue a datagram; return when all of it has arrived or is lost (s)."""
         now_s = self._timeline.now_s
         start = self._service.by(now_s)
         room: float = self._room_bytes
@@ -116,15 +115,15 @@ class FluidBottleneck(Bottleneck):
         return arrival_s
 
     def waiting_bytes(self) -> float:
-        """Return what is queued or being served (bytes)."""
+        """Return the bytes in the queue and in service."""
         return max(0.0, self._busy_until - self._service.by(self._timeline.now_s))
 
     def wait_s(self) -> float:
-        """Return how long a packet put now would wait (s)."""
+        """Return the time that a packet put now would wait (s)."""
         return self._service.when(self._busy_until) - self._timeline.now_s if self.waiting_bytes() > 0 else 0.0
 
     def received(self) -> tuple[float, int]:
-        """Return what has reached the far interface, the datagram being received included in part (bytes, packets)."""
+        """Return the traffic that has reached the far interface, part of a datagram included (bytes, packets)."""
         served = self._service.by(self._timeline.now_s - self._delay_s)
         crossings = self._crossings
         while crossings and crossings[0][1] <= served:

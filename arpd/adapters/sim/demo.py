@@ -1,4 +1,4 @@
-"""The demo robot: its configuration and its topics, as demo.yaml defines them."""
+"""The demo robot: its configuration and its topics, from demo.yaml."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
 
 DEMO_CONFIG = Path(__file__).with_name("demo.yaml")
-COMMAND_TOPIC = "/cmd_vel"  # the only one that crosses the link towards the robot
+COMMAND_TOPIC = "/cmd_vel"  # the only actuation topic
 
 
 @cache
@@ -25,5 +25,5 @@ def demo_settings() -> Settings:
 
 @cache
 def demo_topics() -> tuple[SimTopic, ...]:
-    """Return what the demo robot publishes."""
+    """Return the demo robot's topics."""
     return configured_topics(demo_settings(), actuation={COMMAND_TOPIC})

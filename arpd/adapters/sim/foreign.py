@@ -1,4 +1,4 @@
-"""Traffic that is not arpd's on a link in virtual time: an upload through our own interface, and another station."""
+"""Cross traffic on a link in virtual time: an upload from the robot, and another station."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _PACKET_BYTES = 1514
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForeignFlow:
-    """From the robot over the link, in full packets, whatever the link makes of it.
+    """An upload from the robot in full packets at a fixed rate.
 
     Parameters
     ----------
-    start_s, end_s : run time of the first packet, and from when on there are none (s)
+    start_s, end_s : run time of the first packet, and of the end (s)
     rate_bytes_per_second : wire bytes offered to the link (bytes/s)
     """
 
@@ -32,7 +32,7 @@ class ForeignFlow:
     rate_bytes_per_second: float
 
     def play(self, timeline: Timeline, link: SimulatedLink, *, origin_s: float) -> None:
-        """Plan the first packet; each plans the next."""
+        """Plan the first packet; each packet plans the next."""
         packets = 0
 
         def send() -> None:
@@ -48,12 +48,12 @@ class ForeignFlow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contention:
-    """Another station that sends on our channel: its bytes are in no counter of ours, its air time is gone.
+    """Another station on the channel: no counter of the robot sees its bytes, but it takes air time.
 
     Parameters
     ----------
-    start_s, end_s : run time from which and until which it sends (s)
-    share : of the air time it takes, 0..1
+    start_s, end_s : run time of its first and its last transmission (s)
+    share : share of the air time that it takes, 0..1
     """
 
     start_s: float
@@ -62,30 +62,27 @@ class Contention:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.start_s < self.end_s:
-            raise ValueError(
-                f"contention from {self.start_s} s to {self.end_s} s: it must start at 0 or later, and end"
-            )
+            raise ValueError(f"contention from {self.start_s} s to {self.end_s} s: start it at 0 or later and end it")
         if not 0.0 <= self.share <= 1.0:
             raise ValueError(f"contention share {self.share}: must be from 0 to 1")
 
 
 def contended(schedule: RateSchedule, stations: Sequence[Contention]) -> RateSchedule:
-    """Return what other stations leave of a schedule: the rate that the link gives us while they send.
+    """Return the part of a schedule's rate that other stations leave.
 
-    It is their air time that goes, so our rate falls in proportion, whatever the bytes they send in it. The overhead of
-    our own transmissions (`arpd.adapters.sim.link.LinkModel`) is not stretched by it.
+    The robot's rate falls in proportion to the air time that they take, independently of their bytes. The overhead of
+    the robot's own transmissions (`LinkModel`) stays the same.
     """
     starts_s = {step.start_s for step in schedule.steps}
     starts_s.update(moment for station in stations for moment in (station.start_s, station.end_s))
     return RateSchedule(
         steps=tuple(
-            RateStep(start_s=start_s, rate_bytes_per_second=schedule.rate_at(start_s) * _left(stations, start_s))
+            RateStep(start_s=start_s, rate_bytes_per_second=schedule.rate_at(start_s) * _free_share(stations, start_s))
             for start_s in sorted(starts_s)
             if start_s < math.inf
         )
     )
 
 
-def _left(stations: Sequence[Contention], t_s: float) -> float:
-    taken = sum(station.share for station in stations if station.start_s <= t_s < station.end_s)
-    return max(0.0, 1.0 - taken)
+def _free_share(stations: Sequence[Contention], t_s: float) -> float:
+    return max(0.0, 1.0 - sum(station.share for station in stations if station.start_s <= t_s < station.end_s))

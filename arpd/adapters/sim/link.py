@@ -1,4 +1,4 @@
-"""A link in virtual time: one FIFO bottleneck with tail drop, propagation delay and loss."""
+"""A link in virtual time: a FIFO bottleneck with tail drop, propagation delay and loss."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _MTU_FRAME_BYTES = 1514
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkModel:
-    """What the link is besides its rate; the queue is that of `scripts.netns.simlink`, so both links compare.
+    """Properties of a link besides its rate; the queue is the same as in `scripts.netns.simlink`.
 
     Parameters
     ----------
-    delay_s : propagation, one way (s)
-    queue_bytes : queue in front of the bottleneck, tail drop (bytes)
+    delay_s : one-way propagation delay (s)
+    queue_bytes : queue in front of the bottleneck, with tail drop (bytes)
     loss : probability that a packet is lost after it has used the link, 0..1
     outages : spans of run time in which nothing arrives in either direction (s, s)
-    losses : more loss, over run time, by ascending start
-    bursts : more loss, in bursts; the directions have them at different times
-    packet_overhead_s : link time a transmission takes besides that of its bytes, >= 0 (s)
-    aggregate_packets : most packets that one transmission carries if they stand in the queue together, >= 1; all of
-        them arrive when it ends, as in an A-MPDU of IEEE 802.11n
-    firmware_bytes : what the adapter holds below the interface's counter, where no host sees it, >= 0 (bytes)
+    losses : further loss over run time, by ascending start
+    bursts : further loss in bursts, at different times for each direction
+    packet_overhead_s : link time that a transmission takes beyond its bytes, >= 0 (s)
+    aggregate_packets : most packets of one transmission if they wait together, >= 1; all of them arrive when it ends,
+        as in an A-MPDU of IEEE 802.11n
+    firmware_bytes : bytes that the adapter holds below the interface's counter, hidden from the host, >= 0 (bytes)
     """
 
     delay_s: float = 0.002
@@ -69,8 +69,8 @@ class SimulatedLink:
     ----------
     timeline : virtual time
     schedule : rate over run time
-    origin_s : when run time starts (s)
-    model : everything else
+    origin_s : start of run time (s)
+    model : other properties of the link
     random : source of the losses
     """
 
@@ -116,47 +116,47 @@ class SimulatedLink:
 
         Returns
         -------
-        When nothing of it is on the way any more, arrived or not; if others join its transmission, a little later (s).
+        Moment at which all of it has arrived or is lost; if others join its transmission, it is a little later (s).
         """
         return self._bottleneck.put(wire_bytes, packets, deliver)
 
     @property
     def capacity_bytes_per_second(self) -> float:
-        """Rate at which the link carries bytes now, the overhead of packets left aside (bytes/s)."""
+        """Rate at which the link carries bytes now, without the overhead of packets (bytes/s)."""
         return self._service.rate_at(self._timeline.now_s)
 
     @property
     def backlog_bytes(self) -> float:
-        """What the host still holds: queued, and above the firmware (bytes)."""
+        """Bytes in the host's queue, above the firmware."""
         return max(0.0, self._bottleneck.waiting_bytes() - self._firmware_bytes)
 
     @property
     def queue_delay_s(self) -> float:
-        """How long a packet sent now would wait, in the host and in the firmware (s)."""
+        """Time that a packet sent now would wait in the host and in the firmware (s)."""
         return self._bottleneck.wait_s()
 
     @property
     def sent_bytes(self) -> float:
-        """What has left the near interface (bytes)."""
+        """Bytes that have left the near interface."""
         return self._bottleneck.accepted_bytes - self.backlog_bytes
 
     @property
     def sent_packets(self) -> int:
-        """Packets the near interface took."""
+        """Packets that the near interface accepted."""
         return self._bottleneck.accepted_packets
 
     @property
     def dropped_packets(self) -> int:
-        """Packets that found the queue full."""
+        """Packets dropped because the queue was full."""
         return self._bottleneck.dropped_packets
 
     @property
     def lost_packets(self) -> int:
-        """Packets that were sent and did not arrive; some of them may be on the way still."""
+        """Packets that were sent but will not arrive."""
         return self._bottleneck.lost_packets
 
     def received_bytes(self) -> float:
-        """Count what has reached the far interface (bytes)."""
+        """Return the bytes that have reached the far interface."""
         return self._bottleneck.received()[0]
 
     @property

@@ -1,4 +1,4 @@
-"""What a simulated link loses: at random, by a schedule, in bursts and in outages."""
+"""Loss on a simulated link: at random, by a schedule, in bursts and in outages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LossStep:
-    """From here on, this loss.
+    """A probability of loss from a moment on.
 
     Parameters
     ----------
     start_s : time since the start of the run, >= 0 (s)
-    loss : probability that a packet is lost from then on, 0..1
+    loss : probability that a packet is lost, 0..1
     """
 
     start_s: float
@@ -34,10 +34,10 @@ class LossStep:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GilbertElliott:
-    """Loss in bursts: the link is good or bad, and stays so for a random, exponentially distributed time.
+    """Loss in bursts: the link is good or bad for exponentially distributed times.
 
-    The state belongs to the link and goes on while nothing is sent: the chain of Gilbert (1960) and Elliott (1963) in
-    continuous time. It starts good; in the long run it is bad for ``bad_s / (good_s + bad_s)`` of the time.
+    This is the chain of Gilbert (1960) and Elliott (1963) in continuous time; the state also changes while nothing is
+    sent. The link starts good and is bad for ``bad_s / (good_s + bad_s)`` of the time in the long run.
 
     Parameters
     ----------
@@ -59,43 +59,33 @@ class GilbertElliott:
 
 
 def check_probability(name: str, value: float) -> None:
-    """Refuse what is not a probability.
-
-    Raises
-    ------
-    ValueError : the value is not from 0 to 1
-    """
+    """Raise ValueError if the value is not from 0 to 1."""
     if not 0.0 <= value <= 1.0:
         raise ValueError(f"{name}: {value} is not a probability, from 0 to 1")
 
 
 def check_ascending(losses: Sequence[LossStep]) -> None:
-    """Refuse steps that are out of order.
-
-    Raises
-    ------
-    ValueError : a step does not start after the one before it
-    """
+    """Raise ValueError if a step does not start after the one before it."""
     for earlier, later in pairwise(losses):
         if not later.start_s > earlier.start_s:
             raise ValueError(f"the loss step at {later.start_s:g} s comes after the one at {earlier.start_s:g} s")
 
 
 class Losses:
-    """Decides how many packets survive the way; to be asked in order of time.
+    """Decides how many packets survive; call it in order of time.
 
     Parameters
     ----------
-    loss : probability that a packet is lost, at any time, 0..1
-    steps : more loss, over time; none before the first step
-    bursts : more loss, in bursts
+    loss : probability that a packet is lost at any time, 0..1
+    steps : further loss over time, none before the first step
+    bursts : further loss in bursts
     outages : spans in which nothing arrives (s, s)
-    origin_s : what all times above are counted from (s)
-    random : decides
+    origin_s : zero of all times above (s)
+    random : source of the losses
 
     Attributes
     ----------
-    is_lossless : whether everything survives, at any time
+    is_lossless : True if every packet survives at any time
     """
 
     def __init__(
@@ -113,13 +103,16 @@ class Losses:
         self._starts = [origin_s + step.start_s for step in steps]
         self._steps = [step.loss for step in steps]
         self._outages = [(origin_s + start_s, origin_s + end_s) for start_s, end_s in outages]
-        # A source of its own: what is sent must not change when the bursts come.
-        self._bursts = None if bursts is None else _Bursts(bursts, origin_s, _branch(random))
+        # Bursts have their own source, so that the traffic does not change when they come.
+        self._bursts: _Bursts | None = None
+        if bursts is not None:
+            own = Random(random.getrandbits(64))  # noqa: S311 - a repeatable run, not a secret
+            self._bursts = _Bursts(bursts, origin_s, own)
         self.is_lossless = not (loss or self._steps or self._outages or bursts)
 
     def survivors(self, packets: int, at_s: float) -> int:
-        """Return how many of the packets that arrive at this moment do arrive."""
-        if self.is_lossless or at_s == math.inf:  # what never arrives is not lost
+        """Return how many of the packets that are due at this moment arrive."""
+        if self.is_lossless or at_s == math.inf:  # packets that are never due are not lost
             return packets
         if any(start_s <= at_s < end_s for start_s, end_s in self._outages):
             return 0
@@ -135,7 +128,7 @@ class Losses:
 
 
 class _Bursts:
-    """The state of a Gilbert-Elliott link, drawn as far as time has come; it is good until the run starts."""
+    """State of a Gilbert-Elliott link, drawn up to the latest question; good until the run starts."""
 
     def __init__(self, model: GilbertElliott, origin_s: float, random: Random) -> None:
         self._model = model
@@ -149,10 +142,6 @@ class _Bursts:
             self._is_bad = not self._is_bad
             self._until_s += self._random.expovariate(1.0 / (model.bad_s if self._is_bad else model.good_s))
         return model.bad_loss if self._is_bad else model.good_loss
-
-
-def _branch(random: Random) -> Random:
-    return Random(random.getrandbits(64))  # noqa: S311 - a repeatable run, not a secret
 
 
 def _either(one: float, other: float) -> float:

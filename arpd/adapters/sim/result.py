@@ -1,4 +1,4 @@
-"""What one run of the demo robot brought, per topic: the same figures for real and for virtual links."""
+"""Result of one run per topic, with the same figures for real and for virtual links."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reception:
-    """What one reader saw of one topic.
+    """Samples of one topic at one reader.
 
     Parameters
     ----------
     received : different samples that reached the reader
-    doubled : samples that reached it more than once
+    doubled : repeated arrivals
     reordered : samples that arrived after a younger one
-    delivered_bytes : payload bytes of what was received
-    latency_p50_s, latency_p99_s, latency_max_s : source stamp to arrival at the reader (s); None when none arrived
-    age_p50_s, age_p99_s : age of the newest sample at the reader, sampled at 20 Hz (s); None when none arrived
+    delivered_bytes : payload bytes of the received samples
+    latency_p50_s, latency_p99_s, latency_max_s : source stamp to arrival at the reader, None = none arrived (s)
+    age_p50_s, age_p99_s : age of the newest sample at the reader, sampled at 20 Hz, None = none arrived (s)
     """
 
     received: int
@@ -40,10 +40,10 @@ class TopicResult(Reception):
 
     Parameters
     ----------
-    source_rate_hz : rate the application publishes at when nothing holds it back (Hz)
-    expected : samples the application would have published had the middleware never blocked it
-    offered : samples the application published
-    withheld : samples pacing chose not to send; never called loss
+    source_rate_hz : rate at which the application publishes if nothing blocks it (Hz)
+    expected : samples that the application would have published if the middleware had never blocked it
+    offered : samples that the application published
+    withheld : samples that pacing did not send; they are not lost
     sent : samples written to the link
     """
 
@@ -56,17 +56,17 @@ class TopicResult(Reception):
 
     @property
     def stalled_ratio(self) -> float:
-        """Share of its samples the application never published because ``publish()`` held it back."""
+        """Share of the samples that the application never published because ``publish()`` blocked it."""
         return max(0.0, 1 - self.offered / self.expected) if self.expected else 0.0
 
     @property
     def unsent(self) -> int:
-        """Samples offered that were neither sent nor withheld: lost on the robot itself, before the link."""
+        """Samples that were neither sent nor withheld, and so were lost on the robot."""
         return max(0, self.offered - self.withheld - self.sent)
 
     @property
     def lost(self) -> int:
-        """Samples sent on the link that never arrived."""
+        """Samples that were sent but never arrived."""
         return max(0, self.sent - self.received)
 
     @property
@@ -81,7 +81,7 @@ class TopicResult(Reception):
 
 
 def percentile(values: Sequence[float], q: float) -> float | None:
-    """Return the nearest-rank percentile (the smallest value with a share ``q`` at or below it), None for none."""
+    """Return the nearest-rank percentile, the smallest value with a share ``q`` at or below it; None without values."""
     if not values:
         return None
     ordered = sorted(values)

@@ -1,4 +1,4 @@
-"""A robot in virtual time: its topics, their sources, and publishers with arpd's own pacing and swap."""
+"""A robot in virtual time: topics, sources, and publishers with arpd's own pacing and writer swap."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.settings import Settings
 
-RCLPY_DEPTH = 10  # what every rclpy tutorial passes
+RCLPY_DEPTH = 10  # the depth in every rclpy tutorial
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,11 +32,11 @@ class SimTopic:
 
     Parameters
     ----------
-    name : as the application calls it
+    name : the application's name for it
     payload_bytes : serialized size of a sample (bytes)
-    rate_hz : rate the application publishes at (Hz)
-    direction : which way it crosses the link
-    prefix : the relay carries it as ``prefix + name``; empty when its own publisher is adaptive
+    rate_hz : rate at which the application publishes (Hz)
+    direction : sensing or actuation
+    prefix : the relay carries it as ``prefix + name``; empty if its own publisher is adaptive
     """
 
     name: str
@@ -47,12 +47,12 @@ class SimTopic:
 
 
 def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:
-    """Return the robot that a configuration describes: every topic of which it says what it publishes.
+    """Return the topics whose traffic a configuration describes.
 
     Parameters
     ----------
     settings : the configuration
-    actuation : names of topics that cross towards the robot; it does not say which do
+    actuation : names of the actuation topics, which the configuration does not tell
     """
     relayed = {settings.relay.prefix + name: name for name in settings.relay.topics}
     return tuple(
@@ -69,17 +69,17 @@ def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tupl
 
 
 class SimulatedPublisher:
-    """What `arpd.adapters.ros.publisher.AdaptivePublisher` is, over a simulated writer: the same pacer, the same swap.
+    """An AdaptivePublisher over a simulated writer, with the same pacing and writer swap.
 
-    Until somebody retunes it, it behaves as a plain rclpy publisher.
+    Before the first `retune` it behaves as a plain rclpy publisher.
 
     Parameters
     ----------
-    topic : what is published
+    topic : the topic
     name : topic name on the link
-    node : node it lives in
-    heartbeat_s : of its writers (s)
-    ingress_s : age of a sample when it gets here: the relay's hop (s)
+    node : name of its node
+    heartbeat_s : heartbeat period of its writers (s)
+    ingress_s : age of a sample when it gets here, after the hop to the relay (s)
     """
 
     def __init__(
@@ -111,35 +111,35 @@ class SimulatedPublisher:
         )
 
     def publish(self) -> None:
-        """Let the source publish its next sample."""
+        """Publish the next sample of the source."""
         self._flow.publish(SAMPLE.pack(self._flow.offered, self._timeline.now_s - self._ingress_s))
         self._service()
 
     def retune(self, plan: TopicPlan) -> None:
-        """Take new settings: pacing changes now, depth and deadline by a swap."""
+        """Take a plan: pacing changes now, depth and deadline with a writer swap."""
         self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self._service()
 
     def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        """Scale the paced rate, not below its floor; None = no daemon is heard, so the gate is open."""
         self._flow.set_gate(gate)
         self._service()
 
     @property
     def swaps(self) -> int:
-        """Writers made to take another's place, since the start."""
+        """Writer swaps begun since the start."""
         return self._writers - 1
 
     def state(self, *, generation: int) -> PublisherState:
-        """Announce what is in force."""
+        """Return the state to announce."""
         flow = self._flow.state()
         counted = {field.name: getattr(flow, field.name) for field in fields(flow)}
-        # The samples of the simulation are small tokens: the payload is the real topic's.
+        # The simulation's samples are small tokens, so the payload comes from the topic.
         counted["payload_bytes"] = float(self.topic.payload_bytes) if flow.offered else 0.0
         return replace(self._state, generation=generation, **counted)
 
     def result(self) -> TopicResult:
-        """Sum up the run."""
+        """Return the result of the run."""
         flow = self._flow.state()
         return TopicResult(
             topic=self.topic.name,
@@ -162,7 +162,7 @@ class SimulatedPublisher:
 
 
 class SampleSource:
-    """A timer that publishes, with the jitter of an executor; from ``start_s`` to ``end_s``.
+    """A timer that publishes from ``start_s`` to ``end_s``, with the jitter of an executor.
 
     Parameters
     ----------

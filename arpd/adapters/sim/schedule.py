@@ -1,4 +1,4 @@
-"""The rate of a simulated link over time: steps that each hold until the next one."""
+"""The rate of a simulated link over time, in steps."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RateStep:
-    """From here on, this rate.
+    """A link rate from a moment on.
 
     Parameters
     ----------
     start_s : time since the start of the run, >= 0 (s)
-    rate_bytes_per_second : link rate from then on, >= 0; 0 = nothing is carried (bytes/s)
+    rate_bytes_per_second : link rate, >= 0; 0 = the link carries nothing (bytes/s)
     """
 
     start_s: float
@@ -40,7 +40,7 @@ class RateSchedule:
 
     Parameters
     ----------
-    steps : by ascending start, the first at 0; the last one holds for ever
+    steps : steps by ascending start, the first at 0; the last one holds without end
     """
 
     steps: tuple[RateStep, ...]
@@ -58,22 +58,23 @@ class RateSchedule:
     def parse(cls, text: str) -> Self:
         """Read ``SECONDS:RATE`` pairs separated by commas, in any order: ``0:20mbit,20:5mbit,50:20mbit``.
 
-        A rate of zero is refused: this text also shapes the real link, whose token bucket must have a rate.
+        A rate of zero is an error, because the text also shapes the real link, whose token bucket needs a rate.
 
         Raises
         ------
-        ValueError : the text is not a schedule; the message says which step and what would be right
+        ValueError
+            If the text is not a schedule; the message names the step and the way out.
         """
         steps = [_parse_step(part.strip()) for part in text.split(",")]
         return cls(steps=tuple(sorted(steps, key=lambda step: step.start_s)))
 
     @property
     def duration_s(self) -> float:
-        """When the last step starts; from then on nothing changes (s)."""
+        """Start of the last step (s)."""
         return self.steps[-1].start_s
 
     def rate_at(self, t_s: float) -> float:
-        """Rate in force at ``t_s`` seconds into the run (bytes/s)."""
+        """Return the rate ``t_s`` seconds after the start of the run (bytes/s)."""
         if not t_s >= 0.0:
             raise ValueError(f"time {t_s} s is before the start of the run")
         return self.steps[bisect_right(self.steps, t_s, key=lambda step: step.start_s) - 1].rate_bytes_per_second

@@ -1,4 +1,4 @@
-"""How many bytes a link can have carried by a moment, and when it can have carried so many."""
+"""Bytes that a link can have carried by a moment, and the moment by which it can have carried them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 class Service:
-    """The integral of a schedule over time, and its inverse; no event per packet is needed to know either.
+    """The integral of a schedule over time and its inverse, so that packets need no events.
 
-    Questions are mostly about the step of the one before, which is kept at hand.
+    The current step is cached, because most questions are about the same step as the last one.
 
     Parameters
     ----------
     schedule : rate over run time
-    origin_s : when run time starts; before it the first rate holds (s)
+    origin_s : start of run time; before it, the first rate holds (s)
     """
 
     def __init__(self, schedule: RateSchedule, origin_s: float) -> None:
@@ -35,16 +35,16 @@ class Service:
         return self._rate
 
     def by(self, t_s: float) -> float:
-        """Return what can have been carried until then, counted from the origin (bytes)."""
+        """Return the bytes that the link can have carried from the origin to this moment."""
         if not self._from_s <= t_s < self._until_s:
             self._take(max(0, bisect_right(self._starts, t_s) - 1))
         return self._base + (t_s - self._start_s) * self._rate
 
     def when(self, size: float) -> float:
-        """Return the first moment by which so much can have been carried; ``inf`` = never (s)."""
+        """Return the first moment by which the link can have carried so many bytes, ``inf`` = never (s)."""
         if not (self._least < size <= self._most and self._rate > 0.0):
             self._take(max(0, bisect_left(self._bytes, size) - 1))
-            if self._rate == 0.0:  # nothing after the last step, everything asked for before the first
+            if self._rate == 0.0:  # no further byte after the last step; all earlier ones at its start
                 return math.inf if size > self._base else self._start_s
         return self._start_s + (size - self._base) / self._rate
 

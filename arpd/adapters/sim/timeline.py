@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 class Timeline:
-    """Virtual time: events run earliest first, those of one moment in the order they were planned.
+    """Virtual time: runs the earliest event first, and events of one moment in the order of their planning.
 
     Parameters
     ----------
-    now_s : where time starts (s)
+    now_s : start of time (s)
     """
 
     def __init__(self, now_s: float) -> None:
@@ -25,12 +25,12 @@ class Timeline:
         self._events: list[tuple[float, int, Callable[[], object]]] = []
 
     def at(self, when_s: float, action: Callable[[], object]) -> None:
-        """Plan an action; one in the past runs now."""
+        """Plan an action; an action in the past runs now."""
         self._planned += 1
         heappush(self._events, (when_s, self._planned, action))
 
     def every(self, period_s: float, action: Callable[[], None], *, first_s: float) -> None:
-        """Plan an action for ever, without drift."""
+        """Plan a periodic action without drift."""
         count = 0
 
         def again() -> None:
@@ -42,7 +42,7 @@ class Timeline:
         self.at(first_s, again)
 
     def run_until(self, end_s: float) -> None:
-        """Let everything before ``end_s`` happen."""
+        """Run all events before ``end_s``."""
         events = self._events
         while events and events[0][0] < end_s:
             when_s, _, action = heappop(events)
@@ -52,11 +52,11 @@ class Timeline:
 
 
 class Alarm:
-    """One action whose moment can be moved; what was planned before is forgotten.
+    """One action at one moment, which can be moved.
 
     Parameters
     ----------
-    action : runs when the moment comes
+    action : runs at the moment
     """
 
     def __init__(self, timeline: Timeline, action: Callable[[], object]) -> None:
@@ -66,7 +66,7 @@ class Alarm:
         self.when_s = math.inf
 
     def set(self, when_s: float) -> None:
-        """Move the moment; one in the past is now."""
+        """Move the moment; a moment in the past is now."""
         self._setting += 1
         self.when_s = when_s = max(when_s, self._timeline.now_s)
         self._timeline.at(when_s, partial(self._fire, self._setting))

@@ -1,4 +1,4 @@
-"""Recorded links: rate, and where it was recorded loss, over time, from CSV and from mahimahi's traces."""
+"""Recorded links: rate over time, and loss if recorded, from CSV files and mahimahi traces."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ _COLUMNS = ("time_s", "rate_bit_per_s", "loss")
 _HEADER = ",".join(_COLUMNS)
 _START = f"start with {_HEADER} or with a delivery in milliseconds"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII)
-# Above these no link is meant, and sums of bytes over time would lose their precision.
+# Larger values belong to no link, and sums of bytes over time would lose their precision.
 _MOST_S, _MOST_BIT_PER_S = 1e7, 1e12
 _DELIVERY_BYTES = 1500
-# Of a trace with a line per packet, a rate needs a span: at 20 ms, 1 Mbit/s is 1.7 packets, and a queue of 20 ms is
-# below anything arpd looks at.
+# A trace with a line per packet gives a rate per span. In 20 ms, 1 Mbit/s has 1.7 packets; arpd ignores shorter queues.
 _BIN_MS = 20
 
 
@@ -35,11 +34,11 @@ class LinkTrace:
 
     Parameters
     ----------
-    name : where it comes from
-    rates : rate over time; the last one holds, unless the trace repeats
-    losses : probability of loss over time, by ascending start; empty = none was recorded
-    duration_s : length of the recording: time of the last row, or of the last delivery (s)
-    repeats : whether the recording starts over at its end, as mahimahi plays it
+    name : name of its file
+    rates : rate over time; the last one holds unless the trace repeats
+    losses : probability of loss over time, by ascending start; empty = not recorded
+    duration_s : length of the recording, up to the last row or the last delivery (s)
+    repeats : True if the recording starts again at its end, as mahimahi plays it
     """
 
     name: str
@@ -55,12 +54,7 @@ class LinkTrace:
             raise ValueError(f"trace {self.name}: it ends at {self.duration_s:g} s, no later than its last step starts")
 
     def lasting(self, run_s: float) -> Self:
-        """Return the trace as a run of this length sees it: as often as it takes, if it repeats.
-
-        Parameters
-        ----------
-        run_s : length of the run, what drains after it included (s)
-        """
+        """Return the trace for a run of ``run_s`` seconds, drain included; it is as long as the run if it repeats."""
         turns = math.ceil(run_s / self.duration_s) if self.repeats else 1
         if turns <= 1:
             return self
@@ -73,18 +67,19 @@ class LinkTrace:
 
 
 def read_trace(path: Path) -> LinkTrace:
-    """Read a trace; its content tells which kind it is. Lines that start with ``#`` and blank ones mean nothing.
+    """Read a trace of either kind; lines that start with ``#`` and blank lines are ignored.
 
     CSV: a header ``time_s,rate_bit_per_s`` or ``time_s,rate_bit_per_s,loss``, then one row per change, by ascending
-    time, the first at 0. A rate of 0 carries nothing; the last row holds for ever.
+    time, the first at 0. A rate of 0 carries nothing; the last row holds without end.
 
     mahimahi: one line per delivery of 1500 bytes, each a whole number of milliseconds, never falling; after the last
-    one the trace starts over. It becomes the mean rates of spans of 20 ms (the last may be shorter). Each is exact, so
-    the bytes of the whole are, too. A delivery at the end of a span belongs to it.
+    one the trace starts again. It becomes the mean rates of spans of 20 ms (the last may be shorter). Each span, and so
+    the whole, has the exact bytes. A delivery at the end of a span belongs to it.
 
     Raises
     ------
-    TraceError : the file cannot be read or is neither; the message says where and what would be right
+    TraceError
+        If the file cannot be read or is of neither kind; the message names the place and the way out.
     """
     try:
         text = path.read_bytes()
@@ -101,14 +96,14 @@ def read_trace(path: Path) -> LinkTrace:
 
 
 class _Reader:
-    """The lines of a file that say something, and how to complain about them."""
+    """Reads the lines of a file and makes errors about them."""
 
     def __init__(self, path: Path, text: str) -> None:
         self._path = path
         self._text = text
 
     def lines(self) -> Iterator[tuple[int, str]]:
-        """Yield every line with its number, from 1, but for comments and blank lines."""
+        """Yield every line with its number, counted from 1, without comments and blank lines."""
         for number, line in enumerate(self._text.split("\n"), start=1):
             content = line.rstrip()
             if content and not content.lstrip().startswith("#"):
@@ -181,7 +176,7 @@ def _header(reader: _Reader, number: int, line: str) -> Sequence[str]:
 
 
 def _cells(line: str) -> Iterator[tuple[int, str]]:
-    """Split a row; each cell with the column it starts in."""
+    """Yield the cells of a row, each with its column."""
     column = 1
     for cell in line.split(","):
         yield column + len(cell) - len(cell.lstrip()), cell.strip()

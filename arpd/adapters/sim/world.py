@@ -1,4 +1,4 @@
-"""The daemon's world over the simulated link: relay, planner node and peer, and how the daemon reaches them."""
+"""The daemon's world over the simulated link: relay, planner node and peer."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _ON_HOST_S = 0.001
 _ANNOUNCE_S = 1.0
 _STALE_S = 3.5  # as in arpd.adapters.ros.world
 _GATE_LEASE_S = 5.0  # as in arpd.adapters.ros.node_publishers
-_BACKOFF_S = (1.5, 12.0)  # first and most, as in arpd.adapters.ros.parameters
-_PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this; nothing may depend on it
+_BACKOFF_S = (1.5, 12.0)  # first and longest, as in arpd.adapters.ros.parameters
+_PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this, because nothing may depend on equal clocks
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
-_PROBE_SPACING_S = 0.0001  # between the packets of a train, as Python publishes them
+_PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
 _REPORT_BYTES, _GATE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 150, 900, 700  # on the wire
 
 
 @dataclass(slots=True)
 class _Node:
-    """One node with adaptive publishers, as the daemon reaches it."""
+    """One node with adaptive publishers, and what the daemon has asked of it."""
 
     name: str
     publishers: list[SimulatedPublisher]
@@ -68,12 +68,12 @@ class _Peer:
 
 
 class SimulatedWorld:
-    """The daemon's `arpd.daemon.tick.World` over the simulated link; all that is remote crosses the link, both ways.
+    """An `arpd.daemon.tick.World` over the simulated link, which all traffic from and to remote nodes crosses.
 
     Parameters
     ----------
     up, down : the link, from and to the robot
-    publishers : what the daemon manages
+    publishers : publishers that the daemon manages
     random : source of phases and jitter
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
@@ -119,7 +119,7 @@ class SimulatedWorld:
     # -- observe
 
     def observe(self, now_s: float) -> Observation:
-        """Return everything one tick sees."""
+        """Return the observation of one tick."""
         reports, self._reports = tuple(self._reports), []
         pinned = self._graph
         return Observation(
@@ -155,12 +155,12 @@ class SimulatedWorld:
     # -- act
 
     def set_gate(self, gate: float) -> None:
-        """Tell every publisher the gate; best effort, as on the real topic."""
+        """Send the gate to every publisher; best effort, as on the real topic."""
         for node in self._nodes.values():
             self._reach(node, _GATE_BYTES, partial(self._on_gate, node, gate))
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Send what is new at once and what is unconfirmed again after a growing back-off."""
+        """Send new transitions at once, and unconfirmed ones again after a growing back-off."""
         for transition in transitions:
             node = self._nodes[transition.node]
             is_newer = transition.generation > node.asked_generation
@@ -171,7 +171,7 @@ class SimulatedWorld:
             self._reach(node, _PARAMETERS_BYTES, partial(self._on_parameters, node, transition))
 
     def probe(self, request: ProbeRequest) -> None:
-        """Put one train (or ping) on the link."""
+        """Send one train or ping over the link."""
         self._probes += 1
         wire_bytes = probe_wire_bytes(request.packet_bytes)
         self._probe_bytes += request.packets * wire_bytes
@@ -185,7 +185,7 @@ class SimulatedWorld:
         self._graph = graph
 
     def results(self) -> Mapping[str, int]:
-        """Count parameter calls by result."""
+        """Return the parameter calls by result."""
         return dict(self._results)
 
     @property
@@ -194,7 +194,7 @@ class SimulatedWorld:
         return self._report_bytes
 
     def probes_sent(self) -> tuple[int, int]:
-        """Count probes, and their wire bytes."""
+        """Return the number of probes and their wire bytes."""
         return self._probes, self._probe_bytes
 
     # -- on the nodes
@@ -240,7 +240,7 @@ class SimulatedWorld:
     # -- on the peer
 
     def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
-        # One thread stamps what it receives: late, and in order.
+        # One thread stamps the packets, late and in order.
         stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
         self._peer.stamp_s = stamp_s = max(stamp_s, self._peer.stamp_s)
         self._peer.receiver.on_probe(
@@ -256,7 +256,7 @@ class SimulatedWorld:
             self._report_alarm.set(self._peer.schedule.due_s)
 
     def _look(self) -> None:
-        """Report if that is due, as `arpd.adapters.ros.peer` does."""
+        """Send a report if one is due, as `arpd.adapters.ros.peer` does."""
         schedule = self._peer.schedule
         schedule.note_traffic(self._up.received_bytes() - self._peer.rx_bytes)
         if self._timeline.now_s < schedule.due_s:

@@ -1,4 +1,4 @@
-"""A reliable DDS writer and its reader in virtual time, and the books of what arrived."""
+"""A reliable DDS writer and its reader in virtual time."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import WriterQos
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
-# Fast DDS resends at every ACKNACK, even what still waits in the queue. This writer is kinder: one resend in this time,
-# and never of a sample that is on its way; so the robot without arpd looks better here than it is.
+# Fast DDS resends at every ACKNACK, even samples that wait in the queue. This writer resends a sample once in this time
+# and never while it is on its way, so the robot without arpd looks better here than in reality.
 _RESEND_S = 0.1
-_MOST_ASKED = 256  # numbers that one ACKNACK can name (RTPS 2.3, §9.4.2.6)
+_MOST_ASKED = 256  # most numbers in one ACKNACK (RTPS 2.3, §9.4.2.6)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkPath:
-    """The way from a writer to its reader, and the way back for acknowledgements."""
+    """The link from a writer to its reader, and the link back for acknowledgements."""
 
     timeline: Timeline
     there: SimulatedLink
@@ -33,10 +33,10 @@ class LinkPath:
 
 
 class _Reader:
-    """A reliable reader's view of one writer: hands samples over in order, skips what the writer no longer has.
+    """A reliable reader of one writer: delivers samples in order and skips those that the writer no longer has.
 
-    As in Fast DDS 2.14 (StatefulReader, WriterProxy), what is next in order is handed over as it comes; what is not
-    waits until the gap is filled, or until a heartbeat says that it never will be.
+    As in Fast DDS 2.14 (StatefulReader, WriterProxy), the reader delivers the next sample at once. Later samples wait
+    until the gap is filled or a heartbeat says that the missing samples are gone.
     """
 
     def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
@@ -61,7 +61,7 @@ class _Reader:
             self._release()
 
     def on_heartbeat(self, first: int, last: int) -> list[int]:
-        """Return the numbers to ask for again, lowest first."""
+        """Return the numbers to request again, lowest first."""
         self._highest = max(self._highest, last)
         if first > self.next:
             for number in sorted(number for number in self._held if number < first):
@@ -83,15 +83,14 @@ class _Reader:
 
 
 class SimulatedWriter:
-    """A RELIABLE KEEP_LAST writer with one reader: resends on request what its history still holds.
+    """A RELIABLE KEEP_LAST `Writer` with one reader; resends requested samples that its history still holds.
 
-    As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic one serves the others.
-    It is a `arpd.model.endpoints.Writer`.
+    As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic heartbeat serves the others.
 
     Parameters
     ----------
-    qos : depth (samples) and deadline (ns), a contract that changes nothing but what counts as missed
-    heartbeat_s : period of the heartbeat while something is unacknowledged (s)
+    qos : depth (samples) and deadline (ns); the deadline only changes the count of missed periods
+    heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
     """
 
     def __init__(
@@ -100,7 +99,7 @@ class SimulatedWriter:
         self._timeline, self._there, self._back = route.timeline, route.there, route.back
         self._depth = qos.depth
         self._deadline_s = qos.deadline_ns / 1e9 or math.inf
-        self._published_s = math.inf  # when it last did
+        self._published_s = math.inf  # time of the last sample
         self._missed = 0
         self._heartbeat_s = heartbeat_s
         self._reader = _Reader(arrivals, route.timeline, payload_bytes)
@@ -113,7 +112,7 @@ class SimulatedWriter:
         self._wire_bytes, self._packets = wire_size(payload_bytes, rate_hz=math.inf)
 
     def publish(self, sample: bytes) -> None:
-        """Write one sample; the oldest leaves a full history, acknowledged or not."""
+        """Write one sample; a full history drops its oldest sample, acknowledged or not."""
         self._missed, self._published_s = self.deadlines_missed(), self._timeline.now_s
         self._last += 1
         self._history[self._last] = sample
@@ -126,23 +125,23 @@ class SimulatedWriter:
             self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
 
     def matched(self) -> int:
-        """One reader, known at once: a new writer's endpoint data travels ahead of its samples."""
+        """Return 1, at once, because a new writer's endpoint data arrives before its samples."""
         return 1
 
     def disconnects_readers(self) -> bool:
-        """No simulated reader asks for a deadline."""
+        """Return False, because no simulated reader requests a deadline."""
         return False
 
     def is_acknowledged(self) -> bool:
-        """Whether the reader has everything, in order."""
+        """Return whether the reader has every sample."""
         return self._acknowledged >= self._last
 
     def deadlines_missed(self) -> int:
-        """Count the periods that ended without a sample since the one before; from the first on, as in Fast DDS."""
+        """Return the number of periods without a sample, counted from the first sample on, as in Fast DDS."""
         return self._missed + int(max(0.0, self._timeline.now_s - self._published_s) / self._deadline_s)
 
     def destroy(self) -> None:
-        """Stop resending; what is on the link still arrives."""
+        """Stop resending; samples on the link still arrive."""
         self._is_alive = False
         self._first = self._last + 1
         self._history.clear()

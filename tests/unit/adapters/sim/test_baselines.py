@@ -1,4 +1,4 @@
-"""What arpd's estimator is compared with: the oracle, and estimates from throughput alone."""
+"""The estimators to compare arpd's with: the oracle, and estimates from throughput alone."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def feed(estimator, rates, start_s=0.0):
 
 
 def test_the_oracle_tells_the_truth():
-    """Capacity, queue, foreign traffic and overhead are those of the link at that moment."""
+    """The oracle's capacity, queue, cross traffic and overhead are those of the link at that moment."""
     truth = Truth(
         capacity_bytes_per_second=1e6, queue_delay_s=0.2, cross_traffic_bytes_per_second=3e5, packet_overhead_s=1e-4
     )
@@ -64,14 +64,14 @@ def test_the_oracle_tells_the_truth():
 
 
 def test_the_oracle_knows_an_outage_without_waiting_for_silence():
-    """A link that carries nothing is out, and its capacity stays a number the program can divide by."""
+    """A link that carries nothing is out, and its capacity stays above zero."""
     told = Oracle(lambda: Truth(capacity_bytes_per_second=0.0, queue_delay_s=0.0, is_out=True)).update(observation(1.0))
     assert told.state is LinkState.OUTAGE
     assert told.capacity_bytes_per_second > 0
 
 
 def test_nothing_here_puts_probes_on_the_link():
-    """No baseline asks for a probe, before or after evidence."""
+    """No baseline requests a probe, before or after evidence."""
     oracle = Oracle(lambda: Truth(capacity_bytes_per_second=1e6, queue_delay_s=0.0))
     for estimator in (oracle, *(kind(SETTINGS) for kind in FROM_THROUGHPUT)):
         assert estimator.wanted_probes(0.0) == ()
@@ -84,7 +84,7 @@ def test_nothing_here_puts_probes_on_the_link():
 
 @pytest.mark.parametrize("kind", FROM_THROUGHPUT)
 def test_before_the_first_report_the_configured_belief_holds(kind):
-    """It is no evidence, and no outage either."""
+    """Before the first report the estimate is the initial capacity, without evidence and without an outage."""
     estimator = kind(SETTINGS)
     told = estimator.update(observation(0.0))
     assert told.capacity_bytes_per_second == SETTINGS.initial_capacity_bytes_per_second
@@ -94,7 +94,7 @@ def test_before_the_first_report_the_configured_belief_holds(kind):
 
 @pytest.mark.parametrize("kind", FROM_THROUGHPUT)
 def test_a_second_of_reports_is_evidence(kind):
-    """Less than a second is none."""
+    """A second of reports is evidence, and less is not."""
     estimator = kind(SETTINGS)
     feed(estimator, [1e5] * 9)
     assert not estimator.has_evidence
@@ -104,7 +104,7 @@ def test_a_second_of_reports_is_evidence(kind):
 
 @pytest.mark.parametrize("kind", FROM_THROUGHPUT)
 def test_silence_is_an_outage_and_changes_no_belief(kind):
-    """After 0.4 s without a report the link is out; the estimate is what it was."""
+    """After 0.4 s without a report the link is out, and the estimate stays."""
     estimator = kind(SETTINGS)
     before = feed(estimator, [1e5] * 20)
     assert estimator.update(observation(2.35)).state is LinkState.STEADY
@@ -115,7 +115,7 @@ def test_silence_is_an_outage_and_changes_no_belief(kind):
 
 @pytest.mark.parametrize("kind", FROM_THROUGHPUT)
 def test_what_an_outage_swallowed_is_no_rate(kind):
-    """The delivery rate after an outage is that of the reports after it."""
+    """The delivery rate after an outage comes from the reports after it."""
     estimator = kind(SETTINGS)
     feed(estimator, [1e5] * 20)
     told = estimator.update(observation(10.0, report(10.0, 4e5)))
@@ -124,7 +124,7 @@ def test_what_an_outage_swallowed_is_no_rate(kind):
 
 @pytest.mark.parametrize("kind", FROM_THROUGHPUT)
 def test_a_robot_that_sends_little_looks_like_a_slow_link(kind):
-    """That is the very thing throughput alone cannot tell, and why arpd sends trains."""
+    """If the robot sends little, throughput alone underestimates the capacity; so arpd sends trains."""
     assert feed(kind(SETTINGS), [1e6] * 20 + [1e4] * 200).capacity_bytes_per_second < 2e4
 
 
@@ -132,12 +132,12 @@ def test_a_robot_that_sends_little_looks_like_a_slow_link(kind):
 
 
 def test_the_average_begins_with_what_it_sees_first():
-    """Not somewhere between a belief and the first report."""
+    """The first report replaces the initial capacity."""
     assert feed(ThroughputAverage(SETTINGS), [5e5]).capacity_bytes_per_second == 5e5
 
 
 def test_the_average_has_gone_63_percent_of_the_way_after_its_time_constant():
-    """Whatever the reports' interval."""
+    """After its time constant the average has followed 63 % of a change."""
     estimator = ThroughputAverage(SETTINGS, time_constant_s=2.0)
     feed(estimator, [1e5] * 10)
     told = feed(estimator, [2e5] * 20, start_s=1.0)
@@ -145,7 +145,7 @@ def test_the_average_has_gone_63_percent_of_the_way_after_its_time_constant():
 
 
 def test_an_empty_interval_teaches_the_average_nothing():
-    """Two reports of one moment must not divide by zero."""
+    """A report of an empty interval does not change the average."""
     estimator = ThroughputAverage(SETTINGS)
     feed(estimator, [1e5] * 3)
     empty = replace(report(0.31, 0.0), interval_s=0.0)
@@ -156,7 +156,7 @@ def test_an_empty_interval_teaches_the_average_nothing():
 
 
 def test_the_maximum_is_forgotten_after_its_window():
-    """A burst of half a second raises it for eight seconds and no longer."""
+    """A burst of half a second raises the maximum for eight seconds."""
     estimator = WindowMaximum(SETTINGS)
     feed(estimator, [1e5] * 10 + [9e5] * 5)
     assert feed(estimator, [1e5] * 79, start_s=1.5).capacity_bytes_per_second == pytest.approx(9e5)
@@ -165,7 +165,7 @@ def test_the_maximum_is_forgotten_after_its_window():
 
 @given(st.lists(st.integers(min_value=0, max_value=10**6), min_size=1, max_size=60))
 def test_the_maximum_is_that_of_all_delivery_rates_in_the_window(rates):
-    """The queue of candidates gives what looking at every one of them would."""
+    """The estimate is the maximum of all delivery rates in the window."""
     estimator = WindowMaximum(SETTINGS, window_s=1.0)
     seen = []
     for k, rate in enumerate(rates):

@@ -1,4 +1,4 @@
-"""The virtual-time link: what it carries, what it loses, what it hides, and that it invents nothing."""
+"""The link in virtual time: rate, overhead, loss, hidden queue, and conservation of packets."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def schedule_of(*steps):
 
 
 def carried(schedule, from_s, until_s):
-    """Bytes the schedule allows between two moments of run time: the slow, plain way."""
+    """Return the bytes that the schedule allows between two moments of run time, by plain summation."""
     edges = sorted({from_s, until_s, *(s.start_s for s in schedule.steps if from_s < s.start_s < until_s)})
     return sum((end - start) * schedule.rate_at(max(0.0, start)) for start, end in pairwise(edges))
 
 
 @dataclass
 class Bench:
-    """A link under test, and when each datagram was sent and arrived, in run time."""
+    """A link under test, and the run time at which each datagram was sent and arrived."""
 
     schedule: RateSchedule
     model: LinkModel
@@ -67,7 +67,7 @@ class Bench:
         self.timeline.run_until(ORIGIN_S + t_s)
 
     def saturate(self, wire_bytes, until_s, *, every_s):
-        """Offer packets without end."""
+        """Send packets at a fixed interval."""
         while self.now_s < until_s:
             self.send(wire_bytes)
             self.run_until(self.now_s + every_s)
@@ -106,13 +106,13 @@ models = st.builds(
 sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)
 
 
-# -- what holds on any link
+# -- on any link
 
 
 @settings(max_examples=150, deadline=None)
 @given(schedules, models, sends, st.integers(0, 5))
 def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, seed):
-    """Every packet is dropped, lost or received; counters never fall, and the host's queue never exceeds its size."""
+    """Every packet is dropped, lost or received; counters never fall, and the host's queue keeps within its size."""
     bench = Bench(schedule, model, seed)
     link = bench.link
     before = 0.0, 0.0
@@ -134,7 +134,7 @@ def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, 
 @settings(max_examples=100, deadline=None)
 @given(schedules, lossless_models, sends)
 def test_a_link_that_loses_nothing_delivers_every_byte_it_took(schedule, model, offered):
-    """Without loss the far counter ends where the near one does."""
+    """Without loss the far interface receives every byte that the near one sent."""
     bench = Bench(schedule, model)
     for gap_s, packet_bytes, packets in offered:
         bench.run_until(bench.now_s + gap_s)
@@ -147,7 +147,7 @@ def test_a_link_that_loses_nothing_delivers_every_byte_it_took(schedule, model, 
 @settings(max_examples=150, deadline=None)
 @given(schedules, models, sends, st.integers(0, 5))
 def test_arrivals_are_in_order_and_never_early(schedule, model, offered, seed):
-    """What is sent first arrives first, and nothing arrives before the link can have carried it and all before it."""
+    """Datagrams arrive in order, and no earlier than the link can have carried them and all before them."""
     bench = Bench(schedule, model, seed)
     for gap_s, packet_bytes, packets in offered:
         bench.run_until(bench.now_s + gap_s)
@@ -168,7 +168,7 @@ def test_arrivals_are_in_order_and_never_early(schedule, model, offered, seed):
 @settings(max_examples=100, deadline=None)
 @given(schedules, sends)
 def test_transmissions_of_one_packet_without_overhead_are_the_fluid_link(schedule, offered):
-    """The bottleneck with events and the one without agree where both can say the same."""
+    """The bottleneck with events equals the one without, if transmissions have one packet and no overhead."""
     fluid = Bench(schedule, LinkModel(queue_bytes=10**9))
     other = Bench(schedule, LinkModel(queue_bytes=10**9))
     other.link._bottleneck = AggregatingBottleneck(
@@ -197,7 +197,7 @@ def test_transmissions_of_one_packet_without_overhead_are_the_fluid_link(schedul
 
 
 def test_a_span_without_rate_holds_everything_back():
-    """What is sent while the rate is 0 arrives when the link can have carried it afterwards."""
+    """A datagram sent while the rate is 0 arrives when the link can have carried it afterwards."""
     bench = Bench(schedule_of((0.0, 1000.0), (1.0, 0.0), (3.0, 1000.0)), LinkModel(delay_s=0.5))
     bench.run_until(0.9)
     bench.send(200)
@@ -210,7 +210,7 @@ def test_a_span_without_rate_holds_everything_back():
 
 @pytest.mark.parametrize("model", [LinkModel(), LinkModel(packet_overhead_s=0.001, aggregate_packets=8)])
 def test_a_link_that_stops_for_ever_delivers_nothing_more(model):
-    """With a last rate of 0 the wait is endless, and the queue fills up to its size and drops the rest."""
+    """With a last rate of 0 the wait is infinite, and the queue fills up and drops the rest."""
     bench = Bench(schedule_of((0.0, 1000.0), (1.0, 0.0)), model)
     bench.run_until(2.0)
     ends = [bench.send(1500) for _ in range(300)]
@@ -222,7 +222,7 @@ def test_a_link_that_stops_for_ever_delivers_nothing_more(model):
 
 
 def test_the_truth_about_the_capacity_is_the_rate_of_bytes():
-    """The capacity is the schedule's rate at the moment, whatever a packet costs besides."""
+    """The capacity is the schedule's rate at the moment, without the overhead of packets."""
     bench = Bench(schedule_of((0.0, 1000.0), (1.0, 0.0), (2.0, 500.0)), LinkModel(packet_overhead_s=0.01))
     seen = []
     for t_s in (0.0, 0.5, 1.0, 1.5, 2.0, 100.0):
@@ -234,7 +234,7 @@ def test_the_truth_about_the_capacity_is_the_rate_of_bytes():
 @settings(max_examples=60, deadline=None)
 @given(schedules, st.lists(st.floats(0.0, 6.0), min_size=1, max_size=20))
 def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
-    """In whatever order it is asked, and the inverse is the first moment that will do."""
+    """`by` is the integral of the rate and `when` its first inverse, in any order of questions."""
     service = Service(schedule, ORIGIN_S)
     for t_s in moments:
         size = service.by(ORIGIN_S + t_s)
@@ -245,7 +245,7 @@ def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
 
 
 def test_a_link_that_plays_a_trace_carries_what_the_trace_carried(tmp_path):
-    """Kept busy for several turns of a recording, it delivers 1500 bytes per line and turn."""
+    """A busy link delivers 1500 bytes per line and turn of a recording."""
     path = tmp_path / "trace"
     path.write_text("".join(f"{moment}\n" for moment in (3, 3, 9, 40, 41, 41, 41, 77, 130)))
     trace = read_trace(path).lasting(10 * 0.13)
@@ -257,7 +257,7 @@ def test_a_link_that_plays_a_trace_carries_what_the_trace_carried(tmp_path):
 
 @pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.0002, "aggregate_packets": 16, "firmware_bytes": 9000}])
 def test_the_same_seed_gives_the_same_arrivals(model):
-    """To the last bit; and the seed matters."""
+    """Equal seeds give equal arrivals to the last bit, and other seeds give others."""
 
     def play(seed):
         bench = Bench(
@@ -278,7 +278,7 @@ def test_the_same_seed_gives_the_same_arrivals(model):
     ids=["fluid", "overhead"],
 )
 def test_a_long_run_that_nobody_counts_keeps_no_list_of_it(model, uncounted):
-    """What has arrived is forgotten as time goes by, and still counted."""
+    """The link counts old arrivals and forgets their details."""
     bench = Bench(schedule_of((0.0, 20 * MBIT)), LinkModel(**model))
     bench.saturate(100, 5.0, every_s=0.001)
     assert len(getattr(bench.link._bottleneck, uncounted)) <= MOST_UNCOUNTED
@@ -301,7 +301,7 @@ def test_overhead_costs_small_packets_most(packet_bytes):
 
 @pytest.mark.parametrize("aggregate_packets", [2, 8, 64])
 def test_aggregates_share_the_overhead(aggregate_packets):
-    """Of a full queue an aggregate of n costs one overhead, so goodput nears C as n grows, as far as 802.11 lets it."""
+    """An aggregate of n packets costs one overhead, so goodput nears C as n grows, within the limit of 802.11."""
     overhead_s, rate, packet_bytes = 0.0005, 20 * MBIT, 1000
     model = LinkModel(packet_overhead_s=overhead_s, aggregate_packets=aggregate_packets)
     bench = Bench(schedule_of((0.0, rate)), model)
@@ -314,7 +314,7 @@ def test_aggregates_share_the_overhead(aggregate_packets):
 
 @pytest.mark.parametrize(("rate", "aggregates"), [(1 * MBIT, [1] * 6), (20 * MBIT, [1, 5]), (5 * MBIT, [1, 3, 2])])
 def test_no_transmission_is_longer_than_the_radio_may_send(rate, aggregates):
-    """On a slow link few packets share a transmission, and one goes alone however long it takes (aPPDUMaxTime)."""
+    """On a slow link few packets share a transmission (aPPDUMaxTime), and one alone may take longer."""
     bench = Bench(schedule_of((0.0, rate)), LinkModel(packet_overhead_s=0.0005, aggregate_packets=64))
     for _ in range(6):
         bench.send(1000)
@@ -326,7 +326,7 @@ def test_no_transmission_is_longer_than_the_radio_may_send(rate, aggregates):
 
 
 def test_an_aggregate_arrives_all_at_once():
-    """An idle link sends at once; what stands in line when it is free again goes together and arrives together."""
+    """An idle link sends at once; packets that wait when it is free again go and arrive together."""
     bench = Bench(schedule_of((0.0, 1e5)), LinkModel(packet_overhead_s=0.001, aggregate_packets=3, delay_s=0.0))
     for _ in range(6):
         bench.send(100)
@@ -335,7 +335,7 @@ def test_an_aggregate_arrives_all_at_once():
 
 
 def test_a_datagram_may_be_cut_by_an_aggregate():
-    """It arrives with its last fragment."""
+    """A datagram that two aggregates share arrives with its last fragment."""
     bench = Bench(schedule_of((0.0, 1e5)), LinkModel(packet_overhead_s=0.001, aggregate_packets=3, delay_s=0.0))
     bench.send(500, 5)
     bench.run_until(0.0041)
@@ -347,7 +347,7 @@ def test_a_datagram_may_be_cut_by_an_aggregate():
 
 @pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])
 def test_firmware_hides_what_it_holds(model):
-    """Up to its size the host sees no backlog and counts everything as sent; the wait is as long as ever."""
+    """The host counts bytes in the firmware as sent and sees no backlog, but packets wait for them."""
     bench = Bench(schedule_of((0.0, 1000.0)), LinkModel(firmware_bytes=5000, queue_bytes=3000, **model))
     for _ in range(5):
         bench.send(1000)
@@ -374,7 +374,7 @@ def loss_ratio(bench, from_s, until_s, *, every_s=0.001):
 
 
 def test_scheduled_loss_comes_on_top_of_the_constant_one():
-    """Losses are independent: 10 % and 50 % are 55 %; before the first step there is only the constant one."""
+    """Constant and scheduled loss are independent: 10 % and 50 % are 55 %."""
     model = LinkModel(loss=0.1, losses=(LossStep(start_s=5.0, loss=0.5), LossStep(start_s=10.0, loss=1.0)))
     bench = Bench(schedule_of((0.0, 20 * MBIT)), model)
     assert loss_ratio(bench, 0.0, 4.9) == pytest.approx(0.1, abs=0.02)
@@ -383,7 +383,7 @@ def test_scheduled_loss_comes_on_top_of_the_constant_one():
 
 
 def test_bursts_have_their_mean_durations():
-    """In the long run the link is bad for bad_s / (good_s + bad_s) of the time, in spells of bad_s on average."""
+    """In the long run the link is bad for bad_s / (good_s + bad_s) of the time, for bad_s on average."""
     bench = Bench(schedule_of((0.0, 20 * MBIT)), LinkModel(bursts=GilbertElliott(good_s=0.3, bad_s=0.03)))
     arrived = []
     end_s = 150.0
@@ -398,7 +398,7 @@ def test_bursts_have_their_mean_durations():
 
 
 def test_bursts_come_whatever_is_sent():
-    """The state belongs to the link: with other traffic the same moments are bad, and another seed has others."""
+    """The same moments are bad under other traffic, and other moments with another seed."""
 
     def bad_moments(seed, more):
         model = LinkModel(loss=0.0, bursts=GilbertElliott(good_s=0.2, bad_s=0.05))
@@ -420,7 +420,7 @@ def test_bursts_come_whatever_is_sent():
 
 
 def test_a_good_state_may_lose_a_little():
-    """Elliott's part: neither state need be perfect or hopeless."""
+    """Both states of Elliott's model may lose a part of the packets."""
     bursts = GilbertElliott(good_s=1.0, bad_s=1.0, good_loss=0.1, bad_loss=0.5)
     bench = Bench(schedule_of((0.0, 20 * MBIT)), LinkModel(bursts=bursts))
     assert loss_ratio(bench, 0.0, 200.0, every_s=0.01) == pytest.approx(0.3, abs=0.06)
@@ -444,7 +444,7 @@ def test_a_good_state_may_lose_a_little():
     ],
 )
 def test_a_link_that_cannot_be_is_refused(make, message):
-    """The message names the parameter and what would be right."""
+    """The message names the parameter and its range."""
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -453,7 +453,7 @@ def test_a_link_that_cannot_be_is_refused(make, message):
 
 
 def test_another_station_takes_its_share_of_the_air():
-    """While it sends, the link gives us the rest; two of them take the sum, and never more than there is."""
+    """Stations take the sum of their shares of the rate while they send, and never more than all of it."""
     left = contended(
         schedule_of((0.0, 1000.0), (10.0, 600.0)),
         [Contention(start_s=5.0, end_s=15.0, share=0.25), Contention(start_s=12.0, end_s=20.0, share=0.8)],
@@ -464,7 +464,7 @@ def test_another_station_takes_its_share_of_the_air():
 
 
 def test_without_other_stations_a_schedule_is_what_it_was():
-    """Nobody contends, nothing changes."""
+    """Without other stations the schedule stays the same."""
     schedule = schedule_of((0.0, 1000.0), (10.0, 0.0), (11.0, 5.0))
     assert contended(schedule, []) == schedule
 
@@ -473,7 +473,7 @@ def test_without_other_stations_a_schedule_is_what_it_was():
 
 
 def test_events_run_in_order_of_time_then_of_planning():
-    """The clock shows each event's own moment, and never goes back for one that was planned too late."""
+    """The clock shows the moment of each event, and an event in the past does not turn it back."""
     timeline, seen = Timeline(10.0), []
 
     def note(name):
@@ -489,7 +489,7 @@ def test_events_run_in_order_of_time_then_of_planning():
 
 
 def test_an_alarm_rings_once_at_the_moment_set_last():
-    """Earlier settings are forgotten, and it can be set again when it has rung."""
+    """An alarm runs once at the moment set last, and can be set again."""
     timeline, rung = Timeline(0.0), []
     alarm = Alarm(timeline, lambda: rung.append(timeline.now_s))
     for when_s in (3.0, 1.0, 2.0):

@@ -1,4 +1,4 @@
-"""A publisher of the simulated robot counts as a real one does."""
+"""A publisher of the simulated robot counts like a real one."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def publisher(timeline):
 
 
 def test_it_tells_what_left_what_gave_way_and_what_a_swap_took(timeline, publisher):
-    """Rates, causes and phases are there, and add up."""
+    """Rates, withheld samples by cause and phases of the swap add up."""
     timeline.run_until(ORIGIN_S + 5.0)
     publisher.retune(PLAN)
     timeline.run_until(ORIGIN_S + 19.0)
@@ -59,7 +59,7 @@ def test_it_tells_what_left_what_gave_way_and_what_a_swap_took(timeline, publish
 
 
 def test_a_source_that_ceases_misses_its_deadlines(timeline, publisher):
-    """Eight a second at a period of 125 ms, from the last sample on."""
+    """A silent source misses eight deadlines of 125 ms a second from its last sample on."""
     publisher.retune(replace(PLAN, rate_hz=100.0))
     timeline.run_until(ORIGIN_S + 19.0)
     assert publisher.state(generation=1).deadlines_missed == 0

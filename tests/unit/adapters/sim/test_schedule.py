@@ -1,4 +1,4 @@
-"""The rate schedule of a simulated link: what it reads, what it refuses, what it answers."""
+"""The rate schedule of a simulated link: its text form, its faults and its rates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DROP_AND_RECOVERY = "0:20mbit,20:5mbit,50:20mbit"
 
 
 def test_parses_the_documented_example():
-    """A schedule reads as its steps, in bytes per second."""
+    """The text becomes steps in bytes per second."""
     assert RateSchedule.parse(DROP_AND_RECOVERY).steps == (
         RateStep(start_s=0.0, rate_bytes_per_second=2_500_000.0),
         RateStep(start_s=20.0, rate_bytes_per_second=625_000.0),
@@ -23,7 +23,7 @@ def test_parses_the_documented_example():
 
 
 def test_order_and_spaces_do_not_matter():
-    """Steps may be written in any order, with spaces around them."""
+    """Steps may come in any order, with spaces around them."""
     assert RateSchedule.parse(" 50:20mbit, 0:20mbit ,20:5mbit") == RateSchedule.parse(DROP_AND_RECOVERY)
 
 
@@ -31,12 +31,12 @@ def test_order_and_spaces_do_not_matter():
     ("t_s", "mbit"), [(0.0, 20.0), (19.999, 20.0), (20.0, 5.0), (49.9, 5.0), (50.0, 20.0), (1e6, 20.0)]
 )
 def test_a_step_holds_from_its_start_until_the_next(t_s, mbit):
-    """The rate at a step's own start is that step's rate, and the last step never ends."""
+    """A step holds from its very start until the next one, and the last step never ends."""
     assert RateSchedule.parse(DROP_AND_RECOVERY).rate_at(t_s) == mbit * 125_000.0
 
 
 def test_duration_is_the_start_of_the_last_step():
-    """Nothing changes after the duration."""
+    """The duration is the start of the last step."""
     assert RateSchedule.parse(DROP_AND_RECOVERY).duration_s == 50.0
     assert RateSchedule.parse("0:20mbit").duration_s == 0.0
 
@@ -64,21 +64,21 @@ def test_a_bad_schedule_is_refused_with_the_way_out(text, message):
 
 
 def test_a_trace_may_stand_still():
-    """A rate of zero is one like any other, for a link that is not made of a token bucket."""
+    """A rate of zero is allowed outside the text form."""
     schedule = RateSchedule(steps=(RateStep(start_s=0.0, rate_bytes_per_second=0.0),))
     assert schedule.rate_at(5.0) == 0.0
 
 
 @pytest.mark.parametrize("rate", [-1.0, math.nan, math.inf])
 def test_a_rate_that_is_none_is_refused(rate):
-    """Below zero and beyond all numbers there is no rate."""
+    """A rate must be finite and not negative."""
     with pytest.raises(ValueError, match="step at 1 s: the rate must be zero or more"):
         RateStep(start_s=1.0, rate_bytes_per_second=rate)
 
 
 @pytest.mark.parametrize("t_s", [-0.001, math.nan])
 def test_there_is_no_rate_before_the_start(t_s):
-    """Asking for a time before the run is a mistake, not the first rate."""
+    """A time before the run raises an error."""
     with pytest.raises(ValueError, match="before the start"):
         RateSchedule.parse("0:20mbit").rate_at(t_s)
 
@@ -89,7 +89,7 @@ def test_there_is_no_rate_before_the_start(t_s):
     st.floats(0.0, 1100.0),
 )
 def test_the_rate_is_that_of_the_latest_step_begun(later, first, t_s):
-    """At any time the rate is the one of the last step that has started."""
+    """At any time the rate is that of the last step that has started."""
     rates = {0: first, **later}
     schedule = RateSchedule.parse(",".join(f"{start}:{rate}mbit" for start, rate in rates.items()))
     expected = rates[max(start for start in rates if start <= t_s)]

@@ -1,4 +1,4 @@
-"""Link traces: both formats read as they were meant, and everything else is refused where it goes wrong."""
+"""Link traces: both formats, and faults with line and column."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def steps_of(trace):
 
 
 def total_bytes(trace):
-    """Return what the trace carries in its duration."""
+    """Return the bytes that the trace carries in its duration."""
     ends = [step.start_s for step in trace.rates.steps[1:]] + [trace.duration_s]
     return sum(
         step.rate_bytes_per_second * (end - step.start_s) for step, end in zip(trace.rates.steps, ends, strict=True)
@@ -47,7 +47,7 @@ EXAMPLE = """time_s,rate_bit_per_s,loss
 
 
 def test_the_documented_csv_reads_as_its_rows(written):
-    """Rates are in bytes, comments and blank lines mean nothing, spaces around a value neither."""
+    """Rates become bytes per second; comments, blank lines and spaces around values are ignored."""
     trace = read_trace(written(EXAMPLE))
     assert trace.name == "link.trace"
     assert steps_of(trace) == [(0.0, 2_500_000.0), (12.5, 625_000.0), (30.0, 0.0), (31.0, 2_500_000.0)]
@@ -68,12 +68,12 @@ def test_the_documented_csv_reads_as_its_rows(written):
     ids=["CRLF", "comment first", "byte order mark", "no last newline", "spaces"],
 )
 def test_how_an_editor_saves_a_csv_does_not_matter(written, change):
-    """The same rows read the same."""
+    """Line ends, byte order marks, comments and spaces do not change the rows."""
     assert read_trace(written(change(EXAMPLE))) == read_trace(written(EXAMPLE))
 
 
 def test_loss_may_be_left_out(written):
-    """Without the column no loss was recorded."""
+    """Without the column the trace has no losses."""
     trace = read_trace(written("time_s,rate_bit_per_s\n0,8\n"))
     assert steps_of(trace) == [(0.0, 1.0)]
     assert trace.losses == ()
@@ -88,7 +88,7 @@ tables = st.tuples(st.tuples(st.just(0.0), *values), rows).map(lambda table: [ta
 @settings(max_examples=100, deadline=None)
 @given(tables, st.booleans(), st.sampled_from(["\n", "\r\n"]), st.sampled_from(["", "# x", " "]))
 def test_a_written_trace_reads_back(tmp_path_factory, table, has_loss, newline, between):
-    """What a program writes with full precision comes back as it was."""
+    """Values written with full precision come back unchanged."""
     lines = ["time_s,rate_bit_per_s" + ",loss" * has_loss]
     for time_s, rate, loss in table:
         lines += [between, f"{time_s!r},{8.0 * rate!r}" + f",{loss!r}" * has_loss]
@@ -106,7 +106,7 @@ def test_a_written_trace_reads_back(tmp_path_factory, table, has_loss, newline, 
 
 
 def test_a_mahimahi_trace_becomes_mean_rates(written):
-    """Three deliveries in the first 20 ms, none in the second, one in the last 5 ms: 1500 bytes each."""
+    """Each span of 20 ms, and the shorter last one, gets the mean rate of its deliveries of 1500 bytes."""
     trace = read_trace(written("0\n1\n20\n45\n"))
     assert steps_of(trace) == [(0.0, 225_000.0), (0.02, 0.0), (0.04, 300_000.0)]
     assert trace.duration_s == 0.045
@@ -117,7 +117,7 @@ def test_a_mahimahi_trace_becomes_mean_rates(written):
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.integers(0, 500), min_size=1, max_size=200).filter(any), st.integers(1, 5))
 def test_no_delivery_is_lost_or_invented(tmp_path_factory, moments, turns):
-    """Over its duration the trace carries 1500 bytes per line, and over n durations n times as much."""
+    """The trace carries 1500 bytes per line in its duration, and n times as many in n durations."""
     path = tmp_path_factory.mktemp("trace") / "t.up"
     path.write_text("".join(f"{moment}\n" for moment in sorted(moments)))
     trace = read_trace(path)
@@ -129,7 +129,7 @@ def test_no_delivery_is_lost_or_invented(tmp_path_factory, moments, turns):
 
 
 def test_a_run_longer_than_the_trace_plays_it_again(written):
-    """In the second turn the rates are those of the first."""
+    """Every turn has the rates of the first."""
     trace = read_trace(written("5\n30\n30\n100\n")).lasting(0.35)
     assert trace.duration_s == 0.4
     for t_s in (0.001, 0.021, 0.041, 0.079, 0.099):
@@ -138,14 +138,14 @@ def test_a_run_longer_than_the_trace_plays_it_again(written):
 
 
 def test_a_run_within_the_trace_is_the_trace(written):
-    """Nothing is repeated for it, and a CSV never repeats: its last row holds."""
+    """A short run repeats nothing, and a CSV never repeats, because its last row holds."""
     mahimahi, csv = read_trace(written("5\n1000\n")), read_trace(written(EXAMPLE))
     assert mahimahi.lasting(1.0) is mahimahi
     assert csv.lasting(3600.0) is csv
 
 
 def test_losses_repeat_with_the_rates():
-    """A recording that repeats does so as a whole."""
+    """A recording that repeats also repeats its losses."""
     trace = LinkTrace(
         name="t",
         rates=RateSchedule(steps=(RateStep(start_s=0.0, rate_bytes_per_second=1.0),)),
@@ -157,11 +157,11 @@ def test_losses_repeat_with_the_rates():
 
 
 def test_a_mahimahi_trace_may_have_comments_and_crlf(written):
-    """As in a CSV."""
+    """Comments, blank lines and CRLF are ignored, as in a CSV."""
     assert read_trace(written("# home\r\n5\r\n\r\n 40 \r\n")) == read_trace(written("5\n40\n"))
 
 
-# -- what is refused
+# -- faults
 
 HEADER = "time_s,rate_bit_per_s,loss\n"
 
@@ -206,7 +206,7 @@ HEADER = "time_s,rate_bit_per_s,loss\n"
     ],
 )
 def test_a_bad_trace_is_refused_where_it_goes_wrong(written, content, message):
-    """The message names file, line and column, the fault and what would be right."""
+    """The message names file, line and column, the fault and the way out."""
     path = written(content)
     with pytest.raises(TraceError) as refused:
         read_trace(path)
@@ -215,7 +215,7 @@ def test_a_bad_trace_is_refused_where_it_goes_wrong(written, content, message):
 
 @pytest.mark.parametrize("name", ["missing.csv", "."])
 def test_a_trace_that_cannot_be_read_is_refused(tmp_path, name):
-    """A missing file and a folder are errors of the user's, not of ours."""
+    """A missing file and a folder raise TraceError."""
     with pytest.raises(TraceError, match=r"cannot be read \((No such file|Is a directory).*\); give a CSV"):
         read_trace(tmp_path / name)
 
@@ -230,7 +230,7 @@ def test_a_trace_that_cannot_be_read_is_refused(tmp_path, name):
     )
 )
 def test_whatever_a_file_holds_it_is_a_trace_or_refused(tmp_path_factory, content):
-    """No content ends in any other exception, and what is accepted can be played."""
+    """Any content raises TraceError or gives a trace that can be played."""
     path = tmp_path_factory.mktemp("trace") / "t"
     path.write_bytes(content if isinstance(content, bytes) else content.encode(errors="surrogatepass"))
     try:
@@ -242,7 +242,7 @@ def test_whatever_a_file_holds_it_is_a_trace_or_refused(tmp_path_factory, conten
 
 @pytest.mark.parametrize("more", [{"duration_s": 4.0}, {"duration_s": 5.0, "repeats": True}])
 def test_a_trace_that_ends_before_its_last_step_is_refused(more):
-    """A recording is at least as long as what it records."""
+    """A trace may not end before its last step."""
     steps = tuple(RateStep(start_s=s, rate_bytes_per_second=1.0) for s in (0.0, 5.0))
     with pytest.raises(ValueError, match="no later than its last step"):
         LinkTrace(name="t", rates=RateSchedule(steps=steps), **more)

@@ -1,4 +1,4 @@
-"""The simulated reliable writer and its reader: what Fast DDS promises, over links that lose, drop and stop."""
+"""The simulated reliable writer and its reader keep Fast DDS's promises over links that lose, drop and stop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ORIGIN_S = 1000.0
 
 
 class Delivered(Arrivals):
-    """What a reader is handed, in which order, and when."""
+    """Records the samples that a reader receives, with order and time."""
 
     def __init__(self, timeline):
         super().__init__()
@@ -78,7 +78,7 @@ class World:
     st.integers(1, 40), st.integers(1, 40), st.sampled_from([0.0, 0.1, 0.4]), st.sampled_from([0.0, 0.03]), st.data()
 )
 def test_whatever_the_history_holds_is_delivered_once_and_in_order(samples, depth, loss, every_s, data):
-    """Under loss in both directions no sample comes twice or late, and none of the last ``depth`` stays away."""
+    """Under loss in both directions no sample comes twice or out of order, and all of the last ``depth`` arrive."""
     world = World(depth=depth, loss=loss, seed=data.draw(st.integers(0, 99)))
     world.publish(samples, every_s=every_s)
     world.wait(60.0)
@@ -89,7 +89,7 @@ def test_whatever_the_history_holds_is_delivered_once_and_in_order(samples, dept
 
 @pytest.mark.parametrize("loss", [0.05, 0.3])
 def test_a_history_that_is_deep_enough_loses_nothing(loss):
-    """Every sample arrives, because every one is still there when it is asked for."""
+    """Every sample arrives if the history holds all of them."""
     world = World(depth=200, loss=loss)
     world.publish(200, every_s=0.01)
     world.wait(60.0)
@@ -97,7 +97,7 @@ def test_a_history_that_is_deep_enough_loses_nothing(loss):
 
 
 def test_a_full_history_drops_the_oldest_though_nobody_has_it():
-    """What was published before an outage and pushed out in it never arrives; the last ``depth`` do."""
+    """Samples that leave the history during an outage never arrive; the last ``depth`` do."""
     world = World(depth=3, outages=((0.0, 2.0),))
     world.publish(10, every_s=0.1)
     world.wait(10.0)
@@ -106,7 +106,7 @@ def test_a_full_history_drops_the_oldest_though_nobody_has_it():
 
 
 def test_a_full_history_drops_the_oldest_that_everybody_has():
-    """An acknowledged sample stays until it is pushed out: KEEP_LAST counts it."""
+    """An acknowledged sample stays until newer ones replace it, because KEEP_LAST counts it."""
     world = World(depth=3)
     world.publish(10, every_s=0.1)
     world.wait(1.0)
@@ -116,7 +116,7 @@ def test_a_full_history_drops_the_oldest_that_everybody_has():
 
 @pytest.mark.parametrize("depth", [1, 100])
 def test_heartbeats_stop_when_all_is_acknowledged(depth):
-    """A writer whose reader has everything is silent, and starts again with the next sample."""
+    """A writer whose reader has every sample is silent until the next sample."""
     world = World(depth=depth, loss=0.2)
     for _ in range(3):
         world.publish(20)
@@ -129,7 +129,7 @@ def test_heartbeats_stop_when_all_is_acknowledged(depth):
 
 
 def test_heartbeats_go_on_until_an_acknowledgement_comes():
-    """While nothing comes back there is one in every period."""
+    """Without an acknowledgement there is one heartbeat in every period."""
     world = World(depth=100, heartbeat_s=0.5, outages=((0.0, 10.25),))
     world.publish(1)
     world.wait(10.2)
@@ -139,7 +139,7 @@ def test_heartbeats_go_on_until_an_acknowledgement_comes():
 
 
 def test_what_is_in_order_does_not_wait_for_a_heartbeat():
-    """A sample is handed over when it arrives, whenever the next heartbeat comes."""
+    """The reader delivers a sample in order when it arrives, before the next heartbeat."""
     world = World(depth=100, heartbeat_s=3.0)
     world.publish(5, every_s=0.1)
     world.wait(0.1)
@@ -148,7 +148,7 @@ def test_what_is_in_order_does_not_wait_for_a_heartbeat():
 
 
 def test_what_comes_behind_a_gap_waits_for_it():
-    """The samples after a lost one arrived in time, and are handed over after it."""
+    """The reader delivers the samples after a lost one only after that one."""
     world = World(depth=100, heartbeat_s=0.5, outages=((0.05, 0.15),))
     world.publish(5, every_s=0.1)
     world.wait(5.0)
@@ -158,7 +158,7 @@ def test_what_comes_behind_a_gap_waits_for_it():
 
 
 def test_a_writer_that_is_destroyed_repeats_nothing():
-    """What is on the link arrives; what was lost stays lost, and no heartbeat goes out."""
+    """After the destruction, samples on the link arrive, lost ones stay lost, and no heartbeat goes out."""
     world = World(depth=100, outages=((0.0, 0.2),), delay_s=0.05)
     world.publish(5)
     world.wait(0.19)
@@ -171,7 +171,7 @@ def test_a_writer_that_is_destroyed_repeats_nothing():
 
 
 def test_nothing_is_sent_again_while_it_is_on_its_way():
-    """On a slow link each sample crosses once, however often the reader asks meanwhile."""
+    """On a slow link each sample crosses once, although the reader asks for it repeatedly."""
     world = World(depth=20, heartbeat_s=0.05, rate="0:100kbit", payload_bytes=1000)
     world.publish(20)
     world.wait(30.0)
@@ -183,7 +183,7 @@ def test_nothing_is_sent_again_while_it_is_on_its_way():
 
 
 def test_an_acknowledgement_names_256_numbers_at_most():
-    """After a long outage the reader asks in portions, and has all of a deep history in the end."""
+    """After a long outage the reader asks in portions, and finally has all of a deep history."""
     world = World(depth=1000, heartbeat_s=1.0, payload_bytes=100, outages=((0.0, 2.5),))
     world.publish(900)
     world.wait(3.1)
