@@ -1,4 +1,4 @@
-"""One end of a simulated link, worked on from inside its network namespace."""
+"""Configures and reads one end of a simulated link, from inside its network namespace."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Host:
     Parameters
     ----------
     name : ``robot`` or ``ceddp``
-    namespace : its network namespace, as ``ip netns`` names it
-    interface : its end of the veth pair
-    address, peer_address : IPv4 of this end and of the other one
-    mac, peer_mac : Ethernet addresses of this end and of the other one
+    namespace : name of its network namespace
+    interface : name of its end of the veth pair
+    address, peer_address : IPv4 addresses of this end and of the other
+    mac, peer_mac : Ethernet addresses of this end and of the other
     """
 
     name: HostName
@@ -52,7 +52,7 @@ class Bucket:
     ----------
     rate_bytes_per_second : rate, Ethernet headers included (bytes/s)
     burst_bytes : size of the bucket (bytes)
-    queue_bytes : queue, tail drop (bytes)
+    queue_bytes : queue with tail drop (bytes)
     """
 
     rate_bytes_per_second: float
@@ -61,7 +61,7 @@ class Bucket:
 
 
 def raise_up(host: Host, bucket: Bucket) -> None:
-    """Shape, address and raise the end."""
+    """Shape the end, give it its address and switch it on."""
     _disable_offloads(host.interface)
     with IPRoute() as route:
         index = route.link_lookup(ifname=host.interface)[0]
@@ -69,19 +69,19 @@ def raise_up(host: Host, bucket: Bucket) -> None:
         route.link("set", index=route.link_lookup(ifname="lo")[0], state="up")
         route.addr("add", index=index, address=host.address, prefixlen=30)
         route.link("set", index=index, state="up")
-        # A fixed neighbour keeps ARP, which random loss would hit as well, off the link.
+        # A fixed neighbour keeps ARP off the link, because random loss would hit it, too.
         route.neigh("add", dst=host.peer_address, lladdr=host.peer_mac, ifindex=index, state="permanent")
         route.route("add", dst="224.0.0.0/4", oif=index, scope="link")
 
 
 def reshape(host: Host, bucket: Bucket) -> None:
-    """Change the token bucket; what is queued stays queued."""
+    """Change the token bucket; queued packets stay."""
     with IPRoute() as route:
         _shape(route, "change", route.link_lookup(ifname=host.interface)[0], bucket)
 
 
 def set_loss(host: Host, loss: float) -> None:
-    """Drop arriving packets with a probability, by a rule put in place in one nftables transaction."""
+    """Drop arriving packets with a probability, by a rule set in one nftables transaction."""
     lost_steps = round(loss * _LOSS_STEPS)
     share = f"numgen random mod {_LOSS_STEPS} < {lost_steps}" if lost_steps < _LOSS_STEPS else ""
     script = (
@@ -92,11 +92,11 @@ def set_loss(host: Host, loss: float) -> None:
     )
     done = subprocess.run([executable("nft"), "-f", "-"], input=script, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise LinkError(f"{host.namespace}: nftables refuses random loss: {done.stderr.strip()}")
+        raise LinkError(f"{host.namespace}: nftables refuses the rule of random loss: {done.stderr.strip()}")
 
 
 def read_counters(host: Host) -> LinkCounters:
-    """Read the interface counters; ``tx_dropped`` includes what the full queue dropped."""
+    """Return the interface counters; ``tx_dropped`` includes the drops of the full queue."""
     with IPRoute() as route:
         link = route.get_links(ifname=host.interface)[0]
         (bucket,) = (q for q in route.get_qdiscs(link["index"]) if q.get("TCA_KIND") == "tbf")
@@ -122,13 +122,13 @@ def disable_ipv6() -> None:
 
 
 def _disable_offloads(interface: str) -> None:
-    """Make the bucket see packets of the size that would go over the air, not 64 kB bundles of them."""
+    """Switch offloads off, so that the bucket gets packets as on the air instead of bundles of 64 kB."""
     ethtool = IoctlEthtool(interface)
     try:
         for name in _OFFLOADS:
             ethtool.set_offload_flag(name, 0)
     except NotSupportedError as error:
-        raise LinkError(f"{interface}: offloads cannot be switched off: {error}") from error
+        raise LinkError(f"{interface}: cannot switch offloads off: {error}") from error
     finally:
         ethtool.close()
 

@@ -1,4 +1,4 @@
-"""The network namespaces of simulated links: who owns them, how to work inside them, how they go away."""
+"""The network namespaces of simulated links: ownership, work inside, and removal."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _POLL_S = 0.02
 
 
 def namespace_of(run_id: str, host: HostName) -> str:
-    """Name of a host's network namespace."""
+    """Return the name of a host's network namespace."""
     return f"arpd-{run_id}-{host}"
 
 
 def executable(name: str) -> str:
-    """Path of a system tool, looked for in the sbin directories too, which a plain user's PATH leaves out."""
+    """Return the path of a system tool, also from the sbin folders, which a plain user's PATH lacks."""
     path = shutil.which(name, path=os.pathsep.join((os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin")))
     if path is None:
         raise LinkError(f"{name}: command not found; on Debian and Ubuntu: apt install iproute2 nftables util-linux")
@@ -48,10 +48,9 @@ def executable(name: str) -> str:
 
 
 def inside(namespace: str, work: Callable[[], T]) -> T:
-    """Return ``work()``, done inside a network namespace.
+    """Run ``work`` inside a network namespace and return its result.
 
-    A namespace belongs to a thread, so a thread that lives for this one call enters it; the caller's own threads,
-    and everything they start later, stay where they are.
+    A namespace belongs to a thread, so a thread of its own enters it for this call; the caller's threads stay outside.
     """
 
     def enter_then_work() -> T:
@@ -67,7 +66,8 @@ def claim(run_id: str) -> None:
 
     Raises
     ------
-    LinkError : the run id is malformed, or a living process owns it
+    LinkError
+        If the run id is malformed, or a living process owns it.
     """
     if not _RUN_ID.fullmatch(run_id):
         raise LinkError(f"run id {run_id!r}: use 1 to 40 letters, digits, '_', '.' or '-'")
@@ -75,10 +75,8 @@ def claim(run_id: str) -> None:
         with _registry_locked():
             _demolish_stale()
             if (owner := _owner(run_id)) is not None:
-                raise LinkError(
-                    f"run id {run_id!r} is in use by process {owner}; choose another one or end that process"
-                )
-            # Written before the first namespace exists: a crash from here on leaves a trace that names its owner.
+                raise LinkError(f"run id {run_id!r} is in use by process {owner}; choose another or end that process")
+            # Written before the first namespace exists, so that a crash leaves a record of its owner.
             record = {"pid": os.getpid(), "start_ticks": _start_ticks(os.getpid())}
             _record_path(run_id).write_text(json.dumps(record), encoding="utf-8")
         try:
@@ -94,25 +92,20 @@ def claim(run_id: str) -> None:
 
 
 def release(run_id: str) -> None:
-    """End what still runs in a run's namespaces, then remove them and the record of their owner."""
+    """End the processes in a run's namespaces, then remove the namespaces and the record of their owner."""
     with _registry_locked():
         _demolish(run_id)
 
 
 def cleanup_stale() -> list[str]:
-    """Remove the namespaces of runs whose owner is dead, and end the processes left inside.
-
-    Returns
-    -------
-    The run ids that were removed.
-    """
+    """Remove the namespaces of runs whose owner is dead, with the processes inside; return their run ids."""
     with _registry_locked():
         return _demolish_stale()
 
 
 @contextmanager
 def _registry_locked() -> Iterator[None]:
-    # Two runs that start at once both sweep first: without the lock, one could sweep away what the other just made.
+    # Two runs that start at once both clean up first; without the lock, one could remove the other's new namespaces.
     RUN_DIR.mkdir(parents=True, exist_ok=True)
     with (RUN_DIR / "lock").open("w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -137,7 +130,7 @@ def _demolish(run_id: str) -> None:
 
 
 def _end_processes(namespaces: list[str]) -> None:
-    """SIGTERM, then SIGKILL after a grace period, to all that live in the namespaces."""
+    """Send SIGTERM to all processes in the namespaces, and SIGKILL after a grace period."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         for pid in _pids_inside(namespaces):
             try:
@@ -163,7 +156,7 @@ def _record_path(run_id: str) -> Path:
 
 
 def _owner(run_id: str) -> int | None:
-    """Process that owns a run, None when it is gone (its start time tells it from a later process of the same id)."""
+    """Return the process that owns a run, None if it is gone; a later process of its id has another start time."""
     try:
         record = json.loads(_record_path(run_id).read_text(encoding="utf-8"))
         pid, start_ticks = int(record["pid"]), int(record["start_ticks"])
@@ -173,11 +166,11 @@ def _owner(run_id: str) -> int | None:
 
 
 def _start_ticks(pid: int) -> int | None:
-    """When a process started, in clock ticks since boot; None when it does not exist or is a zombie."""
+    """Return the start of a process in clock ticks since boot, None if it does not exist or is a zombie."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    # The second field is the command in parentheses and may hold anything, spaces and parentheses included.
+    # The second field is the command in parentheses; it may hold spaces and parentheses.
     fields = stat.rpartition(")")[2].split()
     return None if fields[0] in "ZX" else int(fields[19])

@@ -1,8 +1,8 @@
 """Two hosts, ``robot`` and ``ceddp``, joined by one slow link, on one machine with real kernel networking.
 
 Each host is a network namespace; a veth pair joins them; a token bucket (tbf) with a byte-limited queue shapes each
-end, so real processes and real DDS traffic meet real queueing. Random loss is an nftables rule where packets arrive,
-that is after the queue: as on the air, a lost packet has used its share of the link.
+end, so real processes and real DDS traffic meet real queueing. An nftables rule drops packets at random where they
+arrive, behind the queue, because on the air a lost packet uses its share of the link, too.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ if TYPE_CHECKING:
 __all__ = ["Host", "SimLink", "available", "cleanup_stale", "user_namespace_argv"]
 
 DEFAULT_RATE_BYTES_PER_SECOND = 2_500_000.0  # 20 Mbit/s
-DEFAULT_QUEUE_BYTES = 256_000  # about what a Wi-Fi driver queues; 102 ms at 20 Mbit/s, 410 ms at 5 Mbit/s
+DEFAULT_QUEUE_BYTES = 256_000  # about the queue of a Wi-Fi driver; 102 ms at 20 Mbit/s, 410 ms at 5 Mbit/s
 INTERFACE = "link0"
 MIN_BURST_BYTES = MTU_BYTES + 40  # a full frame and the rounding of tbf, which drops frames above its bucket size
 
-_TIMER_SLACK_S = 100e-6  # how late the kernel's timer may wake the bucket before credit is lost
+_TIMER_SLACK_S = 100e-6  # lateness of the kernel's timer up to which the bucket loses no credit
 _ROBOT_INDEX = 77
 _CARRIER_TIMEOUT_S = 5.0
 
 
 class SimLink:
-    """The link and its two hosts, for as long as the ``with`` block lasts.
+    """The link and its two hosts while the ``with`` block lasts.
 
-    Leaving the block, by whatever way an exception, Ctrl-C or SIGTERM takes, ends every process inside and removes
-    the namespaces. What ``kill -9`` leaves behind, the next link or ``cleanup_stale`` removes.
+    The end of the block, also by an exception, Ctrl-C or SIGTERM, ends every process inside and removes the
+    namespaces. After ``kill -9``, the next link or ``cleanup_stale`` removes them.
 
     Parameters
     ----------
-    run_id : tells links apart that exist side by side
+    run_id : name of the link, so that several can exist at once
     rate_bytes_per_second : rate of each direction, Ethernet headers included (bytes/s)
-    queue_bytes : queue in front of each bucket, tail drop (bytes)
-    burst_bytes : bucket size, at least MIN_BURST_BYTES (bytes); None = one frame and 100 us worth of the rate
+    queue_bytes : queue in front of each bucket, with tail drop (bytes)
+    burst_bytes : bucket size, at least MIN_BURST_BYTES, None = one frame and 100 us of the rate (bytes)
     loss : probability that an arriving packet is dropped, 0..1
     domain_id : ROS_DOMAIN_ID of every process inside; None = derived from the run id
 
@@ -85,7 +85,7 @@ class SimLink:
     ) -> None:
         self.run_id = run_id
         self.robot, self.ceddp = _hosts(run_id)
-        # Above 101 the ports DDS derives from the domain run into Linux's ephemeral ports.
+        # Above 101, the ports that DDS derives from the domain meet Linux's ephemeral ports.
         self.domain_id = 1 + zlib.crc32(run_id.encode()) % 101 if domain_id is None else domain_id
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
         if queue_bytes < MIN_BURST_BYTES or (burst_bytes is not None and burst_bytes < MIN_BURST_BYTES):
@@ -138,7 +138,7 @@ class SimLink:
             self._uncatch_sigterm()
 
     def set_rate(self, rate_bytes_per_second: float) -> None:
-        """Change the rate of both directions; what is queued stays queued."""
+        """Change the rate of both directions; queued packets stay."""
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
         for host in self.hosts:
             inside(host.namespace, partial(link_end.reshape, host, self._bucket()))
@@ -152,9 +152,9 @@ class SimLink:
             self._has_loss_rule = True
 
     def counters(self) -> dict[HostName, LinkCounters]:
-        """Read the interface counters of each end; ``tx_dropped`` includes what its full queue dropped.
+        """Return the interface counters of each end; ``tx_dropped`` includes the drops of its full queue.
 
-        A packet that random loss drops counts as received: it did cross the link.
+        A packet that random loss drops counts as received, because it has crossed the link.
         """
         return {host.name: inside(host.namespace, partial(link_end.read_counters, host)) for host in self.hosts}
 
@@ -166,26 +166,26 @@ class SimLink:
         env: Mapping[str, str] | None = None,
         **popen_kwargs: Any,
     ) -> subprocess.Popen[Any]:
-        """Start a command on a host, as the leader of its own session (so ``os.killpg(process.pid, ...)`` ends it all).
+        """Start a command on a host as the leader of a session, so that ``os.killpg(process.pid, ...)`` ends all of it.
 
         Parameters
         ----------
         host : one of the ends, or its name
         argv : command and arguments
-        env : environment, None = this process's; `ros_environment` is laid over it either way
+        env : environment, None = this process's; `ros_environment` overrides it
         popen_kwargs : passed to `subprocess.Popen`
         """
         name = host if isinstance(host, str) else host.name
         command = [executable("ip"), "netns", "exec", namespace_of(self.run_id, name), *argv]
         environment = {**(os.environ if env is None else env), **self.ros_environment()}
-        environment.pop("ROS_LOCALHOST_ONLY", None)  # would keep every message off the link
+        environment.pop("ROS_LOCALHOST_ONLY", None)  # it would keep every message off the link
         popen_kwargs.setdefault("start_new_session", True)
         process: subprocess.Popen[Any] = subprocess.Popen(command, env=environment, **popen_kwargs)
         self._processes.append(process)
         return process
 
     def ros_environment(self) -> dict[str, str]:
-        """Return what makes ROS 2 use the link: no shared memory, which ignores namespaces, and its own domain."""
+        """Return variables that make ROS 2 use the link: no shared memory, which ignores namespaces, and a domain."""
         return {
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_DOMAIN_ID": str(self.domain_id),
@@ -200,8 +200,8 @@ class SimLink:
                 {"ifname": host.interface, "net_ns_fd": host.namespace, "address": host.mac, "mtu": MTU_BYTES}
                 for host in self.hosts
             ]
-            # Each first device of a namespace gets index 2. A veth whose peer has its own index looks to the kernel
-            # like a device without a peer, and its carrier may take a second to come up (linkwatch_urgent_event).
+            # The first device of every namespace gets index 2. If both ends of a veth have the same index, the kernel
+            # sees a device without a peer, and its carrier may take a second to come up (linkwatch_urgent_event).
             outside.link("add", kind="veth", index=_ROBOT_INDEX, peer=ends[1], **ends[0])
         for host in self.hosts:
             inside(host.namespace, partial(link_end.raise_up, host, self._bucket()))
@@ -209,7 +209,7 @@ class SimLink:
         self._await_carrier()
 
     def _await_carrier(self) -> None:
-        """Wait until the kernel has put both buckets to work; what is sent before that is silently dropped."""
+        """Wait until the kernel uses both buckets; it silently drops earlier packets."""
         deadline_s = time.monotonic() + _CARRIER_TIMEOUT_S
         while not all(end.is_up for end in self.counters().values()):
             if time.monotonic() > deadline_s:
@@ -222,7 +222,7 @@ class SimLink:
         return Bucket(rate_bytes_per_second=rate, burst_bytes=burst, queue_bytes=self._queue_bytes)
 
     def _catch_sigterm(self) -> None:
-        # SIGTERM's default action would skip every `finally`; a handler of the program's own is left alone.
+        # SIGTERM's default action would skip every `finally`. A handler of the program itself stays.
         if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             self._sigterm_before = signal.signal(signal.SIGTERM, _exit_on_signal)
 
@@ -235,19 +235,14 @@ class SimLink:
         with _signals_held_back():
             for process in self._processes:
                 if process.poll() is None:
-                    process.terminate()  # may still be on its way into the namespace, where `release` looks
+                    process.terminate()  # it may not be in the namespace yet, where `release` looks
             release(self.run_id)
             for process in self._processes:
                 process.wait()
 
 
 def available() -> tuple[bool, str]:
-    """Tell whether a SimLink works in this process: by building one and looking, as no list of capabilities can.
-
-    Returns
-    -------
-    Whether it works, and if not, why and what to do.
-    """
+    """Return whether a SimLink works in this process, by building one, and if not, the reason and the way out."""
     try:
         if os.geteuid() != 0:
             return False, f"not root; {_user_namespace_verdict()}"
@@ -259,10 +254,10 @@ def available() -> tuple[bool, str]:
 
 
 def user_namespace_argv(argv: Sequence[str]) -> list[str]:
-    """Return the command line that runs ``argv`` without root, as root of a user namespace of its own.
+    """Return the command line that runs ``argv`` as root of a user namespace of its own, without real root.
 
-    The private /run holds that world's /run/netns; the pid namespace makes the kernel end everything inside with it.
-    Its own loopback starts down, and the demo reads arpd's status over it.
+    The private /run holds its /run/netns. The pid namespace makes the kernel end all processes inside with it. The new
+    loopback is down, so the command switches it on, because the demo reads arpd's status over it.
     """
     return [
         *(executable("unshare"), "--user", "--map-root-user", "--net", "--mount"),
@@ -275,12 +270,12 @@ def user_namespace_argv(argv: Sequence[str]) -> list[str]:
 def _user_namespace_verdict() -> str:
     probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
     if probe.returncode == 0:
-        return "scripts/simlink, or the command line `user_namespace_argv` makes, works here without root"
+        return "scripts/simlink, or the command line of `user_namespace_argv`, works here without root"
     return f"and user namespaces are refused here ({probe.stderr.strip()}): run it as root"
 
 
 def _hosts(run_id: str) -> tuple[Host, Host]:
-    addresses = ("10.77.0.1", "10.77.0.2")  # constant: namespaces keep two links apart
+    addresses = ("10.77.0.1", "10.77.0.2")  # constant, because namespaces separate two links
     macs = ("02:00:0a:4d:00:01", "02:00:0a:4d:00:02")
     robot, ceddp = (
         Host(
@@ -298,12 +293,11 @@ def _hosts(run_id: str) -> tuple[Host, Host]:
 
 
 def _burst_bytes(rate_bytes_per_second: float) -> int:
-    """Smallest bucket that keeps up with the rate (bytes).
+    """Return the smallest bucket that keeps up with the rate (bytes).
 
-    A bucket lets the head of a packet train pass at once, so the train reads too fast by bucket minus one packet; a
-    bucket of just one frame loses credit whenever the kernel's timer is late. At 20 Mbit/s, a train of 10 x 1200 B
-    reads +2 % with no slack (and a flood of full frames gets 97 % of the rate), +5 % with 100 us (and 100 %),
-    +12 % with 400 us.
+    A bucket lets the head of a packet train pass at once, so a larger bucket makes the train look faster. A bucket of
+    one frame loses credit when the kernel's timer is late. Measured at 20 Mbit/s with a train of 10 x 1200 B: +2 %
+    without slack (and a flood of full frames gets 97 % of the rate), +5 % with 100 us (and 100 %), +12 % with 400 us.
     """
     return int(MIN_BURST_BYTES + _TIMER_SLACK_S * rate_bytes_per_second)
 
@@ -326,7 +320,7 @@ def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Deliver SIGINT and SIGTERM after the block, so that they cannot leave a link half built or half removed."""
+    """Deliver SIGINT and SIGTERM after the block, so that no link stays half built or half removed."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""A live robot for tests: the demo's, with arpd, over a real link, and what its status says."""
+"""The demo robot for tests: live, with arpd, over a real link."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from scripts.robot.run import PREFIX, robot
 from scripts.robot.sensors import SENSORS
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
-# What 5 Mbit/s cannot carry at the source's rate; the others keep theirs, so their QoS need not change again.
+# 5 Mbit/s cannot carry these topics at the source's rate; the others keep their rates and their QoS.
 HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
 SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), "base_driver")
 
 
 @contextmanager
 def live_robot(workdir):
-    """Yield the robot, publishing; it ends with the block."""
+    """Yield the publishing robot and end it with the block."""
     with (
         SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link,
         robot(link, workdir, WITH_ARPD) as side,
@@ -44,7 +44,7 @@ def eventually(condition, timeout_s=30.0):
 
 
 def is_confirmed(side):
-    """Every topic is planned and runs what is planned."""
+    """Return whether every topic is planned and confirmed."""
     status = side.status()
     return (
         status is not None
@@ -60,5 +60,5 @@ def qos(topic):
 
 
 def received(side, name):
-    """How often a topic arrived in the planner's last second."""
+    """Return how often a topic arrived in the planner's last second."""
     return side.arrivals.get(name, {}).get("rate_hz", 0)

@@ -1,4 +1,4 @@
-"""A real interface that loses its carrier, goes down, is renamed, vanishes or stands still: what is seen, and heard."""
+"""A real interface that loses its carrier, goes down, is renamed, vanishes or stalls, and ROS nodes on it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from std_msgs.msg import String
 class Listener(AdaptivePublisher):
     heard = 0
     def set_gate(self, gate):
-        Listener.heard += gate == 0.5  # what the daemon says; left alone, a node returns to 1.0 by itself
+        Listener.heard += gate == 0.5  # from the daemon; without it, a node returns to 1.0 by itself
         super().set_gate(gate)
 
 with ros_node(sys.argv[1]) as node:
@@ -109,7 +109,7 @@ def ip(host, *argv):
 
 
 def stop(host):
-    """Let the link stand still: it keeps its carrier, queues without end, and carries a datagram in two minutes."""
+    """Stall the link: it keeps its carrier, queues without limit, and carries one datagram in two minutes."""
     shape(host, "replace", "tbf", "rate", "100bit", "burst", "2000", "limit", "100000000")
     time.sleep(5.0)  # 100 kB/s of probes: the socket's 208 KiB are full
 
@@ -129,7 +129,7 @@ def python(link, host, script, *argv, transports="UDPv4", **options):
     return link.popen(host, command, env=env, text=True, stdout=subprocess.PIPE, cwd=REPO, **options)
 
 
-# -- what is seen
+# -- states and counters
 
 
 @dataclass
@@ -174,7 +174,7 @@ def send(link, datagrams=20):
 
 
 def test_every_state_of_a_real_interface_has_its_name(link, reader):
-    """Carrier lost and found, switched off and on: named at the next reading, logged once, and no radio anywhere."""
+    """The reader names lost carrier, returned carrier, switched off and on at the next reading, and logs each once."""
     assert reader.until("up")["radio"] is None
     ip(link.ceddp, "link", "set", INTERFACE, "down")
     reader.until("no_carrier")
@@ -191,7 +191,7 @@ def test_every_state_of_a_real_interface_has_its_name(link, reader):
 
 
 def test_a_real_rename_is_followed(link, reader):
-    """Under its new name the interface goes on counting from where it was."""
+    """A renamed interface continues its counters."""
     before = reader.until("up")
     sent = send(link)
     ip(link.robot, "link", "set", INTERFACE, "down")
@@ -205,7 +205,7 @@ def test_a_real_rename_is_followed(link, reader):
 
 
 def test_a_real_interface_made_anew_is_taken_on(link, reader):
-    """Deleted, it is gone; made again, it is read again, and the total never fell."""
+    """A deleted interface is gone; a new one of its name is read, and the total does not fall."""
     before = reader.until("up")
     sent = send(link)
     last = reader.read()
@@ -217,11 +217,11 @@ def test_a_real_interface_made_anew_is_taken_on(link, reader):
     ip(link.robot, "link", "set", INTERFACE, "up")
     again = reader.until("up")
     assert (again["name"], again["index"] != last["index"]) == (INTERFACE, True)
-    assert last["rx_bytes"] <= again["rx_bytes"] < last["rx_bytes"] + 10_000  # and not what another one counted
+    assert last["rx_bytes"] <= again["rx_bytes"] < last["rx_bytes"] + 10_000  # without the new interface's past
 
 
 def test_the_queue_of_a_real_interface_is_seen_as_it_fills_and_overflows(make_link):
-    """What waits in front of a slow link is its backlog, and what does not fit is dropped by the interface."""
+    """Datagrams that wait in front of a slow link are its backlog, and those that do not fit count as dropped."""
     link = make_link(rate_bytes_per_second=50_000.0, queue_bytes=64_000)
     reader = Reader(link, Path(os.devnull))
     before = reader.until("up")
@@ -232,7 +232,7 @@ def test_the_queue_of_a_real_interface_is_seen_as_it_fills_and_overflows(make_li
             if sent == 30:
                 half = reader.read()
     full = reader.read()
-    assert half["backlog_bytes"] == pytest.approx(28_500, abs=6_000)  # but for what the bucket let pass meanwhile
+    assert half["backlog_bytes"] == pytest.approx(28_500, abs=6_000)  # the bucket let a part pass meanwhile
     assert half["tx_dropped"] == before["tx_dropped"]
     assert full["backlog_bytes"] == pytest.approx(64_000, abs=2_000)
     assert full["tx_dropped"] > before["tx_dropped"] + 100
@@ -240,11 +240,11 @@ def test_the_queue_of_a_real_interface_is_seen_as_it_fills_and_overflows(make_li
     assert handed - before["tx_bytes"] == pytest.approx(200_000, abs=2_000)
 
 
-# -- what is heard
+# -- gate and ticks
 
 
-class Listening:
-    """A process of the robot that says again and again how much it has done, or heard."""
+class Counted:
+    """A process of the robot that prints its counts repeatedly."""
 
     def __init__(self, process):
         self.process = process
@@ -269,18 +269,18 @@ class Listening:
 
 @dataclass
 class Robot:
-    publisher: Listening
-    daemon: Listening
+    publisher: Counted
+    daemon: Counted
 
     def silences(self, duration_s):
-        """Longest time without a gate heard, and without a tick (s)."""
+        """Return the longest time without a gate at the publisher, and without a tick of the daemon (s)."""
         start_s = time.monotonic()
         longest, seen, at_s = [0.0, 0.0], [self.publisher.count, self.daemon.count], [start_s, start_s]
         while (now_s := time.monotonic()) < start_s + duration_s:
-            for place, count_now in enumerate((self.publisher.count, self.daemon.count)):
-                if count_now != seen[place]:
-                    seen[place], at_s[place] = count_now, now_s
-                longest[place] = max(longest[place], now_s - at_s[place])
+            for i, count_now in enumerate((self.publisher.count, self.daemon.count)):
+                if count_now != seen[i]:
+                    seen[i], at_s[i] = count_now, now_s
+                longest[i] = max(longest[i], now_s - at_s[i])
             time.sleep(0.02)
         return tuple(longest)
 
@@ -294,8 +294,8 @@ def robot(make_link):
         link = make_link()
         python(link, "ceddp", PUBLISHER, "far")
         python(link, "ceddp", "import sys; from arpd.cli.main import main; sys.exit(main(['peer']))")
-        publisher = Listening(python(link, "robot", PUBLISHER, "near", transports=transports))
-        daemon = Listening(python(link, "robot", DAEMON, INTERFACE, how, transports=transports))
+        publisher = Counted(python(link, "robot", PUBLISHER, "near", transports=transports))
+        daemon = Counted(python(link, "robot", DAEMON, INTERFACE, how, transports=transports))
         daemon.until(lambda said: said.get("publishers") == 2 and said.get("reports", 0) > 10)
         publisher.until(lambda said: said["count"] > 10)
         return link, Robot(publisher, daemon)
@@ -305,7 +305,7 @@ def robot(make_link):
 
 @pytest.mark.ros
 def test_the_gate_reaches_publishers_whatever_becomes_of_the_interface(robot):
-    """Without carrier, address or interface, for longer than DDS remembers participants, gate and publishers meet."""
+    """Without carrier, address or interface the gate reaches local publishers, even after DDS's participant lease."""
     link, both = robot(transports="DEFAULT")
     silences = {}
     ip(link.ceddp, "link", "set", INTERFACE, "down")
@@ -313,17 +313,17 @@ def test_the_gate_reaches_publishers_whatever_becomes_of_the_interface(robot):
     ip(link.robot, "address", "flush", "dev", INTERFACE)
     silences["no address"] = both.silences(3.0)
     ip(link.robot, "link", "set", INTERFACE, "down")
-    silences["down"] = both.silences(24.0)  # a participant is forgotten after 20 s
+    silences["down"] = both.silences(24.0)  # DDS forgets a participant after 20 s
     ip(link.robot, "link", "delete", INTERFACE)
     silences["gone"] = both.silences(3.0)
     print(f"longest without gate and without tick (s): {silences}")
     assert all(gate_s < 1.5 and tick_s < 1.0 for gate_s, tick_s in silences.values()), silences
-    assert both.daemon.last["publishers"] == 1  # the far one is forgotten, the near one is not
+    assert both.daemon.last["publishers"] == 1  # only the remote one is forgotten
 
 
 @pytest.mark.ros
 def test_the_gate_reaches_publishers_while_the_link_stands_still(robot):
-    """A link that keeps its carrier and carries nothing fills the socket: gate and tick go on, and so does the link."""
+    """A stalled link fills the socket, but gate and tick go on, and reports return with the link."""
     link, both = robot(transports="DEFAULT")
     stop(link.robot)
     gate_s, tick_s = both.silences(6.0)
@@ -337,7 +337,7 @@ def test_the_gate_reaches_publishers_while_the_link_stands_still(robot):
 
 @pytest.mark.ros
 def test_with_udp_alone_the_daemon_lives_through_a_link_that_stands_still(robot):
-    """One socket serves near and far: the gate may wait for the link, the tick does not, and both recover."""
+    """With one socket for local and remote traffic the gate may wait for the link, but the tick does not."""
     link, both = robot(transports="UDPv4")
     stop(link.robot)
     gate_s, tick_s = both.silences(6.0)
@@ -350,7 +350,7 @@ def test_with_udp_alone_the_daemon_lives_through_a_link_that_stands_still(robot)
 
 @pytest.mark.ros
 def test_without_that_setting_the_ticks_end(robot):
-    """Left as Fast DDS has it, the daemon's first write to a socket that is full ends its ticks."""
+    """With Fast DDS's default the daemon's first write to a full socket ends its ticks."""
     link, both = robot(transports="DEFAULT", how="waits")
     stop(link.robot)
     gate_s, tick_s = both.silences(4.0)

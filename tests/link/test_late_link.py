@@ -1,4 +1,4 @@
-"""A real link that comes late: `arpd run` is there before it."""
+"""A real link that appears after the start of `arpd run`."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ def ip(host, *argv):
 def rename(host, name, other):
     ip(host, "link", "set", name, "down")
     ip(host, "link", "set", name, "name", other)
-    ip(host, "link", "set", other, "up")  # the peer's own end must not be without a carrier
+    ip(host, "link", "set", other, "up")  # else the peer's end has no carrier
 
 
 def arpd(link, host, log, *argv):
-    """Start arpd again as often as it fails, as its unit does."""
+    """Start arpd, and again after each failure, as its unit does."""
     again = ["sh", "-c", 'until "$@"; do sleep 0.2; done', "sh"]
     command = ["env", "FASTDDS_BUILTIN_TRANSPORTS=UDPv4", *again, sys.executable, "-u", "-m", "arpd.cli", *argv]
     return link.popen(host, command, env={**os.environ, "PYTHONPATH": str(REPO)}, cwd=REPO, stderr=log)
 
 
 def metric(link, name):
-    """Return what the daemon on the robot exposes, None while it does not."""
+    """Return a metric of the daemon on the robot, None while it does not answer."""
     try:
         with inside(
             link.robot.namespace, lambda: socket.create_connection(("127.0.0.1", PORT), timeout=5.0)
@@ -68,7 +68,7 @@ def until(condition, what, timeout_s=60.0):
 
 
 def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
-    """It starts without, says so, and starts anew with the address: then it hears the peer across the link."""
+    """The daemon starts without the link, logs that, restarts once the link has an address, and hears the peer."""
     (tmp_path / "arpd.yaml").write_text(f"link: {{interface: {INTERFACE}}}\nhttp: {{port: {PORT}}}\n")
     with SimLink(f"late-{os.getpid()}") as link, (tmp_path / "log").open("w") as log:
         ip(link.robot, "address", "flush", "dev", INTERFACE)

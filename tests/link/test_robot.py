@@ -1,4 +1,4 @@
-"""The whole of arpd on a real link, where it compares rates and times, and so needs the machine for itself."""
+"""The whole of arpd on a real link; compares rates and times, so no other test may run beside it."""
 
 import json
 import signal
@@ -20,7 +20,7 @@ CAN, WHY = available()
 pytestmark = [pytest.mark.alone, pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
 
 UPLOAD = 2e6 / 8
-# An application of the robot that has nothing to do with ROS: full datagrams at a constant rate of wire bytes.
+# An application without ROS: full datagrams at a constant rate of wire bytes.
 SENDER = """
 import socket, sys, time
 address, rate, duration_s = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
@@ -41,7 +41,7 @@ def side(tmp_path):
 
 
 def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(side):
-    """A drop from 20 to 5 Mbit/s is measured, planned and confirmed on live publishers, and no command is lost."""
+    """Arpd measures a drop from 20 to 5 Mbit/s, live publishers confirm the new plan, and no command is lost."""
     eventually(lambda: is_confirmed(side))
     before = topics(side)
     pids = {name: process.pid for name, process in side.processes.items()}
@@ -63,7 +63,7 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(side
         assert after[name]["swaps"] != before[name]["swaps"], name
     estimate = side.status()["link"]["capacity_bytes_per_second"]
     assert 0.75 * SLOW < estimate < 1.25 * SLOW
-    # The application went on: same processes, counters that never started over.
+    # The application continued: same processes, counters without a restart.
     assert all(process.poll() is None and process.pid == pids[name] for name, process in side.processes.items())
     assert all(after[name]["offered"] > before[name]["offered"] for name in HEAVY)
 
@@ -84,7 +84,7 @@ def metric(side, name):
 
 
 def test_foreign_traffic_gets_room_and_gives_it_back(side):
-    """An upload beside ROS is measured, the plan yields to it, and returns when it ends."""
+    """The plan yields to an upload beside ROS and returns when the upload ends."""
     side.link.set_rate(SLOW)
     eventually(lambda: 0.75 * SLOW < metric(side, "arpd_link_capacity_bytes_per_second") < 1.25 * SLOW)
     eventually(lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") < 1.25 * SLOW)
@@ -99,7 +99,7 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
         level = metric(side, "arpd_level_bytes_per_second")
         return 0.6 * UPLOAD < seen < 1.4 * UPLOAD and level < 0.8 * alone and level + UPLOAD < 1.05 * SLOW
 
-    eventually(has_yielded, timeout_s=100.0)  # a plan made too soon stands for its dwell
+    eventually(has_yielded, timeout_s=100.0)  # a plan made too early stays for its dwell
     assert upload.poll() is None, "the upload had ended by then"
     upload.terminate()
     eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
@@ -109,7 +109,7 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
 
 
 def test_the_demo_keeps_its_promise():
-    """`scripts/demo --quick` shows arpd better on every topic the link cannot carry, and commands that never wait."""
+    """In `scripts/demo --quick` arpd is better on every topic that the link cannot carry, and commands do not wait."""
     demo = subprocess.run(
         [REPO / "scripts/demo", "--quick", "--json"], capture_output=True, text=True, check=False, timeout=240
     )
@@ -118,7 +118,7 @@ def test_the_demo_keeps_its_promise():
     rows = {topic["topic"]: topic for topic in document["topics"]}
     overloaded = [topic for topic in rows.values() if topic["is_overloaded"]]
     assert len(overloaded) >= 4
-    # Of fewer than 300 samples the p99 is the one or two that met the drop itself: luck on either side.
+    # With fewer than 300 samples, the p99 is one or two samples at the drop, which is luck.
     often = [topic for topic in overloaded if topic["with"]["offered"] >= 300]
     assert all(topic["is_better"] for topic in often), document
     worst = max(topic["without"]["latency_p99_s"] for topic in overloaded)

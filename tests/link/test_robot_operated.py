@@ -1,4 +1,4 @@
-"""A live robot, operated: scraped, reloaded, its daemon killed and stopped. Nothing here compares times."""
+"""A live robot under operation: scrape, reload, kill and stop of its daemon. No test here compares times."""
 
 import signal
 import subprocess
@@ -20,24 +20,24 @@ pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, rea
 
 
 def confirmed(side):
-    """Wait until every topic runs what is planned: longer than elsewhere, because other tests run beside this."""
+    """Wait until every topic confirms its plan; longer than elsewhere, because other tests run beside this."""
     eventually(lambda: is_confirmed(side), timeout_s=60.0)
 
 
 def shown(side, condition):
-    """Wait until the status is so; a daemon without the time to answer is asked again."""
+    """Wait until the status fulfils a condition; a daemon that has no time to answer is asked again."""
     eventually(lambda: (status := side.status()) is not None and condition(status), timeout_s=60.0)
 
 
 @pytest.fixture(scope="module")
 def side(tmp_path_factory):
-    """Give one robot to all tests: its start costs more than any of them."""
+    """Share one robot among all tests, because its start costs more than any of them."""
     with live_robot(tmp_path_factory.mktemp("robot")) as side:
         yield side
 
 
 def test_metrics_of_a_live_robot_are_clean(side):
-    """What a live daemon exposes passes promtool, and names every managed topic."""
+    """The metrics of a live daemon pass promtool and name every managed topic."""
     promtool = subprocess.run(
         [REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False
     )
@@ -59,7 +59,7 @@ def test_metrics_of_a_live_robot_are_clean(side):
 
 
 def test_a_bad_reload_keeps_the_running_plan(side):
-    """SIGHUP with a broken file keeps plan and process; the fault is in the status, and a good file clears it."""
+    """A reload of a broken file keeps plan and process; the status shows the fault until a good file clears it."""
     confirmed(side)
     good = side.config.read_text()
     daemon, before = side.processes["run"], side.status()["totals"]
@@ -88,7 +88,7 @@ def test_a_bad_reload_keeps_the_running_plan(side):
 
 
 def test_the_daemon_may_die_and_return(side):
-    """After kill -9 data flows on under the last plan; a new daemon takes over, and a clean stop restores."""
+    """After kill -9 data flows under the last plan; a new daemon takes over, and a clean stop restores the QoS."""
     confirmed(side)
     side.link.set_rate(SLOW)
     shown(side, lambda status: status["link"]["capacity_bytes_per_second"] < 1.5 * SLOW)

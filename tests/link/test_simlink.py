@@ -1,4 +1,4 @@
-"""The simulated link with real packets: what it carries, how fast, what it drops, what it leaves behind."""
+"""The simulated link with real packets: rate, queue, loss, environment and cleanup."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def receiver(link):
 
 
 def drain(sock, most=sys.maxsize):
-    """Payload and kernel arrival time (s) of what arrives, until silence or enough."""
+    """Return payload and kernel's arrival time (s) of packets, until silence or ``most`` of them."""
     arrivals = []
     while len(arrivals) < most:
         try:
@@ -70,7 +70,7 @@ def drain(sock, most=sys.maxsize):
 
 
 def delivery_rate(arrivals):
-    """Bytes after the first packet over the time they took (bytes/s)."""
+    """Return the bytes after the first packet over the time they took (bytes/s)."""
     wire_bytes = sum(len(payload) + HEADERS_BYTES for payload, _ in arrivals[1:])
     return wire_bytes / (arrivals[-1][1] - arrivals[0][1])
 
@@ -83,7 +83,7 @@ def flood_rate(link, source, sink, duration_s):
 
 
 def train_rate(link, source, sink):
-    """Median over trains of 10 x 1200 B, sent back to back (bytes/s)."""
+    """Return the median rate of trains of 10 x 1200 B, sent back to back (bytes/s)."""
     rates = []
     for _ in range(9):
         time.sleep(0.02)
@@ -105,7 +105,7 @@ def wait_until(condition, timeout_s=5.0):
 
 
 def test_two_links_live_side_by_side(run_id):
-    """What one link carries is neither seen nor slowed by another one."""
+    """The traffic of one link does not reach another."""
     with SimLink(f"{run_id}-a") as a, SimLink(f"{run_id}-b") as b:
         with sender(a) as source, receiver(a) as sink:
             source.sendto(b"hello", (a.ceddp.address, PORT))
@@ -115,14 +115,14 @@ def test_two_links_live_side_by_side(run_id):
 
 
 def test_an_idle_link_is_silent(run_id):
-    """Nothing but the commands' own traffic counts: no router solicitation, no ARP."""
+    """An idle link carries no packet, not even router solicitations or ARP."""
     with SimLink(run_id) as link:
         time.sleep(1.5)
         assert all(end.rx_bytes == end.tx_bytes == 0 and end.is_up for end in link.counters().values())
 
 
 def test_floods_and_trains_run_at_the_configured_rate(run_id):
-    """At 5 and at 20 Mbit/s a flood gets the rate, and even a short packet train is spread at it."""
+    """At 5 and 20 Mbit/s a flood and even a short packet train have the configured rate."""
     with SimLink(run_id) as link, sender(link) as source, receiver(link) as sink:
         measured = {}
         for mbit in (5, 20):
@@ -130,7 +130,7 @@ def test_floods_and_trains_run_at_the_configured_rate(run_id):
             measured[mbit] = (train_rate(link, source, sink), flood_rate(link, source, sink, 1.5))
             shares = [rate / (mbit * MBIT) for rate in measured[mbit]]
             print(f"{mbit} Mbit/s: train {shares[0]:.3f}, flood {shares[1]:.3f} of the rate")
-        # Ratios within one run, wide: another job on the machine slows both.
+        # The bounds of the ratios are wide, because another job on the machine slows both.
         assert measured[20][0] / measured[5][0] == pytest.approx(4.0, rel=0.25)
         assert measured[20][1] / measured[5][1] == pytest.approx(4.0, rel=0.25)
         assert measured[5][0] == pytest.approx(5 * MBIT, rel=0.15)
@@ -138,7 +138,7 @@ def test_floods_and_trains_run_at_the_configured_rate(run_id):
 
 
 def test_a_rate_change_takes_effect_at_once_and_keeps_the_queue(run_id):
-    """Packets queued at the old rate leave at the new one, in order, none lost."""
+    """Packets queued at the old rate leave at the new one, in order and without loss."""
     with SimLink(run_id, rate_bytes_per_second=1 * MBIT) as link, sender(link) as source, receiver(link) as sink:
         sent = [index.to_bytes(4, "big") + bytes(1196) for index in range(60)]
         for payload in sent:
@@ -151,7 +151,7 @@ def test_a_rate_change_takes_effect_at_once_and_keeps_the_queue(run_id):
 
 
 def test_a_full_queue_drops_and_counts(run_id):
-    """What does not fit into the queue is dropped, and shows as dropped at the sender."""
+    """Packets that do not fit into the queue count as dropped at the sender."""
     with SimLink(run_id, rate_bytes_per_second=1 * MBIT, queue_bytes=20_000) as link, sender(link) as source:
         for _ in range(60):
             source.sendto(bytes(1200), (link.ceddp.address, PORT))
@@ -160,7 +160,7 @@ def test_a_full_queue_drops_and_counts(run_id):
 
 
 def test_loss_comes_and_goes(run_id):
-    """A fifth of the packets is lost at loss 0.2, none at 0 and all at 1; what is lost has crossed the link."""
+    """A fifth of the packets is lost at loss 0.2, none at 0 and all at 1, and lost packets have crossed the link."""
     with SimLink(run_id, rate_bytes_per_second=100 * MBIT, loss=0.2) as link:
         with sender(link) as source, receiver(link) as sink:
             arrived = {}
@@ -176,7 +176,7 @@ def test_loss_comes_and_goes(run_id):
 
 
 def test_processes_inside_get_the_ros_environment(run_id):
-    """ROS inside is held to UDP and to the link's own domain, whatever the caller's environment says."""
+    """ROS inside uses UDP and the link's own domain, regardless of the caller's environment."""
     with SimLink(run_id, domain_id=42) as link:
         show = ["sh", "-c", "echo $FASTDDS_BUILTIN_TRANSPORTS $ROS_DOMAIN_ID $MINE ${ROS_LOCALHOST_ONLY-unset}"]
         environment = {**os.environ, "ROS_DOMAIN_ID": "7", "ROS_LOCALHOST_ONLY": "1", "MINE": "kept"}
@@ -185,7 +185,7 @@ def test_processes_inside_get_the_ros_environment(run_id):
 
 
 def test_an_exception_leaves_nothing_behind(run_id):
-    """Leaving the block by an exception ends the processes inside, stubborn ones too, and removes the namespaces."""
+    """An exception in the block ends all processes inside, also those that ignore SIGTERM, and the namespaces."""
     with pytest.raises(RuntimeError, match="on purpose"), SimLink(run_id) as link:  # noqa: PT012
         stubborn = link.popen(link.ceddp, ["bash", "-c", "trap '' TERM; echo on; while :; do sleep 1; done"], stdout=-1)
         assert stubborn.stdout.readline() == b"on\n"
@@ -195,7 +195,7 @@ def test_an_exception_leaves_nothing_behind(run_id):
 
 
 def test_a_run_id_in_use_is_refused(run_id):
-    """Two living runs cannot share a name, and the refusal harms neither."""
+    """A second run of the same name is refused, and the first one continues."""
     with SimLink(run_id) as link:
         with pytest.raises(LinkError, match="is in use by process"), SimLink(run_id):
             pass
@@ -204,7 +204,7 @@ def test_a_run_id_in_use_is_refused(run_id):
 
 
 def test_what_a_killed_holder_leaves_is_cleaned_up(run_id):
-    """After kill -9 of the holder, cleanup_stale ends what still runs inside and removes the namespaces."""
+    """After kill -9 of the holder, cleanup_stale ends the processes inside and removes the namespaces."""
     code = (
         "import time; from scripts.netns.simlink import SimLink\n"
         f"with SimLink({run_id!r}) as link:\n"
@@ -232,7 +232,7 @@ def test_the_script_cleans_up_when_told_to_stop(run_id, number, code):
         try:
             assert script.wait(timeout=10) == code
         finally:
-            script.kill()  # if it is still there, so that a failure does not hang
+            script.kill()  # so that a failure does not hang
     assert namespaces_of(run_id) == []
 
 
@@ -244,7 +244,7 @@ TALK = "for i in $(seq 20); do echo hello > /dev/udp/10.77.0.2/9; done"
 
 
 def test_the_script_checks_that_bytes_cross(run_id):
-    """Commands that do not talk over the link fail the run; commands that do pass it, and the bytes are shown."""
+    """The run fails if its commands send nothing over the link, and shows the bytes that crossed."""
     arguments = ("--run-id", run_id, "--require-bytes", "900", "--robot")
     silent = run_script(*arguments, "true")
     assert (silent.returncode, "0 bytes crossed the link" in silent.stderr) == (1, True), silent.stderr
@@ -260,7 +260,7 @@ def test_the_script_ends_with_the_first_failure(run_id):
 
 
 def test_the_script_runs_one_command_and_plays_the_schedule(run_id):
-    """--exec runs an argument vector on a host while the rate follows the schedule."""
+    """The option --exec runs one command on a host while the rate follows the schedule."""
     done = run_script(
         *("--run-id", run_id, "--schedule", "0:20mbit,0.2:5mbit", "--exec", "ceddp"),
         *("--", "sh", "-c", "sleep 0.5; tc qdisc show dev link0"),
@@ -294,7 +294,7 @@ else:
 
 @pytest.mark.ros
 def test_ros_messages_cross_the_link(run_id):
-    """Fifty messages of 1 kB between two nodes take at least 50 kB of the link: not shared memory."""
+    """Fifty messages of 1 kB between two nodes take at least 50 kB of the link, so not shared memory."""
     pytest.importorskip("rclpy")
     with SimLink(run_id) as link:
         nodes = [
@@ -306,7 +306,7 @@ def test_ros_messages_cross_the_link(run_id):
 
 
 def test_a_user_namespace_is_enough(run_id):
-    """The whole link works as root of a user namespace, so without root where the system allows those."""
+    """The link works as root of a user namespace, so without real root if the system allows user namespaces."""
     probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
     if probe.returncode != 0:
         pytest.skip(f"user namespaces are refused here: {probe.stderr.strip()}")
