@@ -171,7 +171,7 @@ class _TopicTraffic:
         return [samples * cost for samples in self._samples.each_at(moments)]
 
     def forget(self, before_s: float) -> None:
-        """Forget what only earlier moments need."""
+        """Forget what only moments before ``before_s`` need."""
         self._samples.forget(before_s)
 
 
@@ -215,7 +215,7 @@ class _Curve:
         return found
 
     def forget(self, before_s: float) -> None:
-        """Forget what only earlier moments need."""
+        """Forget what only moments before ``before_s`` need."""
         gone = bisect_right(self._times, before_s) - 1
         if gone > 0:
             del self._times[:gone], self._sums[:gone]

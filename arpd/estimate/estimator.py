@@ -247,7 +247,7 @@ class Estimator:
         return LinkState.DRAINING if is_draining else LinkState.CONGESTED
 
     def _queue_stands(self, now_s: float) -> LinkState:
-        """Take the delivery for the capacity, since the link is never idle, without the time that packets cost."""
+        """Take the delivery as the capacity: the link is never idle. The time of packet overhead does not count."""
         p = self._parameters
         rate, packet_rate = self._peers.delivery(self._onset_s)
         rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)

@@ -56,7 +56,7 @@ class LocalQueue:
         return (self._sent[-1][1] - self._sent[0][1]) / span_s if span_s > 0.5 * _SENT_WINDOW_S else 0.0
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
-        """Note the counters of the interface; see `StandingQueue.delay_s` (bytes, bytes/s)."""
+        """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
         self.handed_bytes, self.backlog_s = None, 0.0
         if counters is None or not counters.is_up:
             self._backlog.clear()

@@ -115,7 +115,7 @@ class QueueGauge:
             # Round trips use our own clock, so they bound what a step of the peer's clock adds to a delay. The least
             # round trip may include a wait for its report that is `PROMPT_S` longer than this one.
             most_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips) + PROMPT_S
-            # The least of a report counts: a late wake-up of the receiver only adds delay.
+            # The least of a report counts: a late wakeup of the receiver only adds delay.
             self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
                 self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)

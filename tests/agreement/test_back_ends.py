@@ -14,7 +14,7 @@ from arpd.solve.exact import water_fill
 from arpd.solve.problem import ShareProblem, Solved, SolverFailed
 
 WHOLE = 10**15
-#: The same in every run and on every machine, which hypothesis does not promise. A back end fails on one in ten thousand
+#: The same in every run and on every machine, which hypothesis does not promise. A back end fails on one in 10,000
 #: problems of the worst kind, where `exact` answers; that must not fail a CI run by chance.
 INSTANCES = 5000
 

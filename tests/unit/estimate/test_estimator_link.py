@@ -162,14 +162,6 @@ def test_it_finds_the_capacity_and_follows_it():
         assert max(seen) < 1.1 * mbit
 
 
-@pytest.mark.parametrize("offset_s", [-1.7e9, 12.0])
-def test_the_peers_clock_does_not_matter(offset_s):
-    """A constant clock offset gives the same course as no offset."""
-    run = changing(lambda _: offset_s)
-    assert run.sampled(0.1) == pytest.approx(reference().sampled(0.1), rel=0.01)
-    assert [each.state for each in run.estimates()] == [each.state for each in reference().estimates()]
-
-
 @pytest.mark.parametrize("drift", [-200e-6, 200e-6])
 def test_a_clock_that_drifts_does_not_matter(drift):
     """A drift of 200 ppm adds 2 ms to a delay over its 10 s window, which is no queue."""
@@ -227,21 +219,21 @@ def test_what_several_peers_receive_adds_up():
     assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
 
 
-@pytest.mark.parametrize("how", ["dies silently", "leaves the graph"])
+@pytest.mark.parametrize(("leaves", "mbit"), [(False, 0.5), (False, 5), (True, 0.5)])
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_peer_that_goes_changes_nothing_while_another_reports(how, which):
-    """When one of two peers dies or leaves, and when it returns, there is no outage and no fall."""
-    run = two(mbit=0.5)
+def test_a_peer_that_goes_changes_nothing_while_another_reports(leaves, mbit, which):
+    """When one of two peers dies, even if copies still go to it, or leaves, there is no outage and no fall."""
+    run = two(mbit=mbit)
     run.peers[which].is_heard = lambda run_s: not 6.0 <= run_s < 12.0
-    if how == "leaves the graph":
+    if leaves:
         run.peers[which].is_in_graph = run.peers[which].is_heard
     run.until(18.0)
     assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
     for estimate in run.estimates(2.0):
-        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.15)
+        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.2)
     share = run.peers[1 - which].share
-    assert run.delivery(8.0, 12.0) == pytest.approx(0.5 * MBIT * share, rel=0.2)
-    assert run.delivery(14.0, 18.0) == pytest.approx(0.5 * MBIT, rel=0.2)
+    assert run.delivery(8.0, 12.0) == pytest.approx(mbit * MBIT * share, rel=0.2)
+    assert run.delivery(14.0, 18.0) == pytest.approx(mbit * MBIT, rel=0.2)
 
 
 def test_the_longest_queue_counts():
@@ -331,17 +323,6 @@ def test_an_upload_to_another_host_is_no_fall(share, mbit):
     for estimate in run.estimates(2.0):
         assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.2)
     assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
-
-
-@pytest.mark.parametrize("which", [0, 1])
-def test_a_peer_that_dies_while_it_is_still_sent_to_is_no_fall(which):
-    """The middleware still sends copies to a dead peer, and nobody reports them."""
-    run = two(mbit=5)
-    run.peers[which].is_heard = lambda run_s: not 6.0 <= run_s < 12.0
-    run.until(16.0)
-    assert not run.states(2.0) & {LinkState.OUTAGE, LinkState.DRAINING}
-    for estimate in run.estimates(2.0):
-        assert estimate.capacity_bytes_per_second == pytest.approx(10 * MBIT, rel=0.2)
 
 
 def test_a_fall_does_not_forget_what_a_packet_costs():
