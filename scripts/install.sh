@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Installs arpd on this computer, or upgrades it.
 #
-# A version lives in /opt/arpd/versions/VERSION-HASH: a virtual environment, and in its share/arpd what goes elsewhere.
-# It is made beside the one in use, and /opt/arpd/current is switched to it in one step. The hash is over all that is
-# installed, so that a second run finds nothing to do, and a version that does not start is switched back.
+# A version lives in /opt/arpd/versions/VERSION-HASH: a virtual environment, whose share/arpd has the files that go
+# elsewhere. The script makes it beside the version in use and switches /opt/arpd/current to it in one step. The hash
+# covers all installed files, so a second run finds nothing to do. If a version does not start, the script switches back.
 set -euo pipefail
 umask 022
 
@@ -24,27 +24,27 @@ config=/etc/arpd/arpd.yaml
 ros_setup=/opt/ros/jazzy/setup.bash
 ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy/Installation/Ubuntu-Install-Debs.html)"
 
-# The daemon first: if a new version does not start, the relay, which carries the data, has not been touched.
+# The daemon comes first: if a new version does not start, the relay, which carries the data, still runs the old one.
 all_units=(arpd arpd-peer arpd-relay)
-# What the daemon, the peer and the relay import; a version that cannot is not switched to.
+# Imports of the daemon, the peer and the relay; the script does not switch to a version that lacks one.
 imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay'
 
 usage() {
     cat <<END
 usage: sudo scripts/install.sh [--robot | --ceddp] [--no-start] [--dry-run]
 
-Installs arpd under /opt/arpd with its systemd units, or upgrades it; from a checkout or an unpacked archive.
-/etc/arpd/arpd.yaml and /etc/default/arpd are yours: an upgrade never changes them.
+Installs arpd under /opt/arpd with its systemd units, or upgrades it, from a checkout or an unpacked archive.
+An upgrade never changes /etc/arpd/arpd.yaml and /etc/default/arpd.
 
-  --robot     run arpd and arpd-relay here: the robot computer. The default of a first installation;
-              an upgrade leaves enabled what is enabled
-  --ceddp     run arpd-peer here: the other end of the link
-  --no-start  start and restart nothing, as when an image is built
+  --robot     this is the robot computer: enable arpd and arpd-relay. The default of a first installation;
+              an upgrade keeps the enabled units
+  --ceddp     this is the other end of the link: enable arpd-peer
+  --no-start  start and restart nothing, for building an image
   --dry-run   check, print every step, change nothing; needs no root
   --help      this text
 
 PYTHON=/usr/bin/python3.12 chooses a Python. pip takes its settings (proxy, index) from PIP_* and pip.conf.
-exit codes: 0 done, 1 failed (what ran before still runs), 2 wrong usage
+exit codes: 0 done, 1 failed (the old version still runs), 2 wrong usage
 END
 }
 
@@ -53,7 +53,7 @@ die() {
     exit 1
 }
 
-# step WHAT COMMAND...: does it, and tells a terminal; in a dry run it only says so.
+# step WHAT COMMAND...: runs the command and shows WHAT on a terminal; a dry run only shows it.
 step() {
     if $dry_run; then
         say "would $1"
@@ -69,7 +69,7 @@ read_options() {
         case $option in
         --robot | --ceddp)
             if [ -n "$role" ] && [ "$role" != "${option#--}" ]; then
-                say "--robot or --ceddp, not both"
+                say "give either --robot or --ceddp"
                 exit 2
             fi
             role=${option#--}
@@ -81,7 +81,7 @@ read_options() {
             exit 0
             ;;
         *)
-            say "$option is not an option of this script"
+            say "unknown option $option"
             usage >&2
             exit 2
             ;;
@@ -123,12 +123,12 @@ build() {
         venv_options=()
         requirements=("$work/source[ros]")
     fi
-    TMPDIR=$work "$python" -m venv "${venv_options[@]}" "$new" || die "no virtual environment in $new"
-    # From a copy: a build writes into its source.
+    TMPDIR=$work "$python" -m venv "${venv_options[@]}" "$new" || die "$python cannot make a virtual environment in $new"
+    # A build writes into its source, so it gets a copy.
     mkdir "$work/source"
     cp -R "$source"/{pyproject.toml,README.md,LICENSE,arpd} "$work/source"
     pip_install "${requirements[@]}"
-    with_ros "$new/bin/python" -c "$imports" || die "the new version cannot import what it needs"
+    with_ros "$new/bin/python" -c "$imports" || die "the new version cannot import its modules; see the error above"
     mkdir -p "$new/share/arpd/scripts"
     cp -R "$source"/{etc,systemd} "$new/share/arpd"
     cp "$source/scripts/uninstall.sh" "$new/share/arpd/scripts"
@@ -152,22 +152,22 @@ make_version() {
     fi
     if ! has_venv; then
         step "install ${python##*/}-venv with apt" need "no-such-command=${python##*/}-venv"
-        $dry_run || has_venv || die "$python still has no venv module"
+        $dry_run || has_venv || die "$python still has no venv module; install it or set PYTHON to another Python"
     fi
-    step "make $new with pip; some minutes on a Pi" build
+    step "make $new with pip; takes some minutes on a Pi" build
 }
 
 check_config() {
     [ -e $config ] || return 0
     if ! "$new/bin/arpd" check --no-interfaces $config >/dev/null; then
-        die "arpd $id refuses the configuration above; correct it and run this again. Nothing was changed;" \
-            "the new version stays in $new for then"
+        die "arpd $id refuses $config for the faults above; correct them and run this script again." \
+            "Nothing was changed; the next run reuses $new"
     fi
 }
 
 # -- switching to it
 
-# put MODE FILE TARGET: replaces in one step what differs.
+# put MODE FILE TARGET: replaces a target that differs in one step.
 put() {
     if cmp -s "$2" "$3" && [ "$(stat -c '%a %U' "$3")" = "${1#0} root" ]; then return; fi
     changed=true
@@ -180,18 +180,18 @@ replace() {
     mv -fT "$3.arpd-new" "$3"
 }
 
-# place_files TREE: what systemd has to find outside of /opt/arpd.
+# place_files TREE: the files that systemd needs outside /opt/arpd.
 place_files() {
     local tree=$1 unit drop_in=$units/arpd.service.d/10-notify-reload.conf
     put 0755 "$tree/systemd/arpd-launch" $libexec/arpd-launch
     for unit in "$tree"/systemd/*.service; do put 0644 "$unit" "$units/${unit##*/}"; done
     if [ "$systemd_version" -ge 253 ]; then put 0644 "$tree/systemd/notify-reload.conf" $drop_in; fi
     put 0644 "$tree/systemd/arpd.sysusers" $sysusers/arpd.conf
-    # A version that is gone back to may be from before there was one.
+    # An old version that the script goes back to may have no catalog.
     if [ -e "$tree/systemd/arpd.catalog" ]; then put 0644 "$tree/systemd/arpd.catalog" $catalog/arpd.catalog; fi
 }
 
-# What Prometheus and Grafana, here or elsewhere, are given by hand; nothing of arpd reads it.
+# Files for Prometheus and Grafana, which people copy by hand; arpd does not read them.
 place_share() {
     local name from to
     for name in prometheus grafana; do
@@ -210,19 +210,19 @@ replace_tree() {
     mv -T "$2.arpd-new" "$2"
 }
 
-# keep FILE TARGET OLD_DEFAULT: the operator's; a default that has changed goes beside it.
+# keep FILE TARGET OLD_DEFAULT: keeps the operator's file and puts a changed default beside it.
 keep() {
     if [ ! -e "$2" ]; then
         step "install $2" replace 0644 "$1" "$2"
     elif ! cmp -s "$1" "$2" && ! cmp -s "$1" "$3" && ! cmp -s "$1" "$2.new"; then
-        step "keep $2 and put the new default beside it: $2.new" replace 0644 "$1" "$2.new"
+        step "keep $2 and install the new default as $2.new" replace 0644 "$1" "$2.new"
     fi
 }
 
 point_to() {
     ln -sfn "versions/${1##*/}" $prefix/current.new
     mv -fT $prefix/current.new $prefix/current
-    # A folder with one link, not a link to a folder: Python would not find its pyvenv.cfg from there.
+    # bin/ is a folder with one link and not a link itself, because Python would not find its pyvenv.cfg from there.
     mkdir -p $prefix/bin "$(dirname $command_link)"
     ln -sfn ../current/bin/arpd $prefix/bin/arpd
     ln -sfn $prefix/bin/arpd $command_link
@@ -230,7 +230,7 @@ point_to() {
 
 tell_systemd() {
     systemd-sysusers $sysusers/arpd.conf
-    journalctl --update-catalog || true # only explains
+    journalctl --update-catalog || true # the catalog only explains messages
     if $systemd_runs; then systemctl daemon-reload; fi
 }
 
@@ -257,10 +257,10 @@ switch() {
     place_share "$source"
     keep "$source/etc/arpd/arpd.yaml" $config "$old/share/arpd/etc/arpd/arpd.yaml"
     keep "$source/systemd/arpd.default" /etc/default/arpd "$old/share/arpd/systemd/arpd.default"
-    if $changed; then step "make the system user arpd, and let systemd read its files again" tell_systemd; fi
+    if $changed; then step "make the system user arpd and reload systemd" tell_systemd; fi
 }
 
-# Waits for READY, and a moment more, in which a daemon that dies of its first ticks shows.
+# Waits for READY and two seconds more, in case a daemon dies in its first ticks.
 bring_up() {
     local main
     systemctl reset-failed "$1" 2>/dev/null || true
@@ -271,7 +271,7 @@ bring_up() {
 }
 
 tell_why() {
-    say "$1 does not stay up; its journal ends with:"
+    say "$1 does not keep running; its journal ends with:"
     journalctl --unit "$1" --lines 8 --no-pager --output cat >&2 || true
 }
 
@@ -300,7 +300,7 @@ back_to_old() {
     for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
 }
 
-# A first installation that does not start has nothing to go back to: it stays, with the reason.
+# A first installation that does not start stays, because there is no version to go back to.
 set_role() {
     local unit wanted other=()
     failed=()
@@ -327,7 +327,7 @@ disable() {
     if $systemd_runs && $start; then systemctl stop "$1"; fi
 }
 
-# All versions but this one and the one before. With --no-start an even older one may still run.
+# Removes all versions except this one and the previous one. With --no-start an even older one may still run.
 remove_old_versions() {
     local version
     if ! $start || [ "$old" = "$new" ]; then return; fi
@@ -346,24 +346,24 @@ tell() {
     row $command_link "the command"
     row "$units" "the units; their launcher is in $libexec"
     row "$share/{prometheus,grafana}" "scrape configuration, rules, alerts; dashboards"
-    row $config "yours"
-    if [ -e $config.new ]; then row $config.new "the new default, to compare yours with"; fi
-    row /etc/default/arpd "yours"
-    if [ -e /etc/default/arpd.new ]; then row /etc/default/arpd.new "the new default, to compare yours with"; fi
+    row $config "your configuration"
+    if [ -e $config.new ]; then row $config.new "the new default, to compare with yours"; fi
+    row /etc/default/arpd "your environment for the units"
+    if [ -e /etc/default/arpd.new ]; then row /etc/default/arpd.new "the new default, to compare with yours"; fi
     for unit in "${all_units[@]}"; do
         row "$unit" "$(systemctl is-enabled "$unit" 2>/dev/null || true)$(! $systemd_runs || echo ", $(state "$unit")")"
     done
     echo "next:"
-    row "arpd status; arpd top" "what arpd sees and does; the same, live"
-    row "curl localhost:9464/metrics" "all of it, for Prometheus"
-    row "sudoedit $config" "your topics; then: arpd check && sudo systemctl reload arpd"
-    row "journalctl -u 'arpd*'" "what happened"
-    row "sudo $prefix/current/share/arpd/scripts/uninstall.sh" "to remove it"
-    [ ${#failed[@]} -eq 0 ] || die "installed, but ${failed[*]} did not start: correct what the journal says," \
+    row "arpd status; arpd top" "link, plan and topics; the same, live"
+    row "curl localhost:9464/metrics" "metrics for Prometheus"
+    row "sudoedit $config" "add your topics; then: arpd check && sudo systemctl reload arpd"
+    row "journalctl -u 'arpd*'" "the decision log"
+    row "sudo $prefix/current/share/arpd/scripts/uninstall.sh" "remove arpd"
+    [ ${#failed[@]} -eq 0 ] || die "installed, but ${failed[*]} did not start; correct the fault in the journal," \
         "then: sudo systemctl restart ${failed[*]}"
 }
 
-# Whatever ends the script: no half-made version, no version that does not run.
+# Runs at every end of the script: removes a half-made version and switches back from one that does not run.
 finish() {
     set +e
     trap '' INT TERM HUP
@@ -383,22 +383,22 @@ main() {
     if ! $dry_run; then
         mkdir -p $prefix/versions
         exec 9<$prefix
-        flock --nonblock 9 || die "another installation is under way"
+        flock --nonblock 9 || die "another installation is running; wait for its end"
         trap finish EXIT
         trap 'exit 1' INT TERM HUP
     fi
-    phase "make arpd $id: its solvers$([ "$ros" = apt ] || echo ", ROS 2 Jazzy") and itself, in a folder of its own"
+    phase "install arpd $id, its solvers$([ "$ros" = apt ] || echo ", ROS 2 Jazzy") into a folder of its own"
     make_version
-    phase "check $config with it"
+    phase "check $config with the new version"
     if $dry_run; then say "would check $config with the new version"; else check_config; fi
-    phase "switch to it"
+    phase "switch to the new version"
     switch
-    phase "restart what runs"
+    phase "restart running units"
     restart_running
     switched=false
-    phase "enable and start what this computer is for"
+    phase "enable and start the units of this computer"
     set_role
-    phase "remove what is older than the version before"
+    phase "remove old versions, except the previous one"
     remove_old_versions
     if $dry_run; then say "dry run: nothing was changed"; else tell; fi
 }

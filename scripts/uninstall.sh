@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Removes arpd from this computer: what scripts/install.sh put there, and nothing else. --help tells more.
+# Removes from this computer what scripts/install.sh installed, and nothing else. See --help.
 set -euo pipefail
 
 say() { printf '%s: %s\n' "$(basename "$0")" "$*" >&2; }
@@ -8,9 +8,9 @@ usage() {
     cat <<END
 usage: sudo uninstall.sh [--purge] [--dry-run]
 
-Stops arpd, which gives the publishers their own QoS back, and removes it. What is yours stays.
+Stops arpd, which restores the publishers' own QoS, and removes it. Your configuration stays.
 
-  --purge    remove this, too: /etc/arpd, /etc/default/arpd, drop-ins of the units, the user arpd
+  --purge    also remove /etc/arpd, /etc/default/arpd, drop-ins of the units and the user arpd
   --dry-run  print every step, change nothing; needs no root
   --help     this text
 
@@ -36,7 +36,7 @@ remove() {
     done
 }
 
-# The daemon first, while the relay still runs: its publishers get their own QoS back.
+# The daemon stops first, so that it can restore the QoS of the relay's publishers.
 stop() {
     local unit
     for unit in arpd arpd-relay arpd-peer; do
@@ -69,7 +69,7 @@ remove_user() {
     if getent group arpd >/dev/null; then groupdel arpd; fi
 }
 
-# Only the system user: a person may be called arpd.
+# A uid below 1000 is a system user; a person may be called arpd, too.
 has_system_user() {
     local uid
     uid=$(id -u arpd 2>/dev/null) && [ "$uid" -lt 1000 ]
@@ -86,7 +86,7 @@ main() {
             exit 0
             ;;
         *)
-            say "$option is not an option of this script"
+            say "unknown option $option"
             usage >&2
             exit 2
             ;;
@@ -108,8 +108,8 @@ main() {
         done
         if has_system_user; then say "left: the user arpd"; fi
     fi
-    if is_there /opt/arpd && ! $dry_run; then say "left: /opt/arpd, with what arpd did not put there"; fi
-    say "left: what arpd has written to the journal"
+    if is_there /opt/arpd && ! $dry_run; then say "left: /opt/arpd, with files that are not arpd's"; fi
+    say "left: arpd's entries in the journal"
 }
 
 main "$@"

@@ -1,6 +1,6 @@
-"""A booted computer that looks like a Pi: ROS under /opt/ros/jazzy, numpy and the rest in the system's site-packages.
+"""A booted computer that looks like a Pi, with ROS under /opt/ros/jazzy and libraries in the system's site-packages.
 
-Both are this venv's in truth, so that pip finds all that arpd needs and fetches nothing.
+Both come from this venv, so that pip finds everything and fetches nothing.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import zipfile
 from importlib import metadata
 from pathlib import Path
 
-import machine
+from tests.system import machine
 
 REPO = Path(__file__).parents[2]
 PYTHON = "python{}.{}".format(*sys.version_info)
 SITE = f".venv/lib/{PYTHON}/site-packages"
-# The system's Python there: this machine's, or, where that has another version, the one this venv is made of.
+# The system's Python there is this machine's, or the one of this venv if that has another version.
 IS_SYSTEMS = Path("/usr/bin/python3").resolve().name == PYTHON
 SYSTEM_PYTHON = Path("/usr/bin/python3") if IS_SYSTEMS else machine.PYTHON / "bin" / PYTHON
 SYSTEM_SITE = f"/usr/local/lib/{PYTHON}/dist-packages" if IS_SYSTEMS else f"{machine.PYTHON}/lib/{PYTHON}/site-packages"
@@ -26,18 +26,18 @@ SOURCE = ("pyproject.toml", "README.md", "LICENSE", "arpd", "etc", "systemd")
 SCRIPTS = ("bootstrap", "install-checks", "install.sh", "uninstall.sh")
 CONFIG = "/etc/arpd/arpd.yaml"
 BREAK = "/etc/arpd/break"
-# In the place of _run's first line: a version that passes every check and does not run.
+# Replaces the first line of _run: the version passes every check but does not run.
 BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
     if Path("{BREAK}").exists():
         raise SystemExit("broken on purpose")
 """
 UNITS = ("arpd", "arpd-relay", "arpd-peer")
-# What pip finds on Ubuntu 24.04, by name only: what is imported is this venv's, which may be newer.
+# Versions that pip finds on Ubuntu 24.04; the imported packages are this venv's and may be newer.
 ON_A_PI = {"numpy": "1.26.4", "cvxpy": "1.7.5"}
 
 
 def wheel_of_setuptools(folder):
-    """Pack the installed setuptools, which builds arpd, as a wheel: pip wants one, and there may be no network."""
+    """Pack the installed setuptools as a wheel, which pip needs to build arpd without a network."""
     files = metadata.files("setuptools")
     wheel = folder / f"setuptools-{metadata.version('setuptools')}-py3-none-any.whl"
     with zipfile.ZipFile(wheel, "w") as packed:
@@ -48,8 +48,8 @@ def wheel_of_setuptools(folder):
 
 
 def unpack_source(folder):
-    """Lay out what an unpacked archive has: no .git, nothing built."""
-    folder.chmod(0o755)  # pytest's folders are its own
+    """Copy the files of an archive into a folder."""
+    folder.chmod(0o755)  # pytest's folders are private
     ignore = shutil.ignore_patterns("__pycache__")
     for name in SOURCE:
         if (REPO / name).is_dir():
@@ -68,7 +68,7 @@ def substitute(path, old, new):
 
 
 def installed_by_apt(folder):
-    """List the files that stand for what apt has installed; a wheel of setuptools, made in the folder, for PyPI."""
+    """Return files that stand for apt's packages, and a wheel of setuptools that stands for PyPI."""
     site = f"/srv/arpd/{SITE}"
     wheel = wheel_of_setuptools(folder)
     return {
@@ -83,7 +83,7 @@ def installed_by_apt(folder):
 
 
 def systems_site_packages(folder):
-    """Fill a folder with what stands for the system's site-packages: this venv's, some under an older version."""
+    """Fill a folder that stands for the system's site-packages: this venv's, some under an older version."""
     folder.chmod(0o755)
     (folder / "apt.pth").write_text(f"/srv/arpd/{SITE}\n")
     for name, version in ON_A_PI.items():
@@ -94,7 +94,7 @@ def systems_site_packages(folder):
 
 
 class FakePi:
-    """A booted robot computer with the sources of two versions of arpd, and this venv as its ROS and site-packages."""
+    """A booted robot computer with the sources of two versions of arpd."""
 
     def __init__(self, booted):
         self.booted = booted
@@ -111,11 +111,11 @@ class FakePi:
         return self.booted.root / path.lstrip("/")
 
     def install(self, version, *options):
-        # Nothing of this process's environment: sudo would not hand it on either.
+        # Like sudo, without this process's environment.
         environment = ("env", "-i", "PATH=/usr/sbin:/usr/bin", "PIP_NO_INDEX=1", "PIP_FIND_LINKS=/srv/wheels")
         if not IS_SYSTEMS:
             environment += (f"PYTHON={SYSTEM_PYTHON}", f"LD_LIBRARY_PATH={machine.PYTHON}/lib")
-        # To its end: making a venv takes seconds, and on two busy cores a minute.
+        # Without a timeout, because a venv takes seconds, and a minute on two busy cores.
         running = self.booted.popen(*environment, f"/srv/{version}/scripts/install.sh", *options)
         told, _ = running.communicate()
         return running.returncode, told
@@ -131,7 +131,7 @@ class FakePi:
         return {unit: self.booted.show(unit, "MainPID")["MainPID"] for unit in ("arpd", "arpd-relay")}
 
     def files(self, *folders):
-        """List what the folders hold: path → what changes when it is written."""
+        """Return inode, time and mode of every path in the folders."""
         root = str(self.booted.root)
         listed = {}
         for folder in folders:

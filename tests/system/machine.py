@@ -1,7 +1,7 @@
-"""A machine with a systemd of its own, booted from this one's files: systemd-nspawn on an overlay of /.
+"""A machine with its own systemd, booted from this machine's files: systemd-nspawn on an overlay of /.
 
-What it writes stays in a tmpfs, and its mounts and processes in namespaces that end with the test: the kernel removes
-them even after kill -9. Its network is a namespace that is already there.
+It writes into a tmpfs. Its mounts and processes are in namespaces that end with the test; the kernel removes them even
+after kill -9. Its network is an existing namespace.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _GONE_S = 5.0
 _TOOLS = ("systemd-nspawn", "systemctl", "nsenter", "unshare", "setpriv")
 
 _REPO = Path(__file__).resolve().parents[2]
-PYTHON = Path("/opt/python")  # where a machine sees the Python that runs the tests, which may live in a private home
-_REBOOT = 133  # how nspawn ends when its machine wants to be started again (systemd-nspawn(1), --keep-unit)
+PYTHON = Path("/opt/python")  # the test's Python in a machine; outside, it may be in a private home
+_REBOOT = 133  # exit code of nspawn when its machine reboots (systemd-nspawn(1), --keep-unit)
 _AGAIN = 'while :; do "$@"; ended=$?; [ "$ended" = "$again" ] || exit "$ended"; done'
 
-# $1: folder with files/ and the mount point m; then the command to run where m/root is this machine with those files.
+# $1: folder with files/ and the mount point m; then the command, for which m/root is this machine with those files.
 _MOUNT_AND_EXEC = """
 set -e
 folder=$1; shift
@@ -40,11 +40,11 @@ mount -t tmpfs -o mode=0755 arpd-machine "$folder/m"
 cp -a "$folder/files" "$folder/m/upper"
 mkdir "$folder/m/work" "$folder/m/root"
 mount -t overlay -o "lowerdir=/,upperdir=$folder/m/upper,workdir=$folder/m/work" arpd-machine "$folder/m/root"
-# What this machine serves is none of the tests' business.
+# The tests do not need this machine's services.
 rm -rf "$folder/m/root/etc/systemd/system/multi-user.target.wants"
 exec "$@"
 """
-# $1: files that move the process that writes its id into them, one per line; then the command to run there.
+# $1: cgroup.procs files to join, one per line; then the command.
 _MOVE_AND_EXEC = """
 set -ef
 IFS='
@@ -53,7 +53,7 @@ for procs in $1; do echo $$ >"$procs"; done
 shift
 exec "$@"
 """
-# Where systemd keeps its cgroups: unified, hybrid, legacy. The controllers' own hierarchies are not touched.
+# The cgroups of systemd: unified, hybrid, legacy. The controllers' own hierarchies stay untouched.
 _HIERARCHIES = tuple(Path("/sys/fs/cgroup", name) for name in ("", "unified", "systemd"))
 
 
@@ -62,7 +62,7 @@ class MachineError(Exception):
 
 
 def available() -> tuple[bool, str]:
-    """Tell whether a machine can boot here, and if not, why."""
+    """Return whether a machine can boot here, and if not, the reason."""
     if os.geteuid() != 0:
         return False, "not root, which mounting an overlay and systemd-nspawn need"
     if missing := [tool for tool in _TOOLS if shutil.which(tool) is None]:
@@ -78,7 +78,7 @@ class Machine:
 
     Parameters
     ----------
-    init : process id of its systemd, as this machine sees it; another one after a reboot
+    init : process id of its systemd on this machine; changes with a reboot
     """
 
     init: int
@@ -86,7 +86,7 @@ class Machine:
 
     @property
     def root(self) -> Path:
-        """Its file system, as this machine sees it."""
+        """Its file system on this machine."""
         return Path(f"/proc/{self.init}/root")
 
     def call(self, *argv: str) -> subprocess.CompletedProcess[str]:
@@ -103,16 +103,16 @@ class Machine:
         return dict(line.split("=", 1) for line in shown.splitlines())
 
     def journal(self, unit: str) -> str:
-        """Return what a unit has logged, and what systemd has logged about it."""
+        """Return the log of a unit, and systemd's log about it."""
         return self.call("journalctl", "--unit", unit, "--no-pager").stdout
 
     def reboot(self) -> None:
-        """Reboot on the same files, and wait until it is up again.
+        """Reboot on the same files and wait for the boot.
 
         Raises
         ------
         MachineError
-            If it does not come up.
+            If it does not boot.
         """
         before = self.init
         self.call("systemctl", "reboot")
@@ -126,19 +126,19 @@ class Machine:
 def booted(
     name: str, *, network: Path, files: Mapping[str, str | Path], binds: Mapping[str, Path] | None = None
 ) -> Iterator[Machine]:
-    """Boot a machine into multi-user.target, which wants what `files` enable; leaving the block ends it.
+    """Boot a machine into multi-user.target, with the units that `files` enable; the end of the block ends it.
 
     Parameters
     ----------
-    name : of the machine, unique on this one
-    network : network namespace the machine lives in
-    files : what to install, path → its text, or the file to copy with its mode
-    binds : folders of this machine it sees, too, and cannot write: path → folder
+    name : unique name of the machine
+    network : its network namespace
+    files : files to install, path → text, or file to copy with its mode
+    binds : read-only folders, path in the machine → folder of this one
 
     Raises
     ------
     MachineError
-        If it does not come up.
+        If it does not boot.
     """
     # Timers fetch packages and collect metrics; the tests need none.
     quiet = {"/etc/systemd/system/timers.target": Path("/dev/null"), "/etc/hostname": f"{name}\n"}
@@ -148,7 +148,7 @@ def booted(
         nspawn = (
             *("systemd-nspawn", "--quiet", f"--directory={folder}/m/root", f"--machine={name}", "--boot"),
             *(f"--network-namespace-path={network}", "--register=no", "--keep-unit", "--link-journal=no"),
-            # A fixed place: the checkout may well live under /tmp, which nspawn and the units' sandbox hide.
+            # A fixed path, because nspawn and the units' sandbox hide /tmp, where the checkout may be.
             f"--bind-ro={_REPO}:/srv/arpd",
             f"--bind-ro={sys.base_prefix}:{PYTHON}",
             *(f"--bind-ro={folder}:{path}" for path, folder in (binds or {}).items()),
@@ -188,11 +188,11 @@ def _await_boot(outside: subprocess.Popen[bytes], *, other_than: int | None = No
 
 
 def _init_of(outside: subprocess.Popen[bytes]) -> int | None:
-    """Process id of the machine's systemd, None while there is none."""
+    """Return the process id of the machine's systemd, None while there is none."""
     processes = [outside.pid]
     with suppress(OSError):
         for pid in processes:
-            # Its ids here, in the namespace nspawn runs in, and inside, where only the machine's first process is 1.
+            # The ids here, in nspawn's namespace, and inside, where only the machine's first process is 1.
             if re.search(r"^NSpid:\t\d+\t\d+\t1$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE):
                 return pid
             processes += _children(pid)
@@ -204,7 +204,7 @@ def _children(pid: int) -> list[int]:
 
 
 def _end(outside: subprocess.Popen[bytes]) -> None:
-    """Kill the machine's init: the kernel ends all inside with it, and nspawn tidies up after itself."""
+    """Kill the machine's init, with which the kernel ends all processes inside; nspawn then cleans up."""
     with suppress(ProcessLookupError):
         os.kill(_init_of(outside) or outside.pid, signal.SIGKILL)
     try:
@@ -216,7 +216,7 @@ def _end(outside: subprocess.Popen[bytes]) -> None:
 
 @contextmanager
 def _folder(files: Mapping[str, str | Path]) -> Iterator[Path]:
-    """Lay the files out in a temporary folder, as `_on_overlay` wants it."""
+    """Write the files into a temporary folder for `_on_overlay`."""
     with tempfile.TemporaryDirectory(prefix="arpd-machine-") as name:
         folder = Path(name)
         (folder / "m").mkdir()
@@ -234,15 +234,15 @@ def _folder(files: Mapping[str, str | Path]) -> Iterator[Path]:
 
 
 def _on_overlay(folder: Path, *argv: str) -> list[str]:
-    """Command line that runs ``argv`` where ``folder/m/root`` is this machine's files with the folder's on top."""
-    # nspawn alone would outlive its parent, and systemd would outlive nspawn.
+    """Return the command line that runs ``argv`` with this machine's and the folder's files in ``folder/m/root``."""
+    # Otherwise nspawn would outlive its parent, and systemd would outlive nspawn.
     namespaces = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
     return ["setpriv", "--pdeathsig", "KILL", *namespaces, "sh", "-c", _MOUNT_AND_EXEC, "sh", str(folder), *argv]
 
 
 @contextmanager
 def _cgroups(name: str) -> Iterator[list[Path]]:
-    """Make cgroups for one machine: nspawn gives all that start from the same cgroup the same ones."""
+    """Make cgroups for one machine; nspawn uses the same ones for all machines from one cgroup."""
     made: list[Path] = []
     try:
         for hierarchy in _HIERARCHIES:
@@ -261,7 +261,7 @@ def _remove_cgroup(cgroup: Path) -> None:
     while cgroup.exists():
         try:
             cgroup.rmdir()
-        except OSError as error:  # a process that was just killed is in it a moment longer
+        except OSError as error:  # a killed process stays in it for a moment
             if time.monotonic() > until_s:
                 raise MachineError(f"{cgroup} stays: {error}") from error
             time.sleep(0.05)

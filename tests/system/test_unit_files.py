@@ -1,4 +1,4 @@
-"""The unit files as systemd reads them, and the launcher as it runs."""
+"""The unit files, as systemd reads them, and the launcher."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def settings(unit):
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 def test_systemd_finds_nothing_to_complain_about(tmp_path):
-    """systemd-analyze verify is silent on all units, with the launcher where the units look for it."""
+    """systemd-analyze verify accepts all units."""
     shutil.copy(LAUNCHER, tmp_path)
     for unit in UNITS:
         text = (SYSTEMD / unit).read_text()
@@ -36,7 +36,7 @@ def test_systemd_finds_nothing_to_complain_about(tmp_path):
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_a_unit_keeps_the_notify_protocol_and_the_exit_codes(unit):
-    """Every unit speaks notify from its main process, and does not retry a bad configuration or command line."""
+    """Every unit uses notify from its main process, and no restart follows a bad configuration or command line."""
     assert settings(unit)["Type"] == "notify"
     assert settings(unit)["NotifyAccess"] == "main"
     assert settings(unit)["RestartPreventExitStatus"].split() == ["78", "2"]
@@ -45,7 +45,7 @@ def test_a_unit_keeps_the_notify_protocol_and_the_exit_codes(unit):
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_hardening_leaves_dds_its_network_and_its_shared_memory(unit):
-    """No sandbox setting cuts a unit off from DDS or deletes shared memory of other nodes."""
+    """No sandbox setting separates a unit from DDS or deletes shared memory of other nodes."""
     assert set(settings(unit)["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
     assert settings(unit)["RemoveIPC"] == "no"
     assert not {"PrivateIPC", "PrivateNetwork", "DynamicUser", "ProcSubset"} & set(settings(unit))
@@ -53,7 +53,7 @@ def test_hardening_leaves_dds_its_network_and_its_shared_memory(unit):
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_a_unit_needs_no_disk_no_ntp_and_nobody_to_reset_it(unit):
-    """What a robot in the field has not must not keep a unit from starting, now or after many tries."""
+    """A unit starts without disk space and NTP, and after any number of failures."""
     assert settings(unit)["StartLimitIntervalSec"] == "0"
     assert "time-sync.target" not in settings(unit)["After"].split()
     on_disk = {"LogsDirectory", "StateDirectory", "CacheDirectory", "PrivateTmp", "PrivateDevices"}
@@ -74,14 +74,14 @@ def test_a_unit_is_hardened(unit):
 
 
 def test_the_relay_is_not_tied_to_the_daemon():
-    """Nothing in the relay's unit lets it stop or start with arpd.service."""
+    """No setting in the relay's unit starts or stops it with arpd.service."""
     assert not {"BindsTo", "PartOf", "Requires", "Requisite", "Wants", "Upholds"} & {
         key for key, value in settings("arpd-relay.service").items() if "arpd.service" in value
     }
 
 
 def test_notify_reload_sends_the_signal_once():
-    """The drop-in leaves the signal to systemd, and keeps the check that lets a bad file fail the reload."""
+    """The drop-in leaves the signal to systemd and keeps the check, so that a bad file fails the reload."""
     lines = (SYSTEMD / "notify-reload.conf").read_text().splitlines()
     reloads = [line for line in (SYSTEMD / "arpd.service").read_text().splitlines() if line.startswith("ExecReload=")]
     signal, check = reloads
@@ -90,7 +90,7 @@ def test_notify_reload_sends_the_signal_once():
 
 
 def test_all_units_are_hardened_alike():
-    """The user and the sandbox are the same in three files."""
+    """All three units have the same user and the same sandbox."""
     assert {(settings(unit)["User"], settings(unit)["Group"]) for unit in UNITS} == {("arpd", "arpd")}
     blocks = {(SYSTEMD / unit).read_text().partition("\nRemoveIPC=no\n")[2] for unit in UNITS}
     assert len(blocks) == 1
@@ -98,7 +98,7 @@ def test_all_units_are_hardened_alike():
 
 
 def test_the_environment_file_is_all_comments_with_settings_that_parse():
-    """/etc/default/arpd changes nothing until a line is uncommented, and every such line is an assignment."""
+    """The environment file has only comments, and every commented setting is an assignment."""
     lines = (SYSTEMD / "arpd.default").read_text().splitlines()
     assert all(line.startswith("#") for line in lines if line)
     offered = [line[1:] for line in lines if re.match(r"#[A-Z]", line)]
@@ -113,7 +113,7 @@ def test_the_environment_file_is_all_comments_with_settings_that_parse():
 
 @pytest.fixture
 def launch(tmp_path):
-    """Start the launcher with a stand-in for arpd that prints what it was given."""
+    """Return a function that runs the launcher with an arpd that prints its arguments."""
     arpd = tmp_path / "arpd"
     arpd.write_text('#!/bin/sh\necho "pid=$$"\necho "layers=$LAYERS"\nfor a; do echo "arg=$a"; done\nexit 69\n')
     arpd.chmod(0o755)
@@ -134,13 +134,13 @@ def launch(tmp_path):
 
 
 def setup_file(path, layer):
-    # Reads an unset variable and its positional parameters, and ends with a failure, as ROS's own files may.
+    # As ROS's files may, it reads an unset variable and positional parameters, and returns a failure.
     path.write_text(f'export LAYERS="$LAYERS${{NEVER_SET}}{layer}$1"\nfalse\n')
     return str(path)
 
 
 def test_the_launcher_becomes_arpd(tmp_path, launch):
-    """The process id stays, the environment of every setup file arrives in order, and the exit code is arpd's."""
+    """The launcher sources the setup files in order and becomes arpd, with its process id and exit code."""
     under, over = setup_file(tmp_path / "under.bash", "a"), setup_file(tmp_path / "over.bash", "b")
     process, output, _ = launch("run", "--config", "a b*.yaml", ARPD_ROS_SETUP=f"{under} {over}")
     assert output == [f"pid={process.pid}", "layers=ab", "arg=run", "arg=--config", "arg=a b*.yaml"]
@@ -148,13 +148,13 @@ def test_the_launcher_becomes_arpd(tmp_path, launch):
 
 
 def test_an_empty_setup_sources_nothing(launch):
-    """ARPD_ROS_SETUP= is a choice: ROS from PyPI needs no setup file."""
+    """An empty ARPD_ROS_SETUP sources no file."""
     _, output, errors = launch("check", ARPD_ROS_SETUP="", LAYERS="")
     assert (output[1:], errors) == (["layers=", "arg=check"], "")
 
 
 def test_a_missing_setup_file_is_a_configuration_error(tmp_path, launch):
-    """A setup file that is not there ends with 78 and its name; arpd is not started."""
+    """A missing setup file ends the launcher with 78 and the file's name."""
     process, output, errors = launch("run", ARPD_ROS_SETUP=str(tmp_path / "gone.bash"))
     assert (process.returncode, output) == (78, [])
     assert "gone.bash" in errors
@@ -162,7 +162,7 @@ def test_a_missing_setup_file_is_a_configuration_error(tmp_path, launch):
 
 
 def test_a_missing_arpd_is_a_configuration_error(tmp_path, launch):
-    """An arpd that is not installed ends with 78 and what to do."""
+    """A missing arpd ends the launcher with 78 and the way out."""
     process, _, errors = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(tmp_path / "nowhere"))
     assert process.returncode == 78
     assert "install.sh" in errors
