@@ -1,4 +1,4 @@
-"""A snapshot made by hand: managed topics both ways, one unpaced, one refused, one local publisher, two readers."""
+"""A snapshot with managed topics both ways, one of them unpaced and one refused, a local publisher and two readers."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ _PLAN = QosPlan(
 
 
 def make_snapshot() -> Snapshot:
-    """Return the snapshot, the same at every call; its publishers stand out of order on purpose."""
+    """Return the snapshot, the same at every call; its publishers are out of order on purpose."""
     return Snapshot(
         version="1.2.3",
         interface="wlan0",

@@ -1,4 +1,4 @@
-"""The whole exposition against a file; ``ARPD_REGENERATE_GOLDEN=1`` writes the file anew."""
+"""The whole exposition against a file, which ``ARPD_REGENERATE_GOLDEN=1`` rewrites."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_exposition_is_the_golden_file(sample_snapshot):
 
 @pytest.mark.parametrize("is_started", [False, True])
 def test_promtool_finds_nothing_to_complain_about(sample_snapshot, is_started):
-    """Prometheus's own linter accepts the exposition before and after the first tick."""
+    """Prometheus's promtool accepts the exposition before and after the first tick."""
     found = subprocess.run([GET_PROMETHEUS, "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
         pytest.skip(f"promtool is not installed: {found.stderr.strip()}")

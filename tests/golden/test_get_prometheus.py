@@ -1,4 +1,4 @@
-"""scripts/get-prometheus: where server and promtool come from, on a machine with them and on one without."""
+"""scripts/get-prometheus on a machine with Prometheus and on one without."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TOOLS = ("bash", "dirname", "mkdir", "mktemp", "rm", "mv", "grep", "id", "flock"
 
 @pytest.fixture
 def path(tmp_path):
-    """Make a PATH of the few tools it needs, without Prometheus and without apt-get."""
+    """Return a PATH with the script's tools, without Prometheus and apt-get."""
     folder = tmp_path / "bin"
     folder.mkdir()
     for tool in TOOLS:
@@ -39,20 +39,20 @@ def program(folder, name, text="exit 0"):
 
 
 def test_one_on_path_is_taken(path, tmp_path):
-    """A program that is installed is used as it is, whatever the cache holds."""
+    """The script prefers an installed program to the cache."""
     installed = program(path, "promtool")
     program(tmp_path / "cache", "promtool")
     assert get(path, tmp_path / "cache", "promtool").stdout == f"{installed}\n"
 
 
 def test_one_in_the_cache_is_taken(path, tmp_path):
-    """Without one on PATH, the one unpacked before is used."""
+    """Without a program on PATH, the script uses the cached one."""
     cached = program(tmp_path / "cache", "prometheus")
     assert get(path, tmp_path / "cache", "prometheus").stdout == f"{cached}\n"
 
 
 def test_both_come_out_of_one_package(path, tmp_path):
-    """A download is unpacked, not installed, and leaves server and promtool in the cache, and nothing else."""
+    """The script unpacks a download without installing it, and keeps only server and promtool in the cache."""
     tree = tmp_path / "package"
     (tree / "DEBIAN").mkdir(parents=True)
     (tree / "DEBIAN/control").write_text(
@@ -74,7 +74,7 @@ def test_both_come_out_of_one_package(path, tmp_path):
 
 
 def test_it_says_why_there_is_none(path, tmp_path):
-    """Without apt-get, and when apt-get refuses, it exits 1 with the reason; another program is a usage error."""
+    """Without apt-get, or if it fails, the script exits 1 with the reason; another program is a usage error."""
     got = get(path, tmp_path / "cache", "promtool")
     assert (got.returncode, got.stdout) == (1, "")
     assert "no apt-get to fetch it with" in got.stderr

@@ -1,4 +1,4 @@
-"""Prometheus's configuration, recording rules and alerts of etc/prometheus, by promtool and against the exposition."""
+"""Checks etc/prometheus (configuration, recording rules, alerts) with promtool and against the exposition."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ ETC = REPO / "etc" / "prometheus"
 RECORDING, ALERTING = ETC / "rules" / "arpd.rules.yml", ETC / "rules" / "arpd.alerts.yml"
 UNIT_TESTS = sorted(Path(__file__).parent.glob("*.test.yml"))
 ALERTS = re.compile(r'count\(ALERTS\{alertname=~?"([A-Za-z|]+)"(,alertstate="firing")?\}\)')
-# Not arpd's: of prometheus_client's process collector, of Prometheus itself.
-FOREIGN = {"process_start_time_seconds", "up", "ALERTS"}
+OTHERS = {"process_start_time_seconds", "up", "ALERTS"}  # of prometheus_client and of Prometheus itself
 NAME = re.compile(r"\b(?:(?:instance|topic):)?(?:arpd|process|python)_[a-z0-9_]+(?::[a-z0-9_]+)?\b|\bup\b|\bALERTS\b")
 SELECTOR = re.compile(r"\b([a-z]+:)?(arpd_[a-z0-9_:]+)\{([^}]*)\}")
 
@@ -35,7 +34,7 @@ def rules(path):
 
 
 def exposed():
-    """Names of the golden exposition's series, each with the label sets they have."""
+    """Return the names of the golden exposition's series, each with its label sets."""
     series = {}
     for line in (REPO / "tests/golden/exposition.txt").read_text().splitlines():
         if line.startswith("#"):
@@ -55,7 +54,7 @@ def run(promtool, *arguments):
 
 
 def test_the_configuration_and_the_rules_are_valid(promtool):
-    """Promtool accepts the configuration with both rule files in it, and its linter has nothing to say."""
+    """Promtool and its linter accept the configuration with both rule files."""
     assert "2 rule files found" in run(
         promtool, "check", "config", "--lint=all", "--lint-fatal", ETC / "prometheus.yml"
     )
@@ -63,11 +62,11 @@ def test_the_configuration_and_the_rules_are_valid(promtool):
 
 
 def test_the_commented_jobs_are_valid_too(promtool, tmp_path):
-    """The jobs for a robot over the network and for a fleet work as they stand, once their comment signs are gone."""
+    """The jobs for a robot over the network and for a fleet are valid without their comment signs."""
     text = (ETC / "prometheus.yml").read_text()
     head, _, jobs = text.partition("scrape_configs:\n")
     uncommented = [line.replace("# ", "", 1) for line in jobs.splitlines() if re.match(r"  # (- job_name|  )", line)]
-    # Left out: the prose, and the example of what a file of targets holds.
+    # Without the prose and the example of a file of targets.
     lines = [line for line in uncommented if not re.match(r"  +(- targets: \[\"picker|labels: \{site)", line)]
     config = yaml.safe_load("scrape_configs:\n" + "\n".join(lines))
     assert [job["scheme"] for job in config["scrape_configs"]] == ["https", "https"]
@@ -82,12 +81,12 @@ def test_the_commented_jobs_are_valid_too(promtool, tmp_path):
 
 @pytest.mark.parametrize("path", UNIT_TESTS, ids=lambda path: path.name)
 def test_rules_say_and_alerts_do_what_their_unit_tests_want(promtool, path):
-    """Recording rules have the values, and alerts fire and clear at the times, that promtool's unit tests name."""
+    """Recording rules and alerts pass promtool's unit tests."""
     run(promtool, "test", "rules", path)
 
 
 def test_every_alert_is_seen_to_fire_and_to_clear():
-    """Each alert has a time at which it must not fire yet, one at which it must, and a later one without it."""
+    """The unit tests check each alert before it fires, while it fires and after it has cleared."""
     told = {}
     for path in UNIT_TESTS:
         for case in yaml.safe_load(path.read_text())["tests"]:
@@ -106,7 +105,7 @@ def test_every_alert_is_seen_to_fire_and_to_clear():
 
 
 def test_every_recording_rule_has_a_value_in_the_unit_tests():
-    """Promtool's unit tests ask for each recorded series by name."""
+    """Promtool's unit tests check each recorded series."""
     asked = " ".join(
         check["expr"]
         for path in UNIT_TESTS
@@ -117,14 +116,14 @@ def test_every_recording_rule_has_a_value_in_the_unit_tests():
 
 
 def test_every_metric_a_rule_names_is_exposed():
-    """No rule names a metric, or a value of its labels, that arpd does not expose: it would never fire."""
+    """Every metric and label value in a rule is exposed; otherwise the rule would never fire."""
     series, recorded = exposed(), {rule["record"] for rule in rules(RECORDING)}
     for rule in rules(RECORDING) + rules(ALERTING):
         text = " ".join((rule["expr"], *rule.get("annotations", {}).values()))
         text = re.sub(r"etc/prometheus/\S+", "", text)
         code = " ".join((rule["expr"], *re.findall(r"`([^`]*)`", text)))
         for name in NAME.findall(code):
-            assert name in series or name in recorded or name in FOREIGN, (rule.get("alert", rule.get("record")), name)
+            assert name in series or name in recorded or name in OTHERS, (rule.get("alert", rule.get("record")), name)
         for level, name, matchers in SELECTOR.findall(code):
             for label, operator, value in re.findall(r'([a-z_]+)(=~|!=|!~|=)"([^"]*)"', matchers):
                 known = {labels.get(label) for labels in series.get(level + name, ())}
@@ -133,7 +132,7 @@ def test_every_metric_a_rule_names_is_exposed():
 
 
 def test_every_alert_says_what_it_is_and_where_its_runbook_is():
-    """Each alert has a severity, a summary that names the robot, a description, and a section of the runbooks."""
+    """Each alert has a severity, a summary that names the robot, a description and a runbook."""
     sections = set(re.findall(r"^### (\w+)$", (ETC / "RUNBOOKS.md").read_text(), flags=re.MULTILINE))
     for rule in rules(ALERTING):
         annotations = rule["annotations"]
@@ -145,7 +144,7 @@ def test_every_alert_says_what_it_is_and_where_its_runbook_is():
 
 
 def test_the_runbooks_name_what_there_is():
-    """Metrics, events of the journal and keys of the configuration that a runbook names exist."""
+    """The metrics, events and configuration keys in the runbooks exist."""
     text = (ETC / "RUNBOOKS.md").read_text()
     assert set(re.findall(r"\barpd_[a-z_]+", text)) <= set(exposed())
     assert set(re.findall(r"ARPD_EVENT=(\w+)", text)) <= set(EventKind)
@@ -156,6 +155,6 @@ def test_the_runbooks_name_what_there_is():
 
 
 def test_what_an_expression_keeps_in_common_is_the_target():
-    """No aggregation names the labels to keep, so that labels of the user's targets reach the alert."""
+    """No aggregation uses `by`, so that labels of the user's targets reach the alert."""
     for rule in rules(RECORDING) + rules(ALERTING):
         assert not re.search(r"\bby\s*\(", rule["expr"]), rule

@@ -25,14 +25,14 @@ _PATH = re.compile(rf"(?:{'|'.join(FOLDERS)})(?:/[\w.*-]+)+/?")
 
 
 def slug(heading: str) -> str:
-    """Return a heading's anchor by GitHub's rule: lower case, punctuation gone, a hyphen for each space."""
+    """Return a heading's anchor by GitHub's rule: lower case, no punctuation, a hyphen for each space."""
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", heading)
     text = re.sub(r"(?<!\w)[*_]+|[*_]+(?!\w)", "", text.replace("`", ""))
     return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
 
 
 def anchors(markdown: str) -> set[str]:
-    """Return the anchors of a document; a heading that comes again gets a number."""
+    """Return the anchors of a document; a repeated heading gets a number."""
     found: set[str] = set()
     counts: Counter[str] = Counter()
     for heading in _HEADING.findall(_FENCE.sub("", markdown)):
@@ -49,7 +49,7 @@ def links(markdown: str) -> list[str]:
 
 
 def has_anchor(path: Path, anchor: str) -> bool:
-    """Whether a file is a document with such an anchor."""
+    """Return whether a file is a document with such an anchor."""
     return path.suffix == ".md" and anchor in anchors(path.read_text(encoding="utf-8"))
 
 
@@ -97,7 +97,7 @@ def documented(name: str) -> str:
 
 
 def test_the_documents_are_found():
-    """A test over no documents would hold nothing."""
+    """The list of documents is not empty, so that the tests below check something."""
     found = {name_of(path) for path in DOCUMENTS}
     assert {"README.md", "CHANGELOG.md", "arpd/README.md", "docs/design.md", "docs/results.md"} <= found
 
@@ -110,7 +110,7 @@ def test_every_relative_link_leads_somewhere(path):
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
 def test_every_named_file_exists(path):
-    """A file or folder of the repository that a document names is there."""
+    """Every file or folder of the repository that a document names exists."""
     assert missing_paths(path.read_text(encoding="utf-8")) == []
 
 
@@ -136,7 +136,7 @@ def test_every_named_file_exists(path):
     ],
 )
 def test_a_broken_link_is_found(link, is_broken, tmp_path, monkeypatch):
-    """Links to files and to anchors are followed; text in code is no link."""
+    """Broken links to files and anchors are found; text in code is no link."""
     monkeypatch.setitem(broken_links.__globals__, "REPO", tmp_path)
     (tmp_path / "there.md").write_text("# A bad hour\n## The paper's `code`\n## The paper's code\n")
     (tmp_path / "here.md").write_text(f"# Here\n{link}\n")
@@ -144,7 +144,7 @@ def test_a_broken_link_is_found(link, is_broken, tmp_path, monkeypatch):
 
 
 def test_a_path_in_code_is_found():
-    """Arguments, punctuation and prose around a path do not hide it, and other words are no paths."""
+    """A path is found among arguments, punctuation and prose, and other words are no paths."""
     text = (
         "Run `scripts/demo --quick`, see `tests/unit/`.\n```\nsudo scripts/install.sh\n```\nnot `/etc/arpd/arpd.yaml`"
     )
@@ -166,17 +166,17 @@ def test_a_path_in_code_is_found():
     ],
 )
 def test_anchors_follow_githubs_rule(heading, anchor):
-    """Punctuation goes, letters become small, and each space becomes a hyphen."""
+    """Punctuation is removed, letters become lower case, and each space becomes a hyphen."""
     assert slug(heading) == anchor
 
 
 def test_the_readme_stays_short():
-    """Whoever wants more follows a link."""
+    """The README has at most 250 lines."""
     assert len(documented("README.md").splitlines()) <= MOST_README_LINES
 
 
 def test_every_documented_metric_is_exposed():
-    """The table of metrics names no metric that `/metrics` does not have, and no label that no sample carries."""
+    """Every metric and label in the table of metrics is in `/metrics`."""
     exposed = documented("tests/golden/exposition.txt")
     rows = table(documented("docs/metrics.md"), "## What answers which question")
     told = [each for _, cell in rows for each in re.findall(r"`([^`]+)`", cell)]
@@ -191,7 +191,7 @@ def test_every_documented_metric_is_exposed():
 
 
 def test_every_metric_that_shows_a_failure_is_exposed():
-    """The table of failures names no metric that `/metrics` does not have, and no value of a label that it lacks."""
+    """Every metric and label value in the table of failures is in `/metrics`."""
     exposed = documented("tests/golden/exposition.txt")
     told = [
         each
@@ -204,7 +204,7 @@ def test_every_metric_that_shows_a_failure_is_exposed():
 
 
 def test_every_event_is_documented():
-    """The table of events has each kind that is counted, and each MESSAGE_ID that the catalog explains."""
+    """The table of events has each counted kind and each MESSAGE_ID of the catalog."""
     rows = table(documented("docs/events.md"), "## The events")
     counted = re.findall(r'^arpd_events_total\{event="(\w+)"', documented("tests/golden/exposition.txt"), re.MULTILINE)
     explained = re.findall(r"^-- ([0-9a-f]{32})$", documented("systemd/arpd.catalog"), re.MULTILINE)
