@@ -15,11 +15,7 @@ from scripts.netns.namespaces import HostName, executable
 
 _ROOT_HANDLE = 0x10000  # "1:"
 _LOSS_STEPS = 1_000_000
-_OFFLOADS = (
-    "tcp-segmentation-offload",
-    "generic-segmentation-offload",
-    "generic-receive-offload",
-)
+_OFFLOADS = ("tcp-segmentation-offload", "generic-segmentation-offload", "generic-receive-offload")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

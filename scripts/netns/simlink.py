@@ -159,12 +159,7 @@ class SimLink:
         return {host.name: inside(host.namespace, partial(link_end.read_counters, host)) for host in self.hosts}
 
     def popen(
-        self,
-        host: Host | HostName,
-        argv: Sequence[str],
-        *,
-        env: Mapping[str, str] | None = None,
-        **popen_kwargs: Any,
+        self, host: Host | HostName, argv: Sequence[str], *, env: Mapping[str, str] | None = None, **popen_kwargs: Any
     ) -> subprocess.Popen[Any]:
         """Start a command on a host as the leader of a session, so that ``os.killpg(process.pid, ...)`` ends all of it.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from contextlib import contextmanager
 
 from scripts.netns.simlink import SimLink
@@ -21,10 +20,7 @@ SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS)
 @contextmanager
 def live_robot(workdir):
     """Yield the publishing robot and end it with the block."""
-    with (
-        SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link,
-        robot(link, workdir, WITH_ARPD) as side,
-    ):
+    with SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link, robot(link, workdir, WITH_ARPD) as side:
         side.signal(signal.SIGUSR1, *SOURCES)
         yield side
 
@@ -32,15 +28,6 @@ def live_robot(workdir):
 def topics(side):
     status = side.status()
     return {topic["topic"]: topic for topic in status["topics"]} if status else {}
-
-
-def eventually(condition, timeout_s=30.0):
-    until_s = time.monotonic() + timeout_s
-    while time.monotonic() < until_s:
-        if condition():
-            return
-        time.sleep(0.2)
-    assert condition(), "did not happen in time"
 
 
 def is_confirmed(side):

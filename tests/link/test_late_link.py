@@ -7,7 +7,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from scripts.netns.namespaces import executable, inside
 from scripts.netns.simlink import INTERFACE, SimLink, available
+from tests.waiting import eventually
 
 WORKS, WHY_NOT = available()
 pytestmark = [
@@ -60,13 +60,6 @@ def metric(link, name):
     return next((float(line.split()[-1]) for line in lines if line.startswith(f"{name} ")), None)
 
 
-def until(condition, what, timeout_s=60.0):
-    until_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until_s, f"did not happen in time: {what}"
-        time.sleep(0.1)
-
-
 def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
     """The daemon starts without the link, logs that, restarts once the link has an address, and hears the peer."""
     (tmp_path / "arpd.yaml").write_text(f"link: {{interface: {INTERFACE}}}\nhttp: {{port: {PORT}}}\n")
@@ -75,10 +68,10 @@ def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
         rename(link.robot, INTERFACE, "away")
         arpd(link, "ceddp", log, "peer", "--interface", INTERFACE)
         arpd(link, "robot", log, "run", "--config", str(tmp_path / "arpd.yaml"))
-        until(lambda: metric(link, "arpd_ready") == 1, "the daemon is ready")
+        eventually(lambda: metric(link, "arpd_ready") == 1, 60.0, what="the daemon is ready")
         assert f"{INTERFACE} is not there yet" in (tmp_path / "log").read_text()
         rename(link.robot, "away", INTERFACE)
         assert metric(link, "arpd_peer_reports_total") == 0
         ip(link.robot, "address", "add", f"{link.robot.address}/30", "dev", INTERFACE)
-        until(lambda: (metric(link, "arpd_peer_reports_total") or 0) > 10, "the peer is heard")
+        eventually(lambda: (metric(link, "arpd_peer_reports_total") or 0) > 10, 60.0, what="the peer is heard")
         assert f"arpd: {INTERFACE} has a new address, which ROS" in (tmp_path / "log").read_text()

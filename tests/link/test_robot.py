@@ -14,7 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.netns.simlink import available
 from scripts.robot.run import REPO
-from tests.link.live_robot import HEAVY, SLOW, SOURCES, eventually, is_confirmed, live_robot, qos, topics
+from tests.link.live_robot import HEAVY, SLOW, SOURCES, is_confirmed, live_robot, qos, topics
+from tests.waiting import eventually
 
 CAN, WHY = available()
 pytestmark = [pytest.mark.alone, pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]

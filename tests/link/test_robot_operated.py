@@ -13,7 +13,8 @@ from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.netns.simlink import available
 from scripts.robot.run import PREFIX, REPO
 from scripts.robot.sensors import SENSORS
-from tests.link.live_robot import HEAVY, SLOW, eventually, is_confirmed, live_robot, received, topics
+from tests.link.live_robot import HEAVY, SLOW, is_confirmed, live_robot, received, topics
+from tests.waiting import eventually
 
 CAN, WHY = available()
 pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
@@ -78,10 +79,7 @@ def test_a_bad_reload_keeps_the_running_plan(side):
     shown(side, lambda status: not status["config"]["error"] and status["totals"]["reloads"]["ok"] == 1)
     shown(side, lambda status: status["totals"]["levels"].get("reload", 0) > before["levels"].get("reload", 0))
     confirmed(side)
-    shown(
-        side,
-        lambda status: status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"],
-    )
+    shown(side, lambda status: status["level_bytes_per_second"] < 0.45 * status["link"]["capacity_bytes_per_second"])
     side.config.write_text(good)
     side.signal(signal.SIGHUP, "run")
     shown(side, lambda status: status["totals"]["reloads"]["ok"] == 2)

@@ -22,6 +22,7 @@ from pyroute2 import netns
 from arpd.model.errors import LinkError
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import SimLink, available, cleanup_stale, user_namespace_argv
+from tests.waiting import eventually
 
 WORKS, WHY_NOT = available()
 pytestmark = [pytest.mark.link, pytest.mark.skipif(not WORKS, reason=f"no simulated link here: {WHY_NOT}")]
@@ -95,13 +96,6 @@ def train_rate(link, source, sink):
 
 def namespaces_of(run_id):
     return [name for name in netns.listnetns() if name.startswith(f"arpd-{run_id}-")]
-
-
-def wait_until(condition, timeout_s=5.0):
-    until_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until_s, "gave up waiting"
-        time.sleep(0.02)
 
 
 def test_two_links_live_side_by_side(run_id):
@@ -212,14 +206,14 @@ def test_what_a_killed_holder_leaves_is_cleaned_up(run_id):
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as holder:
         orphan = int(holder.stdout.readline())
-        wait_until(lambda: Path(f"/proc/{orphan}/comm").read_text(encoding="utf-8") == "sleep\n")
+        eventually(lambda: Path(f"/proc/{orphan}/comm").read_text(encoding="utf-8") == "sleep\n")
         cleanup_stale()
         assert len(namespaces_of(run_id)) == 2, "a living holder keeps its link"
         holder.kill()
     cleanup_stale()
     assert namespaces_of(run_id) == []
     stat = Path(f"/proc/{orphan}/stat")
-    wait_until(lambda: not stat.exists() or stat.read_text(encoding="utf-8").split()[2] == "Z")
+    eventually(lambda: not stat.exists() or stat.read_text(encoding="utf-8").split()[2] == "Z")
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

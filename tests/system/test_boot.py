@@ -27,6 +27,7 @@ from scripts.netns import simlink
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.robot.proxy import window
 from tests.system import machine, numbered
+from tests.waiting import eventually
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
@@ -155,15 +156,6 @@ class Deployment:
     def hosts(self):
         """Return each unit and its computer."""
         return (("arpd", self.robot), ("arpd-relay", self.robot), ("arpd-peer", self.ceddp))
-
-
-def eventually(condition, timeout_s=30.0):
-    until_s = time.monotonic() + timeout_s
-    while time.monotonic() < until_s:
-        if condition():
-            return
-        time.sleep(0.1)
-    assert condition(), "did not happen in time"
 
 
 def start(link, host, log, *module):

@@ -24,10 +24,7 @@ _PROC_ROUTE = Path("/proc/net/route")
 
 
 def likeliest_interface(
-    *,
-    sys_net: Path = _SYS_NET,
-    route: Path = _PROC_ROUTE,
-    names: Callable[[], Mapping[str, Any]] | None = None,
+    *, sys_net: Path = _SYS_NET, route: Path = _PROC_ROUTE, names: Callable[[], Mapping[str, Any]] | None = None
 ) -> str | None:
     """Return the interface that ``auto`` means now, None if none stands out.
 

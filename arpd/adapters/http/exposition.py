@@ -102,11 +102,7 @@ class Exposition:
     """
 
     def __init__(
-        self,
-        registry: Collects,
-        *,
-        resting: threading.Event | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, registry: Collects, *, resting: threading.Event | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._registry = registry
         self._resting = resting

@@ -132,13 +132,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
 _STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
     ("arpd_link_capacity_kind", "Evidence behind the capacity estimate.", "kind", CapacityKind, lambda s: s.link.kind),
     ("arpd_link_state", "State of the link.", "state", LinkState, lambda s: s.link.state),
-    (
-        "arpd_allocation_status",
-        "Status of the allocation.",
-        "status",
-        AllocationStatus,
-        lambda s: s.allocation.status,
-    ),
+    ("arpd_allocation_status", "Status of the allocation.", "status", AllocationStatus, lambda s: s.allocation.status),
     (
         "arpd_allocation_binding",
         "Constraint that binds the allocation as a whole.",

@@ -67,11 +67,7 @@ _PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...
         lambda p: p.generation,
     ),
     ("arpd_topic_source_rate_hertz", "Rate at which the application publishes.", lambda p: p.source_rate_hz),
-    (
-        "arpd_topic_published_rate_hertz",
-        "Rate at which messages leave for the link.",
-        lambda p: p.published_rate_hz,
-    ),
+    ("arpd_topic_published_rate_hertz", "Rate at which messages leave for the link.", lambda p: p.published_rate_hz),
     ("arpd_topic_payload_bytes", "Mean serialized size of recent messages.", lambda p: p.payload_bytes),
     ("arpd_topic_queued_messages", "Messages waiting in the pacing queue.", lambda p: p.queued),
     ("arpd_topic_remote_readers", "Off-host participants that read the topic.", lambda p: p.remote_readers),

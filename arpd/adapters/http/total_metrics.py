@@ -45,11 +45,7 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
     ("arpd_probe_bytes", "Wire bytes of the probes.", lambda t: t.probe_bytes),
     ("arpd_peer_reports", "Reports of peers that arrived.", lambda t: t.reports),
     ("arpd_applies", "Parameter calls that asked a node to take a plan.", lambda t: sum(t.applies_by_result.values())),
-    (
-        "arpd_config_reloads",
-        "Attempts to reload the configuration.",
-        lambda t: sum(t.reloads_by_result.values()),
-    ),
+    ("arpd_config_reloads", "Attempts to reload the configuration.", lambda t: sum(t.reloads_by_result.values())),
     (
         "arpd_config_reload_failures",
         "Reloads refused because the file was wrong or unreadable; the old configuration stayed in force.",

@@ -37,10 +37,7 @@ class Notifier:
     """
 
     def __init__(
-        self,
-        environ: Mapping[str, str] = os.environ,
-        *,
-        make_socket: Callable[[], socket.socket] = _datagram_socket,
+        self, environ: Mapping[str, str] = os.environ, *, make_socket: Callable[[], socket.socket] = _datagram_socket
     ) -> None:
         address = environ.get("NOTIFY_SOCKET", "")
         # "@name" stands for a socket in the abstract namespace, whose address starts with a zero byte.

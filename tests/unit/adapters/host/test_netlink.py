@@ -3,6 +3,7 @@
 import socket
 import struct
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -111,31 +112,11 @@ def test_an_answer_goes_on_until_its_end():
 
 def test_a_cut_answer_is_none(monkeypatch):
     """An answer that is cut off gives None and raises nothing."""
-    whole = qdisc(3)
-
-    class Kernel:
-        def __init__(self, *_):
-            self.parts = [whole[:30]]
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-        def settimeout(self, _):
-            pass
-
-        def send(self, _):
-            pass
-
-        def recv(self, _):
-            if not self.parts:
-                raise TimeoutError
-            return self.parts.pop()
-
-    monkeypatch.setattr(socket, "socket", Kernel)
+    kernel = MagicMock()
+    kernel.__enter__.return_value.recv.return_value = qdisc(3)[:30]
+    monkeypatch.setattr(socket, "socket", lambda *_: kernel)
     assert read_backlog(3) is None
+    kernel.__enter__.return_value.recv.assert_called_once()
 
 
 def test_the_kernel_answers_about_queues():

@@ -21,6 +21,7 @@ from arpd.adapters.http.connection_limit import MAX_PLACES, MAX_THREADS
 from arpd.adapters.http.metrics import SnapshotCollector
 from arpd.cli.main import main
 from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
+from tests.waiting import eventually
 
 TLS = "tls_server_config:\n  cert_file: server.crt\n  key_file: server.key\n"
 USERS = f"basic_auth_users:\n  alice: {HASH}\n"
@@ -202,13 +203,6 @@ def test_who_sends_a_body_still_reads_the_refusal(folder):
             assert answer.startswith(b"HTTP/1.1 413 ")
 
 
-def eventually(condition):
-    until_s = time.monotonic() + 20.0
-    while not condition() and time.monotonic() < until_s:
-        time.sleep(0.01)
-    assert condition()
-
-
 @pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])
 def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, part):
     """Connections that send nothing or a part of a request evict each other; threads stay bounded and end."""
@@ -253,31 +247,10 @@ def test_a_client_that_does_not_read_holds_no_answer(folder, sample_snapshot):
 
 
 PIECES = (
-    b"GET",
-    b"HEAD",
-    b"POST",
-    b" ",
-    b"/",
-    b"/metrics",
-    b"/../../etc/passwd",
-    b"HTTP/1.1",
-    b"HTTP/1.0",
-    b"HTTP/9.9",
-    b"\r\n",
-    b"\n",
-    b"Host: x\r\n",
-    b"Authorization: Basic ",
-    WRONG.encode(),
-    LOGIN.encode()[:-3],
-    b"Content-Length: 99999999999\r\n",
-    b"Transfer-Encoding: chunked\r\n",
-    b"Expect: 100-continue\r\n",
-    b":" * 50,
-    b"A" * 5000,
-    b"A: b\r\n" * 80,
-    b"%00%2e%2e",
-    b"\0",
-    b"\xff\xfe",
+    *b"GET|HEAD|POST| |/|/metrics|/../../etc/passwd|HTTP/1.1|HTTP/1.0|HTTP/9.9|\r\n|\n|Host: x\r\n".split(b"|"),
+    *b"Authorization: Basic |Content-Length: 99999999999\r\n|Transfer-Encoding: chunked\r\n".split(b"|"),
+    *b"Expect: 100-continue\r\n|%00%2e%2e|\0|\xff\xfe".split(b"|"),
+    *(WRONG.encode(), LOGIN.encode()[:-3], b":" * 50, b"A" * 5000, b"A: b\r\n" * 80),
 )
 NOISE = 1000
 TRUNCATED = 200

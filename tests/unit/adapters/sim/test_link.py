@@ -66,6 +66,13 @@ class Bench:
     def run_until(self, t_s):
         self.timeline.run_until(ORIGIN_S + t_s)
 
+    def offer(self, offered):
+        """Send datagrams, each after a gap, and run until all have arrived."""
+        for gap_s, packet_bytes, packets in offered:
+            self.run_until(self.now_s + gap_s)
+            self.send(packet_bytes * packets, packets)
+        self.run_until(self.now_s + 60.0)
+
     def saturate(self, wire_bytes, until_s, *, every_s):
         """Send packets at a fixed interval."""
         while self.now_s < until_s:
@@ -83,25 +90,21 @@ schedules = st.tuples(
         (sum(gap for gap, _ in t[1]) + 0.5, t[2]),
     )
 )
-lossless_models = st.builds(
-    LinkModel,
-    delay_s=st.floats(0.0, 0.05),
-    queue_bytes=st.integers(0, 100_000),
-    packet_overhead_s=st.sampled_from([0.0, 0.0001, 0.003]),
-    aggregate_packets=st.sampled_from([1, 4, 64]),
-    firmware_bytes=st.sampled_from([0, 5_000, 60_000]),
-)
+LOSSLESS = {
+    "delay_s": st.floats(0.0, 0.05),
+    "queue_bytes": st.integers(0, 100_000),
+    "packet_overhead_s": st.sampled_from([0.0, 0.0001, 0.003]),
+    "aggregate_packets": st.sampled_from([1, 4, 64]),
+    "firmware_bytes": st.sampled_from([0, 5_000, 60_000]),
+}
+lossless_models = st.builds(LinkModel, **LOSSLESS)
 models = st.builds(
     LinkModel,
-    delay_s=st.floats(0.0, 0.05),
-    queue_bytes=st.integers(0, 100_000),
     loss=st.sampled_from([0.0, 0.2]),
     outages=st.sampled_from([(), ((0.2, 0.5),)]),
     losses=st.sampled_from([(), (LossStep(start_s=0.3, loss=0.5), LossStep(start_s=0.6, loss=0.0))]),
     bursts=st.sampled_from([None, GilbertElliott(good_s=0.1, bad_s=0.05)]),
-    packet_overhead_s=st.sampled_from([0.0, 0.0001, 0.003]),
-    aggregate_packets=st.sampled_from([1, 4, 64]),
-    firmware_bytes=st.sampled_from([0, 5_000, 60_000]),
+    **LOSSLESS,
 )
 sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)
 
@@ -136,10 +139,7 @@ def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, 
 def test_a_link_that_loses_nothing_delivers_every_byte_it_took(schedule, model, offered):
     """Without loss the far interface receives every byte that the near one sent."""
     bench = Bench(schedule, model)
-    for gap_s, packet_bytes, packets in offered:
-        bench.run_until(bench.now_s + gap_s)
-        bench.send(packet_bytes * packets, packets)
-    bench.run_until(bench.now_s + 60.0)
+    bench.offer(offered)
     assert bench.link.lost_packets == 0
     assert bench.link.received_bytes() == pytest.approx(bench.link.sent_bytes, abs=1e-3)
 
@@ -149,10 +149,7 @@ def test_a_link_that_loses_nothing_delivers_every_byte_it_took(schedule, model, 
 def test_arrivals_are_in_order_and_never_early(schedule, model, offered, seed):
     """Datagrams arrive in order, and no earlier than the link can have carried them and all before them."""
     bench = Bench(schedule, model, seed)
-    for gap_s, packet_bytes, packets in offered:
-        bench.run_until(bench.now_s + gap_s)
-        bench.send(packet_bytes * packets, packets)
-    bench.run_until(bench.now_s + 60.0)
+    bench.offer(offered)
     assert list(bench.arrived) == sorted(bench.arrived)
     for number, at_s in bench.arrived.items():
         sent_s, size = bench.sent[number]
