@@ -325,7 +325,7 @@ def test_the_gate_reaches_publishers_whatever_becomes_of_the_interface(robot):
 @pytest.mark.ros
 @pytest.mark.parametrize(("transports", "most_gate_s"), [("DEFAULT", 1.5), ("UDPv4", math.inf)])
 def test_the_daemon_lives_through_a_link_that_stands_still(robot, transports, most_gate_s):
-    """A stalled link fills the socket; the tick goes on, the gate waits only if it shares the socket, and both recover."""
+    """While the link is stalled the tick goes on, the gate waits only if it shares the socket, and both recover."""
     link, both = robot(transports=transports)
     stop(link.robot)
     gate_s, tick_s = both.silences(6.0)
