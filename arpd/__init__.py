@@ -1,4 +1,4 @@
-"""Keeps a ROS 2 robot's wireless traffic inside what the link can carry, live."""
+"""Keeps the wireless traffic of a ROS 2 robot inside what its link can carry, by re-tuning live publishers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["AdaptivePublisher", "AdaptiveSubscription", "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import on first use: what needs ROS, so that `import arpd` works without it, and the version, which is slow."""
+    """Import on first use: `import arpd` then works without ROS, and does not wait for the version, which is slow."""
     if name == "AdaptivePublisher":
         from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
 

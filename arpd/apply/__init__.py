@@ -1,1 +1,1 @@
-"""From a plan to ordered steps, and to the writers and readers that carry them out."""
+"""Ordered steps from a plan, and the endpoints that carry them out."""

@@ -1,4 +1,4 @@
-"""The order in which writers and adaptive readers of a topic come to a plan, so that no pair of them disconnects."""
+"""The order in which the writers and readers of a topic take a plan, so that no pair of them disconnects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState, ReaderState
     from arpd.model.plan import QosPlan, ReaderPlans, TopicPlan
 
-PATIENCE_S = 10.0  # a handover that ends in nothing takes 7 s, and its answer another
+PATIENCE_S = 10.0  # a reader swap takes at most 7 s, and its announcement comes within another second
 
 _MOST_ASKED = 64
 
@@ -31,11 +31,11 @@ class _Ask(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Steps:
-    """What is to be sent now, and how far the plan is in force.
+    """Transitions to send now, and the progress of the plan.
 
     Parameters
     ----------
-    transitions : one per node and kind of endpoint, to be repeated until they are announced
+    transitions : one per node and kind of endpoint; repeated until the endpoints announce them
     confirmed, readers_confirmed : publishers and readers that need nothing more
     """
 
@@ -45,7 +45,7 @@ class Steps:
 
 
 class _Side:
-    """All endpoints of one kind: what each was asked for, and since when it waits for the other kind."""
+    """All endpoints of one kind: the requests to each, and the time since which it waits for the other kind."""
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
@@ -54,22 +54,22 @@ class _Side:
         self._waiting: dict[_Identity, float] = {}
 
     def hear(self, states: Iterable[PublisherState | ReaderState]) -> None:
-        """Forget what can no longer come into force: a node refuses plans that are older than the one it announces."""
-        heard = {(state.node, state.topic): state.generation for state in states}
+        """Forget requests that can no longer come into force: a node refuses plans older than the one it announces."""
+        announced = {(state.node, state.topic): state.generation for state in states}
         self._asked = {
-            identity: [ask for ask in asks if ask.generation >= heard[identity]]
+            identity: [ask for ask in asks if ask.generation >= announced[identity]]
             for identity, asks in self._asked.items()
-            if identity in heard
+            if identity in announced
         }
         self._waiting_since_s, self._waiting = self._waiting, {}
 
     def ask(self, identity: _Identity, ask: _Ask) -> None:
-        """Remember a request: from now on it may be in force."""
+        """Remember a request; from now on it may be in force."""
         others = [known for known in self._asked.get(identity, ()) if known.deadline_ns != ask.deadline_ns]
         self._asked[identity] = [*others[-_MOST_ASKED:], ask]
 
     def is_unanswered(self, state: PublisherState | ReaderState) -> bool:
-        """Whether an endpoint does not yet show what it was asked for last."""
+        """Return whether an endpoint does not yet announce the last request."""
         asks = self._asked.get((state.node, state.topic))
         if not asks or (state.refusal_reason.is_lasting and state.generation >= asks[-1].generation):
             return False
@@ -81,33 +81,33 @@ class _Side:
         return [_period(state.deadline_ns), *(_period(ask.deadline_ns) for ask in asks)]
 
     def is_patient(self, identity: _Identity, now_s: float) -> bool:
-        """Whether an endpoint that has to wait for the other side still does."""
+        """Return whether an endpoint goes on waiting for the other side."""
         since_s = self._waiting[identity] = self._waiting_since_s.get(identity, now_s)
         return now_s - since_s <= self._patience_s
 
 
 class Ordering:
-    """Brings publishers and adaptive readers to a plan: to relax, readers move first; to tighten, writers do.
+    """Brings publishers and readers to a plan: readers relax their deadlines before writers, and tighten them after.
 
-    A writer is heard only while the period it offers is no longer than the one requested. What an endpoint runs with
-    is not known exactly: what it announced, or anything it was asked for since. So a writer is never asked for more
-    than the shortest period that a reader may request at the moment, and a reader never for less than the longest
-    that a writer it hears may offer.
+    A reader hears a writer only while the offered period is no longer than the requested one. The daemon does not know
+    exactly which period an endpoint has: the announced one, or any it was asked for since. So it never asks a writer
+    for a longer period than the shortest that a reader may request now, and never asks a reader for a shorter one than
+    the longest that a writer it hears may offer.
 
-    Invariant: in whatever order the answers come in, no pair that is compatible becomes incompatible.
+    Invariant: no order of answers makes a compatible pair incompatible.
 
     Rates wait for nobody. Depth waits with the deadline, because each change costs a new writer or reader. Nobody waits
-    for longer than ``patience_s``: then the writer offers what the slowest reader still requests, and the reader
-    requests what the slowest writer still offers, until they answer after all.
+    longer than ``patience_s``. Then the writer offers what the slowest reader still requests, or the reader requests
+    what the slowest writer still offers, until the other side answers.
 
     Parameters
     ----------
-    patience_s : how long one side waits for the other (s)
+    patience_s : longest time that one side waits for the other (s)
     """
 
     def __init__(self, *, patience_s: float = PATIENCE_S) -> None:
         self._writers, self._readers = _Side(patience_s), _Side(patience_s)
-        self._floors: dict[_Identity, float] = {}  # asked for last; no announcement shows it
+        self._floors: dict[_Identity, float] = {}  # last requests; no announcement shows a floor
 
     def steps(
         self,
@@ -120,21 +120,20 @@ class Ordering:
         reason: str,
         lease_s: float = 0.0,
     ) -> Steps:
-        """Return the steps that may be taken now; to be asked at every tick.
+        """Return the steps that may be taken now; called at every tick.
 
         Parameters
         ----------
         now_s : monotonic clock (s)
-        publishers, readers : all that are live
-        plan : what the publishers shall run with
-        reader_plans : what the readers shall run with; the others are left alone
-        reason : why, in words
+        publishers, readers : all live ones
+        plan, reader_plans : rows for publishers and for readers; readers without a row are left alone
+        reason : cause of the plan, in words
         lease_s : silence after which nodes return to their own QoS, 0 = never (s)
         """
         self._writers.hear(publishers)
         self._readers.hear(readers)
-        here = {(publisher.node, publisher.topic) for publisher in publishers}
-        self._floors = {identity: floor for identity, floor in self._floors.items() if identity in here}
+        live = {(publisher.node, publisher.topic) for publisher in publishers}
+        self._floors = {identity: floor for identity, floor in self._floors.items() if identity in live}
         driven = [reader for reader in readers if (reader.node, reader.topic) in reader_plans]
         readers_of, writers_of = _by_topic(driven), _by_topic(publishers)
         rows = {
@@ -173,8 +172,8 @@ class Ordering:
         readers: Sequence[ReaderState],
         reader_plans: ReaderPlans,
     ) -> tuple[TopicPlan, bool]:
-        """Return what a writer may run with now, and whether it waits for readers with the rest."""
-        # Longer than what a reader shall request in the end is longer than what any waiting could bring.
+        """Return the row a writer may have now, and whether the rest of its plan waits for readers."""
+        # No reader will request more than its target, so waiting for a longer period would be in vain.
         targets = (_period(reader_plans[reader.node, reader.topic].deadline_ns) for reader in readers)
         wanted = min((_period(row.deadline_ns), *targets))
         requests = (
@@ -194,12 +193,12 @@ class Ordering:
     def _reader_row(
         self, now_s: float, reader: ReaderState, writers: Iterable[PublisherState], reader_plans: ReaderPlans
     ) -> ReaderPlan | None:
-        """Return what a reader may run with now, None while it waits for writers."""
+        """Return the row a reader may have now, None while it waits for writers."""
         row = reader_plans[reader.node, reader.topic]
         offers = [period for writer in writers for period in self._writers.periods(writer)]
-        # A writer that it cannot be hearing has nothing to lose.
-        most = max(self._readers.periods(reader))
-        heard = (period for period in (*offers, *map(_period, reader.offers_ns)) if period <= most)
+        # A writer that the reader does not hear even now cannot be lost.
+        longest = max(self._readers.periods(reader))
+        heard = (period for period in (*offers, *map(_period, reader.offers_ns)) if period <= longest)
         shortest = max(heard, default=0)
         if _period(row.deadline_ns) >= shortest:
             return row
@@ -260,7 +259,7 @@ def _by_topic(states: Iterable[E]) -> dict[str, list[E]]:
 
 
 def _period(deadline_ns: int) -> float:
-    """Return a deadline as a number that compares: longer is larger, none is infinite (ns)."""
+    """Return a deadline as a number to compare: none is infinite (ns)."""
     return deadline_ns or math.inf
 
 

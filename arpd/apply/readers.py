@@ -1,4 +1,4 @@
-"""What a plan wants of live AdaptiveSubscriptions."""
+"""Rows of a plan for live AdaptiveSubscriptions."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
     from arpd.model.endpoints import ReaderState
 
-# The deadline a reader requests is this much longer than the one its writer offers: compatible whatever is rounded,
-# and late only when the link is, for the offer has slack of its own.
+# A reader requests a deadline this much longer than the one its writer offers. So rounding cannot make them
+# incompatible, and the deadline is missed only when the link is late: the offer has slack of its own.
 _REQUEST_MARGIN = 1.5
 
 
 def plan_readers(readers: Iterable[ReaderState], plan: QosPlan) -> ReaderPlans:
-    """Return what a plan wants of the readers of its topics."""
+    """Return the rows for the readers of a plan's topics."""
     return {
         (reader.node, reader.topic): _row(reader, row)
         for reader in readers
@@ -27,7 +27,7 @@ def plan_readers(readers: Iterable[ReaderState], plan: QosPlan) -> ReaderPlans:
 
 
 def restore_readers(readers: Iterable[ReaderState]) -> ReaderPlans:
-    """Return every reader that carries a plan to the QoS its application asked for."""
+    """Return the rows that give every reader that carries a plan its application's QoS back."""
     return {
         (reader.node, reader.topic): ReaderPlan(depth=reader.baseline_depth, deadline_ns=reader.baseline_deadline_ns)
         for reader in readers
@@ -36,18 +36,18 @@ def restore_readers(readers: Iterable[ReaderState]) -> ReaderPlans:
 
 
 def _row(reader: ReaderState, row: TopicPlan) -> ReaderPlan:
-    """QoS of one reader: deep as its writer, its deadline a margin longer than the one offered.
+    """Return the row of one reader: the depth of its writer, and a deadline longer than the offered one.
 
-    Where the application asks for no deadline it gets none: a request would only shut out writers that offer none,
-    such as its own publisher's when that restarts while no daemon is there to plan for it.
+    A reader whose application requests no deadline gets none. A request would only shut out writers that offer none,
+    such as a publisher that restarts while no daemon plans for it.
     """
-    is_asked_for = reader.baseline_deadline_ns > 0
+    requests_deadline = reader.baseline_deadline_ns > 0
     return ReaderPlan(
         depth=reader.depth if reader.keeps_all else row.depth,
-        deadline_ns=math.ceil(_REQUEST_MARGIN * row.deadline_ns) if is_asked_for else 0,
+        deadline_ns=math.ceil(_REQUEST_MARGIN * row.deadline_ns) if requests_deadline else 0,
     )
 
 
 def is_reader_confirmed(reader: ReaderState, row: ReaderPlan) -> bool:
-    """Whether an announcement shows the row in force."""
+    """Return whether an announcement shows the row in force."""
     return (reader.keeps_all or reader.depth == row.depth) and reader.deadline_ns == row.deadline_ns

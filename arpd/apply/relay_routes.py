@@ -1,4 +1,4 @@
-"""How one topic is relayed, decided from who publishes it: pure."""
+"""Routes of relayed topics, chosen from their publishers: pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicWriter:
-    """One writer of a topic to be relayed: its node, its type, the QoS policies that decide who hears it."""
+    """One writer of a relayed topic: its node, its type, and the QoS policies that decide who hears it."""
 
     node: str
     type_name: str
@@ -21,13 +21,12 @@ class TopicWriter:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Route:
-    """How to carry a topic.
+    """Type and QoS by which a topic is relayed.
 
     Parameters
     ----------
-    type_name : message type
     is_reliable, is_latched : what the relay's reader requests
-    ignored : writers of another type, in words, empty if there are none
+    ignored : writers of another type, in words; empty if there are none
     """
 
     type_name: str
@@ -38,20 +37,20 @@ class Route:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RouteRefusal:
-    """Why a topic is not carried, in words."""
+    """Reason why a topic is not relayed, in words."""
 
     reason: str
 
 
 def own_output(topic: str, *, prefix: str, output: str) -> RouteRefusal | None:
-    """Refuse a topic that is relayed already, by its name: carried again it would nest, ``/link/link/…``.
+    """Refuse a topic that is the relay's own output: relayed again, its name would nest, ``/link/link/…``.
 
     Parameters
     ----------
-    output : what the topic would be carried to, remapping rules applied
+    output : name under which the topic would be republished, remapping rules applied
     """
     if output == topic:
-        return RouteRefusal(reason="a remapping rule carries it to itself")
+        return RouteRefusal(reason="a remapping rule gives its output the same name; remove the rule")
     if topic == prefix or topic.startswith(f"{prefix}/"):
         return RouteRefusal(reason=f"it already carries the prefix {prefix}; name the topic without it")
     return None
@@ -65,14 +64,14 @@ def choose_route(
     output_readers: Collection[str],
     in_force: Route | None,
 ) -> Route | RouteRefusal | None:
-    """Tell how to carry a topic that these writers publish, None while nobody does.
+    """Choose the route of a topic from its writers; None while there are none.
 
     Parameters
     ----------
-    carrier : node that carries
-    output : topic it would be carried to
-    output_readers : nodes that read it
-    in_force : how it is carried now
+    carrier : the relay's node
+    output : name under which the topic is republished
+    output_readers : nodes that read the output
+    in_force : its route until now
     """
     sources = tuple(sources)
     if not sources:
@@ -80,10 +79,10 @@ def choose_route(
     nodes = {source.node for source in sources}
     if carrier in nodes:
         return RouteRefusal(reason=f"{carrier} publishes it itself, so its output would be its own input")
-    if circle := ", ".join(sorted(nodes.intersection(output_readers))):
-        return RouteRefusal(reason=f"{circle} reads {output} and publishes it, so messages would go round in circles")
+    if loop := ", ".join(sorted(nodes.intersection(output_readers))):
+        return RouteRefusal(reason=f"{loop} reads {output} and publishes it, so messages would loop")
     types = {source.type_name for source in sources}
-    # A stray writer of another type must not take away what already flows.
+    # A stray writer of another type must not stop what already flows.
     kept = in_force.type_name if in_force is not None and in_force.type_name in types else None
     if kept is None and len(types) > 1:
         return RouteRefusal(reason=f"it has more than one type: {_by_type(sources)}")
@@ -93,8 +92,8 @@ def choose_route(
         type_name=type_name,
         # A reliable reader does not hear a best-effort writer, so the weakest writer decides.
         is_reliable=all(source.is_reliable for source in same),
-        # Latched topics (/map, /tf_static) stay latched, or late joiners on the far side would never see them. Once
-        # carried as volatile a topic stays so: a latched reader would be sent everything again.
+        # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise. A
+        # topic once relayed as volatile stays volatile: a latched reader would receive everything again.
         is_latched=all(source.is_latched for source in same) and (kept is None or _is_latched(in_force)),
         ignored=_by_type(source for source in sources if source.type_name != type_name),
     )

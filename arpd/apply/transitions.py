@@ -1,4 +1,4 @@
-"""From a plan to the ordered steps that bring the publishers there, and the plan that restores them."""
+"""Ordered steps that bring publishers to a plan, and the plan that restores them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
-    """Whether an announcement shows the row in force, as far as it ever will; announced rates carry six digits.
+    """Return whether an announcement shows the row in force; announced rates have six digits.
 
-    A publisher that refuses new QoS for good is paced and gated, and with the rate it has all of the row it can have.
+    A publisher that refuses new QoS for good is confirmed by its rate: it is paced and gated, and takes no more.
     """
     if not (publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)):
         return False
@@ -29,10 +29,10 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
 def publisher_transitions(
     due: Iterable[tuple[PublisherState, TopicPlan]], *, generation: int, reason: str, lease_s: float
 ) -> tuple[Transition, ...]:
-    """Return one step per node that brings these publishers to these rows, slowing nodes first.
+    """Return one step per node that brings these publishers to these rows; nodes that free link time come first.
 
-    Invariant: replaying any prefix of the steps leaves every publisher in the old row or in the new one, and puts no
-    more on the link than the larger of the two.
+    Invariant: any prefix of the steps leaves every publisher in its old or its new row, and puts no more on the link
+    than the larger of the two plans.
     """
     wanted: dict[str, dict[str, TopicPlan]] = {}
     change_hz: dict[str, float] = {}
@@ -48,18 +48,18 @@ def publisher_transitions(
 
 
 def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
-    """Whether an endpoint announces the lease; announced times carry six digits."""
+    """Return whether an endpoint announces the lease; announced times have six digits."""
     return math.isclose(endpoint.lease_s, lease_s, rel_tol=1e-4)
 
 
 def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return every publisher to the QoS its application asked for, unpaced."""
+    """Return the plan that gives every publisher its application's QoS back, unpaced."""
     rows = {publisher.topic: _own_qos(publisher, rate_hz=math.inf) for publisher in publishers}
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
 
 
 def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return every publisher to the QoS its application asked for, at the rate it has."""
+    """Return the plan that gives every publisher its application's QoS back, at the rate it has now."""
     rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.rate_hz) for publisher in publishers}
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
 

@@ -1,1 +1,1 @@
-"""One adaptive endpoint: pacing, and the make-before-break swap of its writer or reader."""
+"""One endpoint: its pacing, and the swap of its writer or reader."""

@@ -1,4 +1,4 @@
-"""The flow of one adaptive publisher, from the application's sample to the writer: pure, whatever the writer is."""
+"""The flow of one AdaptivePublisher, from the application's sample to the writer: pure, over any kind of writer."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from arpd.model.wire import FRAGMENT_BYTES
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What a swap held leaves at twice the rate it came at: a burst would push samples out of a small history, the
-# writer's or a reader's, and crowd the link.
+# Samples that a swap held leave at twice their rate. A burst would crowd the link, and push samples out of a small
+# history of the writer or a reader.
 _CATCH_UP = 0.5
 _LEAST_CATCH_UP_HZ = 10.0
 W = TypeVar("W", bound=Writer)
@@ -27,22 +27,22 @@ W = TypeVar("W", bound=Writer)
 class Flow(Generic[W]):
     """Paces samples into the current writer, and swaps that writer when its QoS shall change.
 
-    Until somebody retunes it, it behaves as a plain publisher: unpaced, with the QoS it was made with. Only where a
-    daemon is heard that has not planned it yet, large samples that may be conflated wait for that plan (`SlowStart`).
+    Until `retune` is called it behaves as a plain publisher: unpaced, with the QoS it was made with. One exception:
+    while a daemon is there and has no plan for the topic yet, large samples wait for that plan (`SlowStart`).
 
     Parameters
     ----------
     create : makes a writer with the given QoS
-    qos : what the first writer runs with
-    overflow : what gives way when samples come faster than they may leave
+    qos : QoS of the first writer
+    overflow : which samples are dropped when they come faster than they may leave
     clock : monotonic clock (s)
-    on_swap : told how every swap ended, and the QoS it was about
+    on_swap : called with the result of every swap and the QoS it was about
     timing : timeouts of a swap
 
     Notes
     -----
-    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_gate` and `state`: an owner with threads takes
-    samples one by one under its lock and writes them outside, because a writer may block when the link's queue is full.
+    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_gate` and `state`. An owner with threads takes
+    samples one by one under its lock and writes them outside it, because a writer may block when the link is full.
     """
 
     def __init__(
@@ -64,55 +64,55 @@ class Flow(Generic[W]):
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._gate = 1.0
         self._slow_start = SlowStart()
-        self._paced_for = (1.0, False)  # gate, and whether for a slow start
+        self._paced_for = (1.0, False)  # gate, and whether a slow start holds
         self._source, self._departures = SampleRate(), SampleRate()
         self._withheld: Counter[str] = Counter()  # by cause
         self._deadlines = DeadlineCount(self._swap.current)
         self._blocked_s = 0.0
         self._payload_bytes = 0.0
-        self._held: deque[bytes] = deque()  # through the pacing, but not through the swap
+        self._held: deque[bytes] = deque()  # samples that pacing released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
         self._history: deque[bytes] | None = None
         self._replay: deque[bytes] = deque()
 
     @property
     def plan(self) -> TopicPlan:
-        """Settings last asked for."""
+        """Settings requested last."""
         return self._plan
 
     @property
     def qos(self) -> WriterQos:
-        """QoS of the writer samples leave by."""
+        """QoS of the writer by which samples leave."""
         return self._swap.qos
 
     @property
     def writer(self) -> W:
-        """Writer samples leave by."""
+        """Writer by which samples leave."""
         return self._swap.current
 
     @property
     def offered(self) -> int:
-        """Samples the application gave so far."""
+        """Samples that the application gave so far."""
         return self._source.samples
 
     @property
     def is_waiting(self) -> bool:
-        """Whether samples wait, for pacing or for a swap."""
+        """True while samples wait, for pacing or for a swap."""
         return bool(len(self._pacer) or self._held)
 
     def publish(self, sample: bytes) -> None:
-        """Send a sample, now or when pacing lets it."""
+        """Send a sample, now or when pacing allows it."""
         self.offer(sample)
         self._release()
 
     def offer(self, sample: bytes) -> None:
-        """Queue a sample; somebody calls `take` and `write`, or `service`, soon."""
+        """Queue a sample; the owner calls `take` and `write`, or `service`, soon after."""
         now_s = self._clock()
         self._count(sample, now_s)
         self._pacer.offer(sample, now_s)
 
     def admit(self, sample: bytes) -> bool:
-        """Tell whether a sample may be written at once, before anything else; queue it as `offer` does if not."""
+        """Return whether a sample may be written at once; if not, queue it as `offer` does."""
         now_s = self._clock()
         self._count(sample, now_s)
         is_free = not (self._held or self._replay or self._swap.awaits_silence)
@@ -122,25 +122,25 @@ class Flow(Generic[W]):
         return False
 
     def before_take(self) -> None:
-        """Let a swap use the moment before a sample leaves; `replay` comes next."""
-        # Just before a sample leaves, the one before it is likeliest to be acknowledged: most swaps need no holding.
+        """Let a swap take its step just before a sample leaves; `replay` comes next."""
+        # The previous sample is most likely acknowledged just then, so most swaps need not hold samples.
         if self._swap.awaits_silence and self.is_waiting:
             self.step(self._clock())
 
     def take(self) -> bytes | None:
-        """Return the next sample if it may leave now: pacing lets it, and no swap holds it."""
+        """Return the next sample if pacing allows it now and no swap holds it."""
         now_s = self._clock()
         sample = self._pacer.take(now_s)
         if not self._held and not self._swap.is_holding:
             return sample
-        # A swap holds behind the pacing, so that no sample is conflated for it.
+        # A swap holds samples behind the pacing, so it conflates none of them.
         while sample is not None:
             self._held.append(sample)
             sample = self._pacer.take(now_s)
         if self._swap.is_holding or now_s < self._catch_up_s:
             return None
         spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
-        # Who looks late may take two more.
+        # A caller that comes late may take two more.
         self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
         return self._held.popleft()
 
@@ -149,13 +149,13 @@ class Flow(Generic[W]):
 
         Returns
         -------
-        How long it took (s).
+        Time it took (s).
         """
         before_s = self._clock()
         try:
             self._swap.current.publish(sample)
         except Exception:
-            self._on_withheld(1, DropCause.FAILED)  # it left the queue and reached nobody
+            self._on_withheld(1, DropCause.FAILED)  # it has left the queue and reached no reader
             raise
         after_s = self._clock()
         took_s = after_s - before_s
@@ -168,22 +168,22 @@ class Flow(Generic[W]):
         return took_s
 
     def keep_history(self) -> None:
-        """Let a new writer first have what the old one held, for the late readers of a TRANSIENT_LOCAL topic."""
+        """Replay the old writer's samples by each new writer, for late readers of a TRANSIENT_LOCAL topic."""
         self._history = deque(maxlen=self.qos.depth)
-        self._swap.needs_proof = False  # a reader that matches late gets all of it
+        self._swap.needs_proof = False  # a reader that matches late gets all of them
 
     def replay(self) -> None:
-        """Give a new writer what the old one held; may block like `write`, and comes before the next `take`."""
+        """Write the old writer's samples by the new one; may block like `write`, and comes before the next `take`."""
         while self._replay:
             self._swap.current.publish(self._replay.popleft())
 
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
-        """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
+        """Take new settings: pacing changes now, depth and deadline by a swap.
 
         Parameters
         ----------
-        plan : what was asked for
-        qos : what the writer shall really run with, after clamps and refusals
+        plan : settings as requested
+        qos : QoS for the writer, after clamps and refusals
         """
         now_s = self._clock()
         self._plan = plan
@@ -192,7 +192,7 @@ class Flow(Generic[W]):
         self._swap.request(qos)
 
     def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        """Scale the paced rate, not below its floor; None = no daemon is there, and the gate is open."""
         now_s = self._clock()
         self._slow_start.has_daemon = gate is not None
         self._gate = 1.0 if gate is None else gate
@@ -200,11 +200,11 @@ class Flow(Generic[W]):
             self._pace(now_s)
 
     def service(self, now_s: float) -> float:
-        """Do what is due: a step of the swap, samples whose time has come.
+        """Take a step of the swap, and write the samples that are due.
 
         Returns
         -------
-        When to be called again, ``inf`` = not before something changes (s).
+        Time of the next call, ``inf`` = not before something changes (s).
         """
         if not (self._swap.is_busy or self._replay or self.is_waiting):
             return math.inf
@@ -226,14 +226,14 @@ class Flow(Generic[W]):
             self._history = deque(self._history, maxlen=self._swap.qos.depth)
 
     def due_s(self, now_s: float) -> float:
-        """When to look again, ``inf`` = not before something changes (s)."""
+        """Return when to call `service` again, ``inf`` = not before something changes (s)."""
         due_s = self._pacer.due_s(now_s)
         if self._held and not self._swap.is_holding:
             due_s = min(due_s, max(now_s, self._catch_up_s))
         return min(due_s, now_s + self._swap.poll_s) if self._swap.is_busy else due_s
 
     def state(self) -> FlowState:
-        """Return what is in force and counted; called about once a second."""
+        """Return the settings in force and the counters; called about once a second."""
         now_s = self._clock()
         rate_hz, published_rate_hz = self._source.rate_hz(now_s), self._departures.rate_hz(now_s)
         self._source.mark(now_s)
@@ -260,7 +260,7 @@ class Flow(Generic[W]):
         )
 
     def close(self) -> None:
-        """Give up what waits, and destroy every writer a swap may have in flight."""
+        """Drop the samples that wait, and destroy every writer."""
         self._pacer.clear()
         if self._held:
             self._on_withheld(len(self._held), DropCause.CLOSED)
@@ -283,9 +283,9 @@ class Flow(Generic[W]):
         self._payload_bytes += weight * (len(sample) - self._payload_bytes)
 
     def _flowing_hz(self, now_s: float) -> float:
-        """Return the rate of what leaves, or would if nothing held it, as far as it is known."""
+        """Return the rate at which samples leave when neither gate nor swap holds them, as far as it is known."""
         rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)
-        # A rate planned with room to spare would swallow the first part of a gate.
+        # A planned rate above the source's would absorb the first part of a gate.
         return min(rate_hz, source_hz) if source_hz > 0 else rate_hz
 
     def _pace(self, now_s: float) -> None:
@@ -308,15 +308,15 @@ class Flow(Generic[W]):
 
 #: Rate of a topic of large samples until its first plan: two cameras, two lidars and a point cloud take 1 Mbit/s (Hz).
 SLOW_START_HZ = 2.0
-_LONGEST_S = 4.0  # a plan takes an announcement, the governor's debounce and a parameter call, some 2.5 s
+_LONGEST_S = 4.0  # a first plan takes about 2.5 s: an announcement, the governor's debounce and a parameter call
 
 
 class SlowStart:
-    """Tells whether a topic must wait for its first plan, as a TCP sender begins with a small window (RFC 5681 §3.1).
+    """Slows a topic until its first plan, as a TCP sender begins with a small window (RFC 5681 §3.1).
 
-    What a source will put on the link is not known before it has been heard for a while; until then a robot that
-    starts its camera on a weak link would fill every queue. Only topics whose samples take more than one packet wait,
-    only while a daemon is there to plan them, and not for ever: one that stays on its host is never planned.
+    The load of a new source is not known before some samples were counted. Until then a robot that starts its camera
+    on a weak link would fill every queue. Only topics whose samples take more than one packet wait, only while a
+    daemon is there to plan them, and for a limited time: a topic that stays on its host is never planned.
     """
 
     def __init__(self) -> None:
@@ -331,9 +331,9 @@ class SlowStart:
             self._is_large = sample_bytes > FRAGMENT_BYTES
 
     def end(self) -> None:
-        """Note that there is a plan; it never begins again."""
+        """Note that there is a plan; no slow start follows."""
         self._until_s, self._is_large = 0.0, False
 
     def holds(self, now_s: float) -> bool:
-        """Whether the topic must wait."""
+        """Return whether the topic must wait."""
         return self.has_daemon and self._is_large and self._until_s is not None and now_s < self._until_s

@@ -1,4 +1,4 @@
-"""How fast samples come or go, measured so that neither silence nor a slow period misleads."""
+"""Meters of one endpoint: the rate of its samples, and the deadlines it missed."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections import deque
 from typing import Protocol
 
 _WINDOW_S = 5.0
-_SETTLE_S = 0.5  # a shorter look tells no rate
-_BURST_S = 0.1  # what waited for a caller that was held up comes at once, and then its rate shows
+_SETTLE_S = 0.5  # a shorter span shows no rate
+_BURST_S = 0.1  # after a stall the samples that waited come at once; the true rate shows after that
 _SILENT_PERIODS = 3.0
 
 
 class SampleRate:
     """Rate between the first and the last sample of a window, so that a slow topic is not underrated.
 
-    One thread may `count` while another marks and asks.
+    One thread may `count` while another calls `mark` and `rate_hz`.
     """
 
     def __init__(self) -> None:
@@ -30,20 +30,20 @@ class SampleRate:
         if now_s - self._last_s > _WINDOW_S:
             self._began_s = now_s
         if now_s - self._began_s < _BURST_S:
-            # The silence before a topic starts says nothing of its rate: measure from its first samples on.
+            # Measure from the first samples on: the silence before them says nothing about the rate.
             self._marks = deque([(now_s, self.samples)])
         self._last_s = now_s
 
     def mark(self, now_s: float) -> None:
-        """Let the window move on; called about once a second."""
-        marks, samples = self._marks, self.samples  # whoever counts may replace the marks meanwhile
+        """Move the window on; called about once a second."""
+        marks, samples = self._marks, self.samples  # the thread that counts may replace them meanwhile
         if marks and samples > marks[-1][1]:
             marks.append((self._last_s, samples))
         while len(marks) > 2 and now_s - marks[1][0] >= _WINDOW_S:
             marks.popleft()
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate, 0 where samples ceased or their rate is not yet known (Hz)."""
+        """Return the rate, 0 when samples have stopped or their rate is not known yet (Hz)."""
         marks, total = self._marks, self.samples
         if not marks or total == marks[0][1]:
             return 0.0
@@ -59,13 +59,13 @@ class DeadlineSource(Protocol):
     """A writer, or a reader."""
 
     def deadlines_missed(self) -> int:
-        """Count the deadlines missed since it was made; by a destroyed one, as far as known."""
+        """Count the deadlines missed since it was made; a destroyed endpoint keeps its last known count."""
 
 
 class DeadlineCount:
-    """Adds up what each endpoint misses while it is in force.
+    """Adds up the deadlines that each endpoint misses while it is in force.
 
-    A writer that a swap prepares or retires gets no samples, and the middleware counts that, too.
+    A writer that a swap prepares or retires gets no samples, so the middleware counts misses that are none.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class DeadlineCount:
 
     def __init__(self, endpoint: DeadlineSource) -> None:
         self._endpoint = endpoint
-        self._before = -endpoint.deadlines_missed()  # missed by others, less what this one missed before its time
+        self._before = -endpoint.deadlines_missed()  # misses of earlier endpoints, less those of this one until now
 
     @property
     def missed(self) -> int:
@@ -82,7 +82,7 @@ class DeadlineCount:
         return self._before + self._endpoint.deadlines_missed()
 
     def follow(self, endpoint: DeadlineSource) -> None:
-        """Count what this endpoint misses from now on."""
+        """Count the misses of this endpoint from now on."""
         if endpoint is not self._endpoint:
             self._before = self.missed - endpoint.deadlines_missed()
             self._endpoint = endpoint

@@ -1,4 +1,4 @@
-"""Pacing of one publisher: when a sample may leave, and which samples give way when it may not."""
+"""Pacing of one publisher: a token bucket decides when a sample leaves, and which one is dropped."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from arpd.model.settings import Overflow
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# A source at its paced rate that is early by half a period, or that catches up on 50 ms of its own scheduling, is not
-# delayed; no window of T seconds ever sees more than rate·T + max(1.5, rate·50 ms) samples.
+# A source at its paced rate may be early by half a period, or catch up on 50 ms that its scheduler cost, and is not
+# delayed. No window of T seconds sees more than rate·T + max(1.5, rate·50 ms) samples.
 _LEAST_BURST = 1.5
 _BURST_S = 0.05
 
 
 class Pacer:
-    """A token bucket in front of a bounded queue.
+    """A bounded queue, emptied by a token bucket.
 
-    Credit is counted in samples, so that it survives a change of rate as it is: a gate that moves ten times a second
-    must neither release a sample early nor keep an old schedule.
+    It counts credit in samples, so a change of rate leaves the credit as it is: a gate that moves ten times a second
+    neither releases a sample early nor keeps an old schedule.
 
     Parameters
     ----------
-    overflow : what gives way when samples come faster than they may leave
+    overflow : which samples are dropped when they come faster than they may leave
     depth : most samples the queue holds (samples); ``latest`` holds one
-    on_withheld : called with the number of samples given up and why, once per call that gives any up
+    on_withheld : called with the number of dropped samples and the cause, once per call that drops any
 
     Notes
     -----
@@ -58,7 +58,7 @@ class Pacer:
 
         Parameters
         ----------
-        limit : what the rate comes from, `rate` or `gate`: the cause of what it makes give way
+        limit : cause of the drops from now on, `rate` or `gate`, by the origin of this rate
         """
         self._earn(now_s)
         self._rate_hz = rate_hz
@@ -67,13 +67,13 @@ class Pacer:
         self._shed()
 
     def offer(self, sample: bytes, now_s: float) -> None:
-        """Queue a sample; with ``latest`` it replaces what must wait, with ``queue`` the oldest beyond depth goes."""
+        """Queue a sample; ``latest`` keeps only the newest, ``queue`` drops the oldest beyond the depth."""
         self._earn(now_s)
         self._queue.append(sample)
         self._shed()
 
     def admits(self, now_s: float) -> bool:
-        """Whether a sample may leave without being queued; its credit is spent then."""
+        """Return whether a sample may leave without being queued, and spend its credit."""
         if self._queue:
             return False
         self._earn(now_s)
@@ -83,7 +83,7 @@ class Pacer:
         return True
 
     def due_s(self, now_s: float) -> float:
-        """When the next queued sample may leave (s); ``inf`` when none waits or the topic is paused."""
+        """Return when the next queued sample may leave; ``inf`` when none waits or the topic is paused (s)."""
         if not self._queue or self._rate_hz <= 0:
             return math.inf
         self._earn(now_s)
@@ -99,7 +99,7 @@ class Pacer:
         return self._queue.popleft()
 
     def clear(self) -> None:
-        """Give up everything that waits, counted as withheld."""
+        """Drop everything that waits, counted as withheld."""
         withheld = len(self._queue)
         self._queue.clear()
         if withheld:
@@ -117,14 +117,14 @@ class Pacer:
         return _LEAST_BURST if math.isinf(self._rate_hz) else max(_LEAST_BURST, _BURST_S * self._rate_hz)
 
     def _shed(self) -> None:
-        # What may leave at once is not waiting for credit, only for the thread that writes it.
-        bound = max(1, int(self._credit)) if self._overflow is Overflow.LATEST else self._depth
-        if math.isinf(self._rate_hz) and self._overflow is Overflow.LATEST:
-            bound = self._depth  # unpaced samples wait only for the thread that writes them: lose none of them
+        bound = self._depth
+        if self._overflow is Overflow.LATEST and not math.isinf(self._rate_hz):
+            # Samples that have credit wait only for the thread that writes them, as unpaced ones do: keep those.
+            bound = max(1, int(self._credit))
         excess = len(self._queue) - bound
         if excess > 0:
             for _ in range(excess):
                 self._queue.popleft()
-            # With all the credit there can be, what waits has been due for half a period at least.
+            # At full credit the next sample has been due for at least half a period, so pacing does not hold it.
             is_due = self._rate_hz > 0 and self._credit >= self._most_credit
             self._on_withheld(excess, DropCause.BLOCKED if is_due else self._limit)

@@ -1,4 +1,4 @@
-"""The make-before-break replacement of one subscription's reader, as an explicit state machine."""
+"""The reader swap of one subscription, as a state machine (docs/design.md, The reader swap)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from arpd.model.endpoints import ReaderSwapResult
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What tells samples apart: source timestamp (ns) and publication sequence number. rclpy does not say which writer a
-# sample is from; two writers would have to write their n-th samples in the same nanosecond to be mistaken.
+# Identity of a sample: source timestamp (ns) and publication sequence number. rclpy does not name the writer, so two
+# samples are confused only when two writers write their n-th samples in the same nanosecond.
 Key = tuple[int, int]
 _MOST_KEYS = 20_000  # 10 s at 2 kHz
 _MOST_HELD = 1_000
@@ -22,20 +22,20 @@ Q = TypeVar("Q")
 
 
 class Reader(Protocol[S_co]):
-    """A DDS reader as the handover sees it."""
+    """A DDS reader as the swap sees it."""
 
     def matched(self) -> int:
         """Count the matched writers."""
 
     def take(self) -> tuple[Key, S_co] | None:
-        """Return the next sample that arrived and that nobody took; never blocks."""
+        """Take the next sample that arrived; never blocks."""
 
     def destroy(self) -> None:
         """Destroy the reader."""
 
 
 class ReaderSwapState(StrEnum):
-    """Where a handover stands; see `ReaderSwap` for the transitions."""
+    """State of a swap; see `ReaderSwap` for the transitions."""
 
     IDLE = "idle"
     MATCHING = "matching"
@@ -48,10 +48,10 @@ class ReaderSwapTiming:
 
     Parameters
     ----------
-    settle_s : least time both readers are there, for the writers' side to match
-    match_timeout_s : after that the new reader is given up
-    catch_up_s : longest time the old reader is waited for once the new one is matched
-    remember_s : how long after a handover late doubles are still recognised
+    settle_s : least time that both readers live, so that the writers' side matches too
+    match_timeout_s : time after which a new reader without all writers is destroyed
+    catch_up_s : longest time to wait for the old reader once the new one is matched
+    remember_s : time after a swap in which late duplicates are recognised
     """
 
     settle_s: float = 0.1
@@ -63,27 +63,32 @@ class ReaderSwapTiming:
 class ReaderSwap(Generic[Q, S]):
     """Owns the readers of one subscription and replaces them without losing or doubling a sample.
 
-    IDLE → MATCHING: a request that differs from what is in force creates a new reader.
-    MATCHING → CATCHING_UP: the new reader has as many writers as the old one and has settled.
-    MATCHING → IDLE (unmatched): it does not within ``match_timeout_s``; the new reader is destroyed.
+    IDLE → MATCHING: a request differs from the QoS in force; a new reader is created.
+    MATCHING → CATCHING_UP: the new reader has as many writers as the old one, and ``settle_s`` have passed.
+    MATCHING → IDLE (unmatched): it does not have them within ``match_timeout_s``. The new reader is destroyed.
     CATCHING_UP → IDLE (ok): the old reader has delivered all that the new one had when it was matched. A reliable
-    reader delivers a writer's samples in order, so it misses nothing that was written before.
-    CATCHING_UP → IDLE (incomplete): it has not within ``catch_up_s``; the new reader takes over all the same.
+    reader delivers a writer's samples in order, so it has delivered all earlier ones too.
+    CATCHING_UP → IDLE (incomplete): it has not within ``catch_up_s``. The new reader takes over all the same.
+    CATCHING_UP → MATCHING: a writer joins that the new reader has not matched yet.
 
-    Until the switch the old reader delivers, and what the new one receives is held. At the switch the old reader is
-    emptied first, then what is still held follows: so a writer's samples keep their order.
+    Until the switch the old reader delivers, and the samples of the new one are held. At the switch the old reader is
+    emptied first, and the samples still held follow, so each writer's samples keep their order.
 
     Invariant: every sample that reached the reader in force is delivered, and no sample is delivered twice.
 
     Parameters
     ----------
     create : makes a reader with the given QoS; may raise
-    on_result : told how every handover ended
-    qos : what the first reader runs with
+    on_result : called with the result of every swap
+    qos : QoS of the first reader
+
+    Attributes
+    ----------
+    is_tracking : whether samples must pass `accept`; without a swap they are delivered as they come
 
     Notes
     -----
-    Not thread-safe; what `accept` and `step` return is delivered by the owner, in that order.
+    Not thread-safe. The owner delivers what `accept` and `step` return, in that order.
     """
 
     def __init__(
@@ -112,7 +117,7 @@ class ReaderSwap(Generic[Q, S]):
 
     @property
     def current(self) -> Reader[S]:
-        """The reader in force."""
+        """Reader in force."""
         return self._current
 
     @property
@@ -122,19 +127,16 @@ class ReaderSwap(Generic[Q, S]):
 
     @property
     def is_busy(self) -> bool:
-        """Whether `step` has anything to do."""
+        """True while `step` has anything to do."""
         return self.state is not ReaderSwapState.IDLE or self._wanted is not None
 
     def request(self, qos: Q) -> None:
-        """Ask for new QoS; the newest request wins, one that changes nothing is no handover."""
+        """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
         target = self._next_qos if self._next is not None else self._qos
         self._wanted = None if qos == target else qos
 
     def accept(self, reader: Reader[S], key: Key, sample: S, *, now_s: float) -> list[S]:
-        """Take a sample from one of the readers; return what is to be delivered now.
-
-        Only needed while ``is_tracking``; without a handover under way every sample is delivered as it comes.
-        """
+        """Take a sample of one of the readers; return the samples to deliver now."""
         if self.is_tracking and self.state is ReaderSwapState.IDLE and now_s >= self._remember_until_s:
             self._forget()
         if not self.is_tracking:
@@ -143,11 +145,11 @@ class ReaderSwap(Generic[Q, S]):
             self._hold(key, sample)
             return []
         if reader is not self._current and reader is not self._retired:
-            return []  # of a reader that was given up; the one in force has it too
+            return []  # from an abandoned reader; the one in force has it too
         return self._fresh(key, sample)
 
     def step(self, now_s: float) -> list[S]:
-        """Move on as far as the readers allow; never blocks. Return what is to be delivered now."""
+        """Move on as far as the readers allow, without blocking; return the samples to deliver now."""
         if self._wanted is not None:
             self._begin(self._wanted, now_s)
         if len(self._held) > _MOST_HELD:
@@ -173,10 +175,10 @@ class ReaderSwap(Generic[Q, S]):
             self._abandon(ReaderSwapResult.SUPERSEDED, now_s)
         if qos == self._qos:
             return
-        self.is_tracking = True  # before the new reader exists: what it will have too must be known from now on
+        self.is_tracking = True  # before the new reader exists: it may receive every sample from now on too
         try:
             self._next = self._create(qos)
-        except Exception:  # noqa: BLE001 - whatever the middleware raises, the old reader stays
+        except Exception:  # noqa: BLE001 - the middleware may raise anything, and the old reader stays
             self._remember_until_s = now_s
             self._on_result(ReaderSwapResult.FAILED)
             return
@@ -193,7 +195,7 @@ class ReaderSwap(Generic[Q, S]):
             self._abandon(ReaderSwapResult.UNMATCHED, now_s)
 
     def _catch_up(self, now_s: float) -> list[S]:
-        if not self._is_matched():  # a writer came that only the old reader knows as yet
+        if not self._is_matched():  # a writer joined that only the old reader has matched
             self._since_s, self.state = now_s, ReaderSwapState.MATCHING
             return []
         is_complete = self._held.keys().isdisjoint(self._awaited)
@@ -206,7 +208,7 @@ class ReaderSwap(Generic[Q, S]):
         out: list[S] = []
         while (taken := self._current.take()) is not None:
             out += self._fresh(*taken)
-        # What reaches the old reader from here on reaches the new one too.
+        # Samples that reach the old reader from here on reach the new one too.
         self._current.destroy()
         for key, sample in tuple(self._held.items()):
             out += self._fresh(key, sample)

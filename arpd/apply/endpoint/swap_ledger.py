@@ -1,4 +1,4 @@
-"""What the swaps of one publisher took: time by phase, in all and of the one that ended last."""
+"""Time that the swaps of one publisher took, by phase: of all together, and of the last one."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 class SwapLedger:
-    """Keeps the time of swaps, one after another.
+    """Adds up the time of swaps.
 
-    A phase is charged when it ends, draining when the old writer goes. Of a swap, the phases last from its begin to
-    its result; so draining comes after its record, and is in ``seconds_by_phase`` only.
+    A phase counts when it ends, draining when the old writer is destroyed. A swap ends before its old writer has
+    drained, so draining is in ``seconds_by_phase`` only, and in no record.
 
     Attributes
     ----------
@@ -34,18 +34,18 @@ class SwapLedger:
         self._at_s = -math.inf
 
     def begin(self) -> None:
-        """Begin a swap; its first phase comes next, or its result."""
+        """Begin a swap; `enter` or `finish` comes next."""
         self.begun += 1
         self._seconds = defaultdict(float)
         self._phase = None
 
     def enter(self, phase: SwapPhase, now_s: float) -> None:
-        """Charge the phase that ends, and begin the next."""
+        """Count the phase that ends, and begin the next."""
         self._charge(now_s)
         self._phase = phase
 
     def finish(self, result: SwapResult, qos: WriterQos, now_s: float) -> None:
-        """Charge the last phase, and record the swap."""
+        """Count the last phase, and record the swap."""
         self._charge(now_s)
         self._phase = None
         self.last = SwapRecord(
@@ -57,11 +57,11 @@ class SwapLedger:
         )
 
     def drain(self, phase: SwapPhase, seconds: float) -> None:
-        """Charge what an old writer took to go, beside whatever swap is under way by then."""
+        """Count the time an old writer took to drain; another swap may be under way."""
         self.seconds_by_phase[phase.value] += max(0.0, seconds)
 
     def _charge(self, now_s: float) -> None:
-        # Two threads look at the clock before they take their turn, and the later one may come first.
+        # Two threads read the clock before they take the lock, so a later time may arrive first.
         seconds = now_s - self._at_s
         if seconds <= 0:
             return

@@ -1,7 +1,4 @@
-"""The make-before-break swap of one publisher's writer, as an explicit state machine.
-
-Design: docs/design.md, The writer swap.
-"""
+"""The writer swap of one publisher, as a state machine (docs/design.md, The writer swap)."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ W = TypeVar("W", bound=Writer)
 
 
 class SwapState(StrEnum):
-    """Where a swap stands; see `WriterSwap` for the transitions."""
+    """State of a swap; see `WriterSwap` for the transitions."""
 
     IDLE = "idle"
     MATCHING = "matching"
@@ -37,13 +34,13 @@ class SwapTiming:
 
     Parameters
     ----------
-    settle_s : least time between the last change of the matched readers and the switch, for the readers' side to match
-    match_timeout_s : a new writer that a reader does not match, or has nothing of, for so long is given up; readers
-        that keep joining put the switch off for no longer
-    watch_s : how long an instant is looked for at which the old writer is acknowledged anyway, before samples are held;
-        once: where that is no use acknowledgements are slow, as with Fast DDS's default heartbeat of 3 s
+    settle_s : least time between the last change of the matched readers and the switch: the readers' side matches later
+    match_timeout_s : time after which a new writer is destroyed when a reader does not match it, or does not
+        acknowledge its samples; also the longest delay that readers which keep joining can cause
+    watch_s : time to wait for an instant at which the old writer is acknowledged, before samples are held. A swap holds
+        once: when that does not help, acknowledgements are slow, as with Fast DDS's default heartbeat of 3 s
     hold_s : longest time samples are held at a time
-    patience_s : after that the new writer takes over from one that never is fully acknowledged
+    patience_s : after this and ``settle_s`` the new writer takes over, even when the old one is not acknowledged
     drain_s : longest life of an old writer after the switch
     most_draining : old writers that may drain at a time; the next swap waits, so that histories cannot pile up
     """
@@ -52,7 +49,7 @@ class SwapTiming:
     match_timeout_s: float = 10.0
     watch_s: float = 0.3
     hold_s: float = 0.3
-    patience_s: float = 4.0  # a heartbeat of the default period, 3 s, comes within it
+    patience_s: float = 4.0  # longer than the default heartbeat period, 3 s
     drain_s: float = 4.0
     most_draining: int = 4
 
@@ -67,42 +64,43 @@ class _Draining:
 class WriterSwap(Generic[W]):
     """Owns the writers of one publisher and replaces them without losing a sample.
 
-    IDLE → MATCHING: a request that differs from what is in force creates a new writer.
-    MATCHING → WATCHING: the new writer has as many readers as the old one and has settled.
-    MATCHING → IDLE (unmatched, incompatible): it does not within ``match_timeout_s``, or a reader refuses its QoS; the
-    new writer is destroyed.
-    WATCHING → PROVING: the old writer is fully acknowledged, or ``patience_s`` are over.
-    WATCHING → HOLDING: it was not for ``watch_s``; new samples wait, so that it can be.
-    HOLDING → PROVING: it is now.
-    HOLDING → WATCHING: it is not within the hold time; what was held leaves by the old writer, and no more is held.
-    PROVING → IDLE (ok, reorder_possible): samples leave by the new writer, no more than it surely keeps, and all of
-    them were acknowledged.
-    PROVING → DOUBTING: they were not, even with further ones held for the hold time: the reader's side of the match may
-    be late. What was held leaves by the old writer.
-    DOUBTING → MATCHING: they are acknowledged at last; the new writer need not prove itself again.
+    IDLE → MATCHING: a request differs from the QoS in force; a new writer is created.
+    MATCHING → WATCHING: the new writer has as many readers as the old one, and none changed for ``settle_s``.
+    MATCHING → IDLE (unmatched, incompatible): readers are missing and none changed for ``match_timeout_s``, or a reader
+    refuses the QoS. The new writer is destroyed.
+    WATCHING → PROVING: the old writer is fully acknowledged, or patience is over.
+    WATCHING → HOLDING: it was not acknowledged for ``watch_s``; new samples wait, so that it can be.
+    HOLDING → PROVING: it is acknowledged now.
+    HOLDING → WATCHING: it is not, after ``hold_s``. Held samples leave by the old writer, and no more are held.
+    WATCHING, HOLDING → IDLE (ok, reorder_possible): in place of PROVING, when the new writer needs no proof.
+    PROVING → IDLE (ok, reorder_possible): few enough samples left by the new writer that its history keeps them all,
+    and all are acknowledged. A topic that publishes nothing for ``settle_s`` is switched without proof.
+    PROVING → DOUBTING: they are not, although further samples were held for ``hold_s``: the readers' side of the match
+    may be late. Held samples leave by the old writer.
+    DOUBTING → MATCHING: they are acknowledged at last; the new writer needs no further proof.
     DOUBTING → IDLE (unmatched): they are not within ``match_timeout_s``.
-    In each state, a reader that joined and is not yet served by the new writer leads back to MATCHING.
-    The old writer then drains beside the new one until acknowledged, alone, or ``drain_s`` old.
+    A reader that joins and that the new writer does not serve yet leads back to MATCHING; from PROVING by way of
+    DOUBTING, if samples left by the new writer.
+    After the switch the old writer drains beside the new one: until acknowledged, without readers, or ``drain_s`` old.
 
-    The proof is there because matching is known on the writer's own side only: on a lossy link the reader's side
-    follows up to seconds later, and a small history would have forgotten by then what was written meanwhile.
+    Only the writer's side knows at once that it matched, so the new writer has to prove itself. On a lossy link the
+    readers' side follows up to seconds later, and a small history would lose the samples of that time.
 
-    A newer request supersedes one that still waits for readers, or that it takes back; nothing is lost, because samples
-    still leave by the old writer. A swap that has its readers is finished first: so requests that never cease cannot
-    keep each other from ever coming into force.
+    A newer request replaces one that still waits for readers, and one that it takes back. Nothing is lost, because
+    samples still leave by the old writer. A swap that has its readers is finished first, so endless requests cannot
+    starve each other.
 
-    Invariant: until `close`, ``current`` is at every moment a live writer, and every sample is written exactly once.
+    Invariant: until `close`, ``current`` is always a live writer, and every sample is written exactly once.
 
     Parameters
     ----------
     create : makes a writer with the given QoS; may raise
-    on_result : told how every swap ended, and the QoS it was about
-    qos : what the first writer runs with
+    on_result : called with the result of every swap and the QoS it was about
+    qos : QoS of the first writer
 
     Attributes
     ----------
-    ledger : what the swaps took; of those it calls begun all but the one under way have a result, and each one result
-        beside ``undelivered``
+    ledger : time and results of the swaps; each swap begun has one result, beside ``undelivered``, or is under way
     needs_proof : whether a new writer must prove that its readers receive; not when it can serve late ones itself
     """
 
@@ -129,7 +127,7 @@ class WriterSwap(Generic[W]):
         self._since_s = 0.0  # when the state was entered, or samples of it began to be held
         self._watch_s = 0.0
         self._is_late = False  # switched with the old writer not fully acknowledged
-        self._trial = 0  # samples the new writer has, before it has proved that they arrive
+        self._trial = 0  # samples that left by the new writer before it proved that they arrive
         self._is_proven = False
         self._is_doubted = False
         self._draining: list[_Draining] = []
@@ -140,7 +138,7 @@ class WriterSwap(Generic[W]):
 
     @property
     def current(self) -> W:
-        """The writer samples leave by."""
+        """Writer by which samples leave."""
         if self.state is SwapState.PROVING:
             assert self._next is not None
             return self._next
@@ -153,45 +151,45 @@ class WriterSwap(Generic[W]):
 
     @property
     def is_busy(self) -> bool:
-        """Whether `step` has anything to do."""
+        """True while `step` has anything to do."""
         return self.state is not SwapState.IDLE or self._wanted is not None or bool(self._draining)
 
     @property
     def awaits_silence(self) -> bool:
-        """Whether the instant before a sample leaves is the one to `step` at."""
+        """True while `step` should be called just before a sample leaves."""
         if self.state is SwapState.IDLE:
-            return False  # asked for every sample, and mostly so
+            return False  # the usual case, and every sample asks
         return self.state in {SwapState.WATCHING, SwapState.HOLDING, SwapState.PROVING}
 
     @property
     def is_holding(self) -> bool:
-        """Whether new samples should wait in the pacing queue."""
+        """True while new samples should wait."""
         return self.state is SwapState.HOLDING or (
             self.state is SwapState.PROVING and self._trial >= self.most_on_trial
         )
 
     @property
     def most_on_trial(self) -> int:
-        """Samples the new writer may get before it has proved that they arrive; it gives up none of so many."""
+        """Samples that may leave by the new writer before it proved itself; its history keeps so many."""
         return max(1, min(self._qos.depth, self._next_qos.depth) // 2)
 
     @property
     def poll_s(self) -> float:
-        """How soon `step` should look again (s)."""
+        """Time until `step` should be called again (s)."""
         if self.is_holding:
             return 0.002  # samples wait for it
-        # Each look costs a wake-up: one every 50 ms took 35 ms of CPU per swap on an idle topic.
+        # Each call costs a wakeup: one every 50 ms took 35 ms of CPU per swap on an idle topic.
         return min(0.2, self._timing.settle_s / 4.0) if self.state is SwapState.MATCHING else 0.1
 
     def request(self, qos: WriterQos) -> None:
-        """Ask for new QoS; the newest request wins, one that changes nothing is no swap."""
+        """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
         if self._is_closed:
             return
         target = self._next_qos if self._next is not None else self._qos
         self._wanted = None if qos == target else qos
 
     def wrote(self, now_s: float) -> None:
-        """Take note that a sample was written by `current`."""
+        """Note that `current` wrote a sample."""
         if self.state is SwapState.PROVING:
             self._trial += 1
             self._since_s = now_s
@@ -211,7 +209,7 @@ class WriterSwap(Generic[W]):
             self._doubt(now_s)
 
     def close(self) -> None:
-        """Destroy every writer, whatever one of them raises; nothing happens after that."""
+        """Destroy every writer, even when one of them raises; nothing happens after that."""
         if self._is_closed:
             return
         self._is_closed, self._wanted = True, None
@@ -226,7 +224,7 @@ class WriterSwap(Generic[W]):
         if self._next is None:
             return len(self._draining) < self._timing.most_draining
         if self._trial and not self._is_proven:
-            return False  # the new writer has samples that nobody else has
+            return False  # no other writer has the samples on trial
         return qos == self._qos or not self._has_all_readers()
 
     def _begin(self, qos: WriterQos, now_s: float) -> None:
@@ -238,7 +236,7 @@ class WriterSwap(Generic[W]):
         self.ledger.begin()
         try:
             self._next = self._create(qos)
-        except Exception:  # noqa: BLE001 - whatever the middleware raises, the old writer stays
+        except Exception:  # noqa: BLE001 - the middleware may raise anything, and the old writer stays
             self._finish(SwapResult.FAILED, qos, now_s)
             return
         self._next_qos = qos
@@ -263,21 +261,21 @@ class WriterSwap(Generic[W]):
         if self._next.disconnects_readers():
             self._give_up(SwapResult.INCOMPATIBLE, now_s)
             return
-        # The readers' side of a match follows this side's, so a reader that comes later is waited for as long.
+        # The readers' side matches later than this side, so each change starts the settle time again.
         readers = (self._current.matched(), self._next.matched())
         if readers != self._readers:
             self._readers, self._readers_since_s = readers, now_s
             self._is_proven = False
         unchanged_s = now_s - self._readers_since_s
         if self._has_all_readers():
-            # Readers that keep joining cannot put the switch off for ever; the proof covers whoever came last.
+            # Readers that keep joining cannot delay the switch without end; the proof covers the last ones.
             if unchanged_s >= self._timing.settle_s or self._is_overdue(now_s):
                 self._enter(SwapState.WATCHING, now_s)
         elif unchanged_s > self._timing.match_timeout_s:
             self._give_up(SwapResult.UNMATCHED, now_s)
 
     def _watch(self, now_s: float) -> None:
-        """Take the first instant at which nothing of the old writer's is under way; hold samples to make one."""
+        """Wait for an instant at which the old writer is fully acknowledged; hold samples to create one."""
         assert self._next is not None
         if not self._has_all_readers():
             self._enter(SwapState.MATCHING, now_s)
@@ -297,7 +295,7 @@ class WriterSwap(Generic[W]):
             self._enter(SwapState.PROVING, now_s)
 
     def _prove(self, now_s: float) -> None:
-        """Take the first instant at which all that left by the new writer is known to have arrived."""
+        """Take over as soon as all samples that left by the new writer are acknowledged."""
         assert self._next is not None
         elapsed_s = now_s - self._since_s
         if not self._has_all_readers():
@@ -307,12 +305,12 @@ class WriterSwap(Generic[W]):
         elif self.is_holding and elapsed_s >= self._timing.hold_s:
             self._enter(SwapState.DOUBTING, now_s)
         elif not self._trial and (elapsed_s >= self._timing.settle_s or self._is_overdue(now_s)):
-            self._take_over(now_s)  # a silent topic: its readers had twice the time
+            self._take_over(now_s)  # nothing is published, and the readers had twice the time to match
         elif elapsed_s >= self._timing.match_timeout_s:
             self._enter(SwapState.DOUBTING, now_s)
 
     def _doubt(self, now_s: float) -> None:
-        """Go on by the old writer until the new one's samples are acknowledged, however late."""
+        """Wait for the acknowledgement of the new writer's samples, while the old one goes on."""
         assert self._next is not None
         self._is_doubted = True
         if _is_served(self._next):
@@ -336,7 +334,7 @@ class WriterSwap(Generic[W]):
             is_served = _is_served(old.writer)
             drained_s = now_s - old.since_s
             if is_served or drained_s >= self._timing.drain_s:
-                self._draining.remove(old)  # first: nothing that raises below may make it go twice
+                self._draining.remove(old)  # first: if something below raises, it must not be destroyed twice
                 self.ledger.drain(SwapPhase.DRAINING, drained_s)
                 old.writer.destroy()
                 if not is_served:
@@ -361,5 +359,5 @@ class WriterSwap(Generic[W]):
 
 
 def _is_served(writer: Writer) -> bool:
-    """Whether nobody waits for anything this writer still holds."""
+    """Return whether no reader waits for a sample of this writer."""
     return writer.matched() == 0 or writer.is_acknowledged()

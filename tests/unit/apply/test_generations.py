@@ -1,4 +1,4 @@
-"""Numbers of plans that somebody invents: none stops the planning, and none keeps it busy."""
+"""Invented plan numbers neither stop the planning nor keep it busy."""
 
 import pytest
 
@@ -12,7 +12,7 @@ from tests.sample_publishers import publisher
 
 
 class Run:
-    """A governor over two publishers, of which one may announce any generation."""
+    """A governor over two publishers; one of them announces any generation."""
 
     def __init__(self):
         self.settings = Settings()
@@ -20,9 +20,9 @@ class Run:
         self.program = Program.of(self.settings)
         self.now_s = 100.0
 
-    def tick(self, claimed):
+    def tick(self, announced):
         self.now_s += 0.1
-        publishers = [publisher("/honest", "/a"), publisher("/liar", "/b", generation=claimed)]
+        publishers = [publisher("/honest", "/a"), publisher("/liar", "/b", generation=announced)]
         topics = topics_to_plan(publishers, self.settings)
         return self.governor.decide(
             self.now_s,
@@ -44,18 +44,18 @@ def run():
     return run
 
 
-@pytest.mark.parametrize("claimed", [MOST_GENERATION - 1, MOST_GENERATION, 2**63 - 1, 2**80])
-def test_planning_goes_on_at_the_end_of_all_numbers(run, claimed):
-    """Whatever an endpoint claims, plans are numbered by what parameters and metrics can hold, and still made."""
-    assert run.tick(claimed).reason == "takeover"
+@pytest.mark.parametrize("announced", [MOST_GENERATION - 1, MOST_GENERATION, 2**63 - 1, 2**80])
+def test_planning_goes_on_at_the_end_of_all_numbers(run, announced):
+    """Plans are still made, with numbers that parameters and metrics can hold, whatever an endpoint announces."""
+    assert run.tick(announced).reason == "takeover"
     assert run.governor.plan.generation == MOST_GENERATION
     run.governor.reconfigure(run.settings)
-    decision = run.tick(claimed)
+    decision = run.tick(announced)
     assert (decision.reason, decision.plan.generation) == ("reload", MOST_GENERATION)
 
 
 def test_who_invents_a_newer_plan_each_time_is_not_followed_each_time(run):
-    """A takeover is made at once, the next one only after the dwell, and what is held back is told."""
+    """A takeover is made at once, the next one only after the dwell, and the refusal names the dwell."""
     decisions = [run.tick(10 * (k + 1)) for k in range(200)]
     takeovers = sum(decision.reason == "takeover" for decision in decisions)
     assert decisions[0].reason == "takeover"

@@ -1,4 +1,4 @@
-"""Writers and adaptive readers of a topic come to a plan without ever losing each other."""
+"""Writers and readers of a topic take a plan without losing each other."""
 
 import math
 import random
@@ -28,7 +28,7 @@ def period(deadline_ns):
 
 
 class Endpoint:
-    """A writer or reader that applies what it is sent, when the test says so."""
+    """A writer or reader that takes its parameter calls when the test says so."""
 
     def __init__(self, state):
         self.state = self.announced = state
@@ -98,11 +98,11 @@ class World:
                     each.send(step.generation, step.readers[TOPIC])
 
     def settle(self, among=None):
-        """Let everybody answer, until nothing is to be sent; return how often somebody had to."""
-        for rounds in range(30):
+        """Let the endpoints answer until nothing is left to send."""
+        for _ in range(30):
             self.tick()
             if not self.steps.transitions:
-                return rounds
+                return
             for each in among or self.endpoints:
                 while each.inbox:
                     each.receive()
@@ -134,7 +134,7 @@ DEADLINES = st.one_of(st.just(0), st.integers(1, 2000)).map(lambda ms: ms * MS)
 @settings(deadline=None, max_examples=60)
 @given(st.integers(1, 2), st.integers(1, 2), st.integers(0, 2**32))
 def test_no_order_of_answers_separates_a_pair(writers, readers, seed):
-    """Whoever answers when, or not at all, a reader that hears a writer goes on hearing it."""
+    """A reader that hears a writer goes on hearing it, in any order of answers and without some of them."""
     chance = random.Random(seed)
 
     def deadline_ns():
@@ -165,7 +165,7 @@ def test_no_order_of_answers_separates_a_pair(writers, readers, seed):
 @settings(deadline=None)
 @given(st.lists(DEADLINES, min_size=1, max_size=2), st.lists(DEADLINES, min_size=1, max_size=3), st.lists(DEADLINES))
 def test_where_everybody_answers_everybody_comes_to_the_plan(offers, requests, plans):
-    """In the end writers offer the plan's period, and readers request a longer one, or none where they never did."""
+    """In the end writers offer the plan's period, and readers request a longer one, or none if they never did."""
     world = World(
         [writer_at(ns, node=f"/w{i}") for i, ns in enumerate(offers)],
         [reader_at(ns, node=f"/r{i}", baseline_deadline_ns=ns) for i, ns in enumerate(requests)],
@@ -186,7 +186,7 @@ def sent(world):
 
 
 def test_relaxing_moves_readers_first_and_the_rate_at_once():
-    """The writer slows down at once, keeps its QoS until the reader has relaxed, and then has one new writer."""
+    """The writer slows down at once, and keeps its QoS until the reader has relaxed."""
     world = World([writer_at(SHORT)], [reader_at(100 * MS)])
     world.intend(row(LONG))
     world.tick()
@@ -207,7 +207,7 @@ def test_relaxing_moves_readers_first_and_the_rate_at_once():
 
 
 def test_tightening_moves_writers_first():
-    """The reader keeps what it requests until every writer it hears offers no more than it shall request."""
+    """The reader keeps its request until every writer it hears offers a period no longer than the new one."""
     world = World([writer_at(LONG, node="/a"), writer_at(LONG, node="/b")], [reader_at(750 * MS)])
     world.intend(row(SHORT))
     world.tick()
@@ -225,7 +225,7 @@ def test_tightening_moves_writers_first():
 
 
 def test_a_reader_that_does_not_answer_holds_nobody_back_for_ever():
-    """After the patience the writer offers what that reader requests, and is confirmed; should it answer, all of it."""
+    """After the patience the writer offers what that reader requests, and its whole row once the reader answers."""
     world = World([writer_at(SHORT)], [reader_at(100 * MS, node="/deaf"), reader_at(100 * MS, node="/r")])
     world.intend(row(LONG))
     willing = [world.writers[0], world.readers[1]]
@@ -247,7 +247,7 @@ def test_a_reader_that_does_not_answer_holds_nobody_back_for_ever():
 
 
 def test_a_writer_that_does_not_answer_leaves_its_reader_what_it_hears():
-    """After the patience the reader has its depth, and requests what that writer still offers."""
+    """After the patience the reader has the planned depth, and requests what that writer still offers."""
     world = World([writer_at(LONG)], [reader_at(750 * MS)])
     world.intend(row(SHORT))
     world.tick()
@@ -258,7 +258,7 @@ def test_a_writer_that_does_not_answer_leaves_its_reader_what_it_hears():
 
 @pytest.mark.parametrize(("offers_ns", "waits"), [((SHORT, LONG), True), ((SHORT,), False), ((0,), False)])
 def test_a_writer_that_only_the_graph_knows_counts_if_it_is_heard(offers_ns, waits):
-    """An unmodified writer's offer is not undercut, unless the reader never heard it."""
+    """A reader does not request less than an unmodified writer offers, unless it never heard that writer."""
     world = World([writer_at(SHORT, depth=20)], [reader_at(750 * MS, offers_ns=offers_ns)])
     world.intend(row(SHORT, rate_hz=20.0))
     world.tick()
@@ -266,7 +266,7 @@ def test_a_writer_that_only_the_graph_knows_counts_if_it_is_heard(offers_ns, wai
 
 
 def test_a_reader_that_the_graph_still_shows_counts():
-    """A writer waits until the reader that was replaced is gone from the graph too."""
+    """A writer waits until the replaced reader is gone from the graph too."""
     world = World([writer_at(SHORT)], [reader_at(750 * MS, depth=20, requests_ns=(100 * MS, 750 * MS))])
     world.intend(row(LONG))
     world.settle(among=world.writers)
@@ -278,14 +278,14 @@ def test_a_reader_that_the_graph_still_shows_counts():
 
 
 def test_a_reader_that_refuses_for_good_is_left_alone():
-    """Who never changes is not asked to; its request reaches writers as any other reader's does."""
+    """A reader with a lasting refusal gets no row, neither of a plan nor of a restore."""
     latched = reader_at(100 * MS, refusal="no", refusal_reason=RefusalReason.TRANSIENT_LOCAL, generation=3)
     plan = QosPlan(generation=1, topics={TOPIC: row(LONG)}, level_bytes_per_second=1.0)
     assert (plan_readers([latched], plan), restore_readers([latched])) == ({}, {})
 
 
 def test_a_reader_that_keeps_all_has_no_depth_to_change():
-    """Where the history is KEEP_ALL only the deadline is planned."""
+    """Only the deadline of a KEEP_ALL reader is planned."""
     everything = reader_at(100 * MS, depth=7, keeps_all=True)
     plan = QosPlan(generation=1, topics={TOPIC: row(LONG)}, level_bytes_per_second=1.0)
     (wanted,) = plan_readers([everything], plan).values()
@@ -302,7 +302,7 @@ def test_restoring_gives_readers_what_their_application_asked_for():
 
 
 def test_the_lease_reaches_readers_too():
-    """A reader that runs the plan is told a changed lease until it announces it."""
+    """A reader that has the plan is sent a changed lease until it announces it."""
     settled = reader_at(750 * MS, depth=20, generation=1)
     plan = QosPlan(generation=1, topics={TOPIC: row(LONG)}, level_bytes_per_second=1.0)
     for lease_s, count in ((0.0, 0), (30.0, 1)):
@@ -319,20 +319,20 @@ def test_the_lease_reaches_readers_too():
 
 
 def test_a_floor_alone_is_sent_too():
-    """An announcement shows no floor: a plan that changes only that is sent until the publisher announces the plan."""
+    """An announcement shows no floor, so a plan with only a new floor is sent until its generation is announced."""
     ordering = Ordering()
     settled = publisher("/n", TOPIC, generation=1, depth=20, deadline_ns=SHORT, rate_hz=5.0)
 
     def sent(generation, floor_hz):
         rows = {TOPIC: replace(row(SHORT), min_rate_hz=floor_hz)}
         plan = QosPlan(generation=generation, topics=rows, level_bytes_per_second=1.0)
-        known = replace(settled, generation=min(generation, heard))
+        known = replace(settled, generation=min(generation, announced))
         steps = ordering.steps(0.0, publishers=[known], readers=[], plan=plan, reader_plans={}, reason="")
         return [step.topics[TOPIC].min_rate_hz for step in steps.transitions]
 
-    heard = 1
+    announced = 1
     assert sent(1, 1.0) == []
     assert sent(2, 3.0) == [3.0]
     assert sent(2, 3.0) == [3.0]
-    heard = 2
+    announced = 2
     assert sent(2, 3.0) == []

@@ -1,4 +1,4 @@
-"""How a topic is relayed, decided from who publishes it."""
+"""Routes of relayed topics, chosen from their publishers."""
 
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
 
@@ -18,7 +18,7 @@ LATCHED = Route(type_name="std_msgs/msg/String", is_reliable=True, is_latched=Tr
 
 
 def test_nobody_publishes():
-    """Without a publisher there is nothing to decide."""
+    """Without a publisher there is no route."""
     assert route() is None
 
 
@@ -38,7 +38,7 @@ def test_reliability_returns_and_durability_does_not():
 
 
 def test_two_types_are_refused_and_named():
-    """Two types on a topic that is not carried yet are refused, with who publishes which."""
+    """Two types on a topic that is not carried yet are refused, and their publishers are named."""
     refusal = route(source("/b"), source("/a", "std_msgs/msg/Empty"))
     assert refusal == RouteRefusal(
         reason="it has more than one type: std_msgs/msg/Empty from /a, std_msgs/msg/String from /b"
@@ -46,7 +46,7 @@ def test_two_types_are_refused_and_named():
 
 
 def test_what_flows_is_not_taken_away_by_another_type():
-    """The type that is carried stays, the other one is named, and its QoS decides nothing."""
+    """The carried type stays, the other one is named, and its QoS does not count."""
     stray = source("/b", "std_msgs/msg/Empty", is_reliable=False)
     chosen = route(source(), stray, in_force=STRING)
     assert chosen == Route(
@@ -55,21 +55,21 @@ def test_what_flows_is_not_taken_away_by_another_type():
 
 
 def test_a_carried_type_that_left_makes_room_for_the_next():
-    """When only another type is left, that one is carried."""
+    """When only another type is left, it is carried."""
     chosen = route(source(type_name="std_msgs/msg/Empty"), in_force=STRING)
     assert chosen == Route(type_name="std_msgs/msg/Empty", is_reliable=True, is_latched=False)
 
 
 def test_circles_are_refused_and_named():
-    """The carrier's own writer, and a node that reads the output, make a circle."""
+    """A topic that the carrier writes, or that a reader of the output writes, is refused."""
     own = route(source(), source(CARRIER))
     assert own == RouteRefusal(reason="/relay publishes it itself, so its output would be its own input")
     echo = route(source(), source("/echo"), readers=("/echo", "/far"))
-    assert echo == RouteRefusal(reason="/echo reads /link/x and publishes it, so messages would go round in circles")
+    assert echo == RouteRefusal(reason="/echo reads /link/x and publishes it, so messages would loop")
 
 
 def test_output_names_are_no_input():
-    """A name under the prefix, or one that is carried to itself, is refused; a name that only resembles it is not."""
+    """A name under the prefix, or one that is its own output, is refused; a name that only resembles it is not."""
     assert own_output("/link/x", prefix="/link", output="/link/link/x") is not None
     assert own_output("/link", prefix="/link", output="/link/link") is not None
     assert own_output("/x", prefix="/link", output="/x") is not None

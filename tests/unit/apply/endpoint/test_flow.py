@@ -1,4 +1,4 @@
-"""The flow: pacing and swap together, in virtual time."""
+"""The flow: pacing, swaps and slow start together, in virtual time."""
 
 import math
 from collections import Counter
@@ -9,55 +9,35 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import DropCause, WriterQos
 from arpd.model.settings import Overflow
+from arpd.model.wire import FRAGMENT_BYTES
+from tests.unit import swap_world
 
 STEP_S = 0.005
+SMALL, LARGE = bytes(FRAGMENT_BYTES), bytes(FRAGMENT_BYTES + 1)
 
 
-class Writer:
-    """Acknowledges only when told to, and one reader matches it at once."""
+class Writer(swap_world.Writer):
+    """A writer with one reader that acknowledges only when the test says so, and that may be broken."""
 
-    def __init__(self, qos, log):
-        self.qos = qos
-        self.log = log
-        self.written = []
-        self.is_acknowledging = False
-        self.is_alive = True
-        self.missed = 0
-        self.is_broken = False
+    def __init__(self, qos, world):
+        super().__init__(qos, world)
+        self.acknowledges = self.is_broken = False
 
     def publish(self, sample):
-        assert self.is_alive
         if self.is_broken:
             raise RuntimeError("no room")
-        self.written.append(sample)
-        self.log.append(sample)
-
-    def matched(self):
-        return 1
-
-    def is_acknowledged(self):
-        return self.is_acknowledging
-
-    def disconnects_readers(self):
-        return False
-
-    def deadlines_missed(self):
-        return self.missed
-
-    def destroy(self):
-        self.is_alive = False
+        super().publish(sample)
 
 
-class World:
+class World(swap_world.World):
     def __init__(self, *, depth=10, overflow=Overflow.LATEST):
+        super().__init__()
         self.now_s = 100.0
-        self.writers = []
         self.gate = 1.0
-        self.log = []  # what was written, by whichever writer
         self.flow = Flow(
             create=self.create,
             qos=WriterQos(depth=depth, deadline_ns=0),
@@ -66,7 +46,7 @@ class World:
         )
 
     def create(self, qos):
-        self.writers.append(Writer(qos, self.log))
+        self.writers.append(Writer(qos, self))
         return self.writers[-1]
 
     def retune(self, **changes):
@@ -96,13 +76,13 @@ def name(number):
 @pytest.mark.parametrize("overflow", Overflow)
 @pytest.mark.parametrize("depth", [1, 2, 10])
 def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
-    """Where the old writer is never acknowledged, samples are held and let go, all of them, in order."""
+    """When the old writer is never acknowledged, all held samples leave, in order."""
     world = World(depth=depth, overflow=overflow)
     for number in range(2000):
         if number == 50:
             world.retune(depth=depth + 1)
         world.flow.publish(name(number))
-        world.writers[-1].is_acknowledging = len(world.writers) > 1
+        world.writers[-1].acknowledges = len(world.writers) > 1
         world.wait(STEP_S)
     assert len(world.writers) == 2
     assert world.flow.qos.depth == depth + 1
@@ -111,7 +91,7 @@ def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
 
 
 def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
-    """No burst crowds the link or a reader's history, and what comes meanwhile queues behind."""
+    """Held samples leave without a burst, and newer ones queue behind them."""
     world = World()
     departures = []
     number = 0
@@ -131,14 +111,14 @@ def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
 
 
 def test_a_hold_conflates_nothing_that_pacing_lets_through():
-    """Held samples wait behind the pacing: a slow conflating topic loses none of them to a swap."""
+    """Held samples wait behind the pacing, so a swap of a slow conflating topic loses none of them."""
     world = World()
     world.retune(rate_hz=10.0)
     for number in range(200):
         if number == 20:
             world.retune(depth=11)
         world.flow.publish(name(number))
-        world.writers[-1].is_acknowledging = len(world.writers) > 1
+        world.writers[-1].acknowledges = len(world.writers) > 1
         world.wait(0.11)
     assert len(world.writers) == 2
     assert world.log == [name(number) for number in range(200)]
@@ -162,7 +142,7 @@ def test_a_hold_conflates_nothing_that_pacing_lets_through():
     st.sampled_from(Overflow),
 )
 def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
-    """Through any sequence of swaps, rates and gates each sample is accounted for, and none leaves twice."""
+    """Any sequence of swaps, rates and gates accounts for each sample, and none leaves twice."""
     world = World(overflow=overflow)
     offered = 0
     is_broken = False
@@ -187,7 +167,7 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
         elif what == "break":
             is_broken = value
         else:
-            world.writers[-1].is_acknowledging = value
+            world.writers[-1].acknowledges = value
         now = world.flow.state()
         assert sum(now.withheld_by_cause.values()) == now.withheld
         assert set(Counter(now.withheld_by_cause) - before) <= possible_causes(world, is_broken=is_broken)
@@ -203,37 +183,37 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
 
 
 def possible_causes(world, *, is_broken):
-    """Return what may make a sample give way just now."""
+    """Return the causes for which a sample may be withheld now."""
     gated = {DropCause.GATE} if world.gate < 1.0 and world.flow._pacer.rate_hz < world.flow.plan.rate_hz else set()
     paced = {DropCause.RATE} if not gated and world.flow.plan.rate_hz < math.inf else set()
     return {DropCause.BLOCKED} | gated | paced | ({DropCause.FAILED} if is_broken else set())
 
 
 def test_a_latched_writer_first_gets_what_the_old_one_held():
-    """The last samples of the old depth come first, then what is published next; they count once."""
+    """The last samples of the old writer come first, then new ones, and each counts once."""
     world = World(depth=3)
     world.flow.keep_history()
     for number in range(5):
         world.flow.publish(name(number))
-    world.writers[0].is_acknowledging = True
+    world.writers[0].acknowledges = True
     world.retune(depth=10)
     world.wait(2 * SwapTiming().settle_s)
     world.flow.publish(name(5))
     assert world.writers[1].written == [name(number) for number in (2, 3, 4, 5)]
     assert world.flow.state().published == 6
-    world.writers[1].is_acknowledging = True
+    world.writers[1].acknowledges = True
     world.retune(depth=2)
     world.wait(2 * SwapTiming().settle_s)
     assert world.writers[2].written == [name(number) for number in (2, 3, 4, 5)]
     world.flow.publish(name(6))
     world.retune(depth=4)
-    world.writers[2].is_acknowledging = True
+    world.writers[2].acknowledges = True
     world.wait(2 * SwapTiming().settle_s)
     assert world.writers[3].written == [name(5), name(6)], "a writer of depth 2 held no more"
 
 
 def run(world, *, rate_hz, seconds):
-    """Let an application publish at a rate; return what was withheld meanwhile, by cause."""
+    """Let an application publish at a rate; return the samples withheld meanwhile, by cause."""
     before = Counter(world.flow.state().withheld_by_cause)
     for number in range(round(rate_hz * seconds)):
         world.flow.publish(name(number))
@@ -244,7 +224,7 @@ def run(world, *, rate_hz, seconds):
 
 
 def test_what_gives_way_to_the_plan_is_told_from_what_gives_way_to_the_gate():
-    """The gate is the cause while it makes the rate lower than the plan's, and only then."""
+    """The gate is the cause only while it makes the rate lower than the plan's."""
     world = World()
     world.retune(rate_hz=20.0, min_rate_hz=20.0)
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
@@ -258,7 +238,7 @@ def test_what_gives_way_to_the_plan_is_told_from_what_gives_way_to_the_gate():
 
 @pytest.mark.parametrize("overflow", Overflow)
 def test_a_paused_topic_gives_way_to_the_plan(overflow):
-    """However much it might have sent before, no writer is blamed."""
+    """The cause is the rate, not a blocked writer."""
     world = World(overflow=overflow)
     world.retune(rate_hz=0.0)
     assert run(world, rate_hz=100.0, seconds=1.0).keys() == {DropCause.RATE}
@@ -266,17 +246,17 @@ def test_a_paused_topic_gives_way_to_the_plan(overflow):
 
 @pytest.mark.parametrize("rate_hz", [20.0, math.inf])
 def test_what_a_writer_that_blocks_kept_back_is_told_from_what_pacing_did(rate_hz):
-    """Samples that nothing but the thread that writes keeps waiting give way to it, paced or not."""
+    """Samples that wait only for the writing thread count as blocked, paced or not."""
     world = World(depth=4)
     world.retune(rate_hz=rate_hz)
     for number in range(100):
-        world.flow.offer(name(number))  # and nobody comes to write it
+        world.flow.offer(name(number))  # no thread writes it
         world.now_s += 0.1
     assert world.flow.state().withheld_by_cause.keys() == {DropCause.BLOCKED}
 
 
 def test_the_rate_at_which_samples_leave_is_measured():
-    """A topic paced to a fifth of its source leaves at a fifth of its rate, and at none once it ceases."""
+    """The published rate follows the paced rate, and is 0 once the source has stopped."""
     world = World()
     world.retune(rate_hz=20.0)
     run(world, rate_hz=100.0, seconds=4.0)
@@ -291,10 +271,10 @@ def test_the_rate_at_which_samples_leave_is_measured():
 
 
 def test_only_the_writer_in_force_misses_deadlines():
-    """What an old writer counts once it gets no samples is nobody's miss; what it missed before stays counted."""
+    """Misses of a retired writer do not count, and its earlier ones stay counted."""
     world = World()
     first = world.writers[0]
-    first.missed, first.is_acknowledging = 3, True
+    first.missed, first.acknowledges = 3, True
     assert world.flow.state().deadlines_missed == 3
     world.retune(depth=2)
     first.missed = 5
@@ -305,7 +285,52 @@ def test_only_the_writer_in_force_misses_deadlines():
     assert world.flow.state().deadlines_missed == 5
     world.writers[1].missed = 2
     assert world.flow.state().deadlines_missed == 7
-    world.writers[1].is_acknowledging = True
+    world.writers[1].acknowledges = True
     world.wait(10.0)
     assert not first.is_alive
     assert world.flow.state().deadlines_missed == 7
+
+
+def slow_start(world, seconds, *, gate, sample=LARGE):
+    """Publish at 50 Hz under a gate sent at 10 Hz (None = no daemon); return the number of samples written."""
+    before = len(world.log)
+    for number in range(round(seconds * 50)):
+        if number % 5 == 0:
+            world.flow.set_gate(gate)
+        world.flow.publish(sample)
+        world.wait(0.02)
+    return len(world.log) - before
+
+
+def test_large_samples_wait_for_their_first_plan_while_a_daemon_is_there():
+    """The first sample leaves at once, then two a second; the gate is the cause for the others."""
+    world = World()
+    assert slow_start(world, 0.02, gate=1.0) == 1
+    assert slow_start(world, 2.0, gate=1.0) == pytest.approx(2.0 * SLOW_START_HZ, abs=1)
+    assert world.flow.state().withheld_by_cause.keys() == {DropCause.GATE.value}
+
+
+@pytest.mark.parametrize(
+    ("sample", "overflow", "gate"),
+    [(SMALL, Overflow.LATEST, 1.0), (LARGE, Overflow.QUEUE, 1.0), (LARGE, Overflow.LATEST, None)],
+    ids=["small", "not conflated", "no daemon"],
+)
+def test_what_need_not_wait_does_not(sample, overflow, gate):
+    """Small samples, those that may not be conflated, and all samples without a daemon leave as they come."""
+    assert slow_start(World(overflow=overflow), 2.0, gate=gate, sample=sample) == 100
+
+
+def test_the_wait_ends_with_the_first_plan_and_never_returns():
+    """From the first plan on its rate is in force."""
+    world = World()
+    slow_start(world, 1.0, gate=1.0)
+    world.retune()
+    assert slow_start(world, 2.0, gate=1.0) == pytest.approx(100, abs=1)
+
+
+@pytest.mark.parametrize(("seconds", "gate"), [(4.2, 1.0), (1.0, None)], ids=["four seconds", "no daemon any longer"])
+def test_the_wait_for_a_plan_ends(seconds, gate):
+    """A topic that gets no plan waits for four seconds, and only while a daemon is there."""
+    world = World()
+    slow_start(world, seconds, gate=1.0)
+    assert slow_start(world, 2.0, gate=gate) == pytest.approx(100, abs=1)

@@ -1,4 +1,4 @@
-"""How long a plan outlives the daemon that made it."""
+"""The time for which a plan outlives its daemon."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ CONFIRMED = publisher("/talker", "/a", rate_hz=ROW.rate_hz, depth=ROW.depth, gen
 
 @given(st.lists(st.floats(0.0, 100.0), min_size=1), st.floats(0.1, 100.0), st.floats(0.0, 200.0))
 def test_it_is_over_when_the_last_sign_of_life_is_older_than_the_grant(signs, granted_s, now_s):
-    """Only the newest sign of life counts, whatever order they are noted in."""
+    """Only the newest sign counts, in any order of notes."""
     lease = Lease()
     lease.granted_s = granted_s
     for sign_s in signs:
@@ -29,19 +29,19 @@ def test_it_is_over_when_the_last_sign_of_life_is_older_than_the_grant(signs, gr
 
 @pytest.mark.parametrize("now_s", [0.0, 1e9])
 def test_without_a_grant_it_never_ends(now_s):
-    """A daemon that granted nothing lets its plan stay for good."""
+    """Without a grant the plan stays."""
     assert not Lease().is_over(now_s)
 
 
 def test_only_the_choice_of_baseline_grants_a_lease():
-    """`on_lost: keep` tells the nodes never to give a plan up."""
+    """`on_lost: keep` grants no lease."""
     settings = Settings(lost_after_s=12.0)
     assert settings.lease_s == 0.0
     assert replace(settings, on_lost=OnLost.BASELINE).lease_s == 12.0
 
 
 def test_a_changed_lease_reaches_publishers_that_run_the_plan_already():
-    """After a reload the nodes are told the new lease with the same plan, until they announce it."""
+    """After a reload the nodes are sent the new lease with the same plan, until they announce it."""
     assert plan_transitions([CONFIRMED], PLAN, reason="test") == ()
     (transition,) = plan_transitions([CONFIRMED], PLAN, reason="test", lease_s=30.0)
     assert (transition.lease_s, transition.generation, transition.topics) == (30.0, 3, {"/a": ROW})
@@ -50,7 +50,7 @@ def test_a_changed_lease_reaches_publishers_that_run_the_plan_already():
 
 
 def test_a_publisher_that_gave_the_plan_up_is_planned_for_again():
-    """A returning daemon sees generation 0 with the application's QoS, and sets its plan."""
+    """A returning daemon sees generation 0 with the application's QoS, and sends its plan."""
     lost = replace(CONFIRMED, generation=0, rate_hz=math.inf, depth=10, lease_s=30.0)
     (transition,) = plan_transitions([lost], PLAN, reason="test", lease_s=30.0)
     assert transition.topics == {"/a": ROW}

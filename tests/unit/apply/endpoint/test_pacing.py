@@ -1,4 +1,4 @@
-"""The pacer: it bounds what leaves, loses count of nothing, and is in nobody's way when it need not be."""
+"""The pacer bounds the samples that leave, counts every one, and delays none without need."""
 
 import math
 from itertools import pairwise
@@ -34,7 +34,7 @@ def drain(pacer, now_s):
 @settings(deadline=None)
 @given(GAPS, st.lists(RATES, min_size=1, max_size=8), OVERFLOWS)
 def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflow):
-    """Between any two departures at most ∫rate + one burst of samples leaves, however often the rate is changed."""
+    """Between any two departures at most ∫rate + one burst of samples leaves, also when the rate changes often."""
     pacer, _ = make(overflow, depth=100)
     now_s, allowed, departures = 100.0, 0.0, []
     for number, gap_s in enumerate(gaps):
@@ -53,7 +53,7 @@ def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflo
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.0, 0.3), st.booleans(), RATES, st.integers(1, 5)), max_size=60), OVERFLOWS)
 def test_every_sample_is_taken_withheld_or_waiting(steps, overflow):
-    """Whatever happens, offered = taken + withheld + waiting, and samples leave in the order they came."""
+    """Offered = taken + withheld + waiting at any time, and samples leave in the order they came."""
     pacer, withheld = make(overflow)
     now_s, offered, taken = 100.0, 0, []
     for gap_s, publishes, rate_hz, depth in steps:
@@ -122,7 +122,7 @@ def test_queue_drops_its_oldest_beyond_the_depth():
 
 @pytest.mark.parametrize("overflow", Overflow)
 def test_unpaced_samples_leave_at_once_and_waiting_ones_are_kept(overflow):
-    """Without a rate nothing waits on its own, and what waits for the thread that writes is kept up to the depth."""
+    """Without a rate samples are due at once, and those that wait for the writing thread are kept up to the depth."""
     pacer, withheld = make(overflow, depth=4)
     for number in range(4):
         pacer.offer(name(number), 0.0)
@@ -157,7 +157,7 @@ def test_a_gate_that_moves_does_not_restart_the_schedule():
 
 
 def test_clear_counts_what_it_gives_up():
-    """What waited at the end is withheld, not forgotten."""
+    """Samples that wait at the end count as withheld."""
     pacer, withheld = make(Overflow.QUEUE)
     pacer.offer(name(0), 0.0)
     pacer.offer(name(1), 0.0)
@@ -171,7 +171,7 @@ def test_clear_counts_what_it_gives_up():
     st.lists(st.tuples(st.booleans(), st.sampled_from([0.0, 0.001, 0.03, 0.2])), max_size=60), st.sampled_from(Overflow)
 )
 def test_admitting_is_queueing_and_taking(steps, overflow):
-    """A sample that is admitted is one that would have been taken at once, for the same credit."""
+    """An admitted sample is one that would have been taken at once, for the same credit."""
     (one, _), (other, _) = make(overflow, depth=3), make(overflow, depth=3)
     now_s = 0.0
     for pacer in (one, other):

@@ -1,4 +1,4 @@
-"""The handover of a subscription's reader, without ROS: every interleaving of writers, readers and executor."""
+"""The reader swap without ROS: any interleaving of writers, readers and executor."""
 
 from collections import deque
 from typing import Any
@@ -14,7 +14,7 @@ TIMING = ReaderSwapTiming(settle_s=1.0, match_timeout_s=5.0, catch_up_s=100.0, r
 
 
 class Reader:
-    """A reliable reader: in order per writer, each writer's samples from the moment it is matched."""
+    """A reliable reader: it receives each writer's samples in order, from its match on."""
 
     def __init__(self, world, qos):
         self.world, self.qos = world, qos
@@ -38,7 +38,7 @@ class Reader:
 
 
 class World:
-    """Writers, the readers of one handover, and what the application was given."""
+    """Writers, the readers of one swap, and the samples delivered to the application."""
 
     def __init__(self):
         self.now_s = 0.0
@@ -46,7 +46,7 @@ class World:
         self.results: list[ReaderSwapResult] = []
         self.delivered: list[Any] = []
         self.written = [0] * WRITERS
-        self.handover: Any = ReaderSwap(create=self.create, on_result=self.results.append, qos=0, timing=TIMING)
+        self.swap: Any = ReaderSwap(create=self.create, on_result=self.results.append, qos=0, timing=TIMING)
         for writer in range(WRITERS):
             self.readers[0].writers.add(writer)
 
@@ -67,20 +67,20 @@ class World:
 
     def take(self, reader):
         if (taken := reader.take()) is not None:
-            self.delivered += self.handover.accept(reader, *taken, now_s=self.now_s)
+            self.delivered += self.swap.accept(reader, *taken, now_s=self.now_s)
 
     def step(self, after_s):
         self.now_s += after_s
-        # What the settle time is for: of a writer the new reader has nothing from, the old one misses nothing.
+        # By the settle time the old reader has all samples of a writer from which the new one has none.
         if len(self.live) == 2:
             old, new = self.live
             for writer in range(WRITERS):
                 if not any(key[0] == writer for key, _ in new.arrived) and not any(
-                    key[0] == writer for key in self.handover._held
+                    key[0] == writer for key in self.swap._held
                 ):
                     while old.under_way[writer]:
                         old.arrive(writer)
-        self.delivered += self.handover.step(self.now_s)
+        self.delivered += self.swap.step(self.now_s)
 
     def do(self, action, which, writer):
         reader = self.live[which % len(self.live)]
@@ -93,7 +93,7 @@ class World:
         elif action == "take":
             self.take(reader)
         elif action == "request":
-            self.handover.request(which)
+            self.swap.request(which)
         else:
             self.step(0.6)
 
@@ -115,7 +115,7 @@ def actions(*names):
 
 
 traffic = actions("write", "match", "arrive", "take", "step")
-# One handover that nobody interrupts, then any number that supersede each other.
+# One swap without a newer request, then any number that supersede each other.
 scripts = st.builds(
     lambda before, during, after: [*before, ("request", 1, 0), ("step", 0, 0), *during, *after],
     actions("write", "arrive", "take"),
@@ -125,7 +125,7 @@ scripts = st.builds(
 
 
 def slow_old_reader(*last):
-    """Return a script in which the old reader still waits for a sample older than what the new one has."""
+    """Return a script in which the old reader still waits for a sample that is older than those of the new one."""
     begin = [("request", 1, 0), ("step", 0, 0), ("write", 0, 0), ("match", 0, 0), ("match", 0, 1), ("write", 0, 0)]
     return [*begin, *last, ("step", 0, 0), ("step", 0, 0), ("step", 0, 0)]
 
@@ -134,28 +134,28 @@ def slow_old_reader(*last):
 @example(slow_old_reader(("arrive", 1, 0), ("take", 1, 0)))
 @example(slow_old_reader(("arrive", 1, 0)))
 def test_no_interleaving_loses_doubles_or_reorders(script):
-    """Whatever arrives where and when, every sample is delivered once, each writer's in order."""
+    """Every sample is delivered once, and each writer's in order."""
     world = World()
     for action in script:
         world.do(*action)
     world.finish()
-    assert world.handover.state is ReaderSwapState.IDLE
+    assert world.swap.state is ReaderSwapState.IDLE
     assert len(world.live) == 1
-    assert world.live[0] is world.handover.current
-    assert world.live[0].qos == world.handover.qos
+    assert world.live[0] is world.swap.current
+    assert world.live[0].qos == world.swap.qos
     for writer in range(WRITERS):
         got = [number for source, number in world.delivered if source == writer]
         assert got == list(range(1, world.written[writer] + 1))
 
 
 def begun(world, qos=1):
-    world.handover.request(qos)
+    world.swap.request(qos)
     world.step(0.0)
     return world.readers[-1]
 
 
 def test_a_reader_that_does_not_match_is_given_up():
-    """When the writers do not match in time, the old reader stays and goes on delivering."""
+    """When the writers do not match in time, the old reader goes on delivering."""
     world = World()
     new = begun(world)
     world.step(5.1)
@@ -168,86 +168,86 @@ def test_a_reader_that_does_not_match_is_given_up():
 
 
 def test_the_newest_request_supersedes():
-    """A request during a handover destroys the reader under way and begins anew."""
+    """A request during a swap destroys the new reader and begins another swap."""
     world = World()
     first = begun(world, 1)
     second = begun(world, 2)
     assert first.is_destroyed
     second.writers |= {0, 1}
     world.step(1.1)
-    assert world.handover.qos == 2
+    assert world.swap.qos == 2
     assert world.results == [ReaderSwapResult.SUPERSEDED, ReaderSwapResult.OK]
 
 
-def test_equal_settings_are_no_handover():
-    """A request for what is in force, or for what is under way, makes no reader."""
+def test_equal_settings_are_no_swap():
+    """A request for the QoS in force, or for the one under way, makes no reader."""
     world = World()
-    world.handover.request(0)
+    world.swap.request(0)
     world.step(0.0)
     assert len(world.readers) == 1
     begun(world)
-    world.handover.request(1)
+    world.swap.request(1)
     world.step(0.0)
     assert len(world.readers) == 2
 
 
-def test_going_back_during_a_handover_keeps_the_old_reader():
-    """Asking for what is in force while another reader is under way ends with the old one alone."""
+def test_going_back_during_a_swap_keeps_the_old_reader():
+    """A request for the QoS in force during a swap leaves the old reader alone."""
     world = World()
     begun(world, 1)
-    world.handover.request(0)
+    world.swap.request(0)
     world.step(0.0)
     assert world.live == [world.readers[0]]
-    assert not world.handover.is_busy
+    assert not world.swap.is_busy
 
 
 def test_a_reader_the_middleware_refuses_changes_nothing():
-    """An exception on creation leaves the old reader delivering and is told as a result."""
+    """An exception on creation leaves the old reader delivering, and is a result."""
     world = World()
 
     def refuse(_qos):
         raise RuntimeError("no resources")
 
-    world.handover._create = refuse
-    world.handover.request(1)
+    world.swap._create = refuse
+    world.swap.request(1)
     world.step(0.0)
     assert world.results == [ReaderSwapResult.FAILED]
-    assert not world.handover.is_busy
-    assert world.handover.accept(world.readers[0], (1, 1), "x", now_s=world.now_s) == ["x"]
+    assert not world.swap.is_busy
+    assert world.swap.accept(world.readers[0], (1, 1), "x", now_s=world.now_s) == ["x"]
 
 
 def test_an_old_reader_that_lost_samples_does_not_hold_up_the_switch_for_ever():
-    """With a best-effort reader that lost what the new one has, the switch comes after a time, and brings it."""
+    """The switch comes after a time, and delivers the samples that only the new reader has."""
     world = World()
     new = begun(world)
     new.writers |= {0, 1}
-    world.handover.accept(new, (7, 1), "only here", now_s=world.now_s)
+    world.swap.accept(new, (7, 1), "only here", now_s=world.now_s)
     world.step(1.1)
-    assert world.handover.state is ReaderSwapState.CATCHING_UP
+    assert world.swap.state is ReaderSwapState.CATCHING_UP
     world.step(100.1)
     assert world.results == [ReaderSwapResult.INCOMPLETE]
     assert world.delivered == ["only here"]
 
 
 def test_it_stops_tracking_when_no_late_double_can_come():
-    """Some time after a handover samples pass unlooked at again, and what was remembered is freed."""
+    """Some time after a swap samples are no longer checked, and the remembered keys are freed."""
     world = World()
     new = begun(world)
     new.writers |= {0, 1}
     world.step(1.1)
-    assert world.handover.is_tracking
+    assert world.swap.is_tracking
     world.now_s += 10.1
-    assert world.handover.accept(new, (9, 9), "x", now_s=world.now_s) == ["x"]
-    assert not world.handover.is_tracking
-    assert not world.handover._delivered
+    assert world.swap.accept(new, (9, 9), "x", now_s=world.now_s) == ["x"]
+    assert not world.swap.is_tracking
+    assert not world.swap._delivered
 
 
 def test_a_new_reader_that_runs_far_ahead_is_given_up():
-    """What is held is bounded: beyond it the new reader goes, and the old one delivers."""
+    """Beyond the bound of held samples the new reader is destroyed, and the old one delivers."""
     world = World()
     new = begun(world)
     for number in range(1001):
-        world.handover.accept(new, (number, number), number, now_s=world.now_s)
+        world.swap.accept(new, (number, number), number, now_s=world.now_s)
     world.step(0.1)
     assert world.results == [ReaderSwapResult.FAILED]
-    assert not world.handover._held
+    assert not world.swap._held

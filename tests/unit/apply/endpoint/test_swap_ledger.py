@@ -1,4 +1,4 @@
-"""What a swap took, phase by phase."""
+"""Time of a swap, phase by phase."""
 
 import pytest
 from hypothesis import given
@@ -20,7 +20,7 @@ def run(swap, start_s, seconds):
 
 
 def test_a_swap_that_waits_for_acknowledgements_says_for_how_long():
-    """Each phase has its time, the watching before and after the holding together; draining comes after the record."""
+    """Each phase has its time, watching before and after holding is added up, and draining follows the record."""
     world, swap = make()
     swap.current.acknowledges = False
     swap.request(qos(4))
@@ -50,7 +50,7 @@ def test_a_swap_that_waits_for_acknowledgements_says_for_how_long():
 
 
 def test_a_writer_that_is_refused_is_a_swap_that_took_no_time():
-    """It began, it failed, and its record is empty."""
+    """It began and failed, and its record has no time."""
     world, swap = make()
     world.refuses = True
     swap.request(qos(4))
@@ -65,7 +65,7 @@ def test_a_writer_that_is_refused_is_a_swap_that_took_no_time():
     st.lists(st.tuples(st.sampled_from(SwapPhase), st.floats(0.0, 100.0)), min_size=1, max_size=10), st.floats(0, 100)
 )
 def test_two_threads_that_look_at_the_clock_in_another_order_take_no_time_back(phases, result_s):
-    """A phase that seems to end before it began took no time, and the whole is the time to the latest look."""
+    """A phase that seems to end before it began takes no time, and the sum is the time to the latest reading."""
     ledger = SwapLedger()
     ledger.begin()
     for phase, now_s in phases:

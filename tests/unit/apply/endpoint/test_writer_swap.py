@@ -1,4 +1,4 @@
-"""The make-before-break swap: whatever the writers do, every sample is written once, to a live writer."""
+"""The writer swap writes every sample once, to a live writer, whatever the writers do."""
 
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ TIMING = SwapTiming()
 
 
 def run(swap, start_s, seconds, *, publishing=False):
-    """Let time pass; ``publishing``: an application that publishes at 200 Hz."""
+    """Let time pass; with ``publishing``, an application publishes at 200 Hz."""
     for step in range(round(seconds / 0.005)):
         swap.step(start_s + step * 0.005)
         if publishing and not swap.is_holding:
@@ -49,7 +49,7 @@ STEPS = st.lists(
 @settings(deadline=None, max_examples=300)
 @given(STEPS)
 def test_every_sample_is_written_once_and_in_order_to_a_live_writer(steps):
-    """Requests, silence, lost readers and refusals in any order lose, double and misplace nothing."""
+    """Requests, silence, lost readers and refusals in any order lose, double and reorder nothing."""
     world, swap = make()
     now_s, written = 0.0, 0
     for what, value in steps:
@@ -81,7 +81,7 @@ def test_every_sample_is_written_once_and_in_order_to_a_live_writer(steps):
 @settings(deadline=None)
 @given(STEPS)
 def test_it_always_comes_to_rest(steps):
-    """Once the middleware behaves, the last request is in force, one writer is left and nothing is to do."""
+    """Once the middleware behaves, the last request is in force, and one writer is left."""
     world, swap = make()
     now_s, wanted = 0.0, FIRST
     for what, value in steps:
@@ -102,7 +102,7 @@ def test_it_always_comes_to_rest(steps):
 
 
 def test_a_swap_settles_then_switches_when_acknowledged():
-    """The new writer takes over after the settle time, and the old one is gone once the new one has proved itself."""
+    """The new writer takes over after the settle time, and the old one goes once the new one has proved itself."""
     world, swap = make()
     swap.request(qos(2))
     swap.step(0.0)
@@ -120,7 +120,7 @@ def test_a_swap_settles_then_switches_when_acknowledged():
 
 
 def settled(world, swap, wanted=None):
-    """Bring a swap to where it watches for its moment; returns when that is."""
+    """Bring a swap to WATCHING; return the time."""
     acknowledge(world, is_acknowledging=False)
     swap.request(wanted or qos(2))
     now_s = run(swap, 0.0, TIMING.settle_s + 0.01)
@@ -129,7 +129,7 @@ def settled(world, swap, wanted=None):
 
 
 def test_samples_are_held_once_and_only_when_no_moment_offers_itself():
-    """A writer whose acknowledgements are slow is watched, held for once, and watched until patience ends."""
+    """With slow acknowledgements the swap watches, holds once, and watches until patience ends."""
     world, swap = make()
     now_s = settled(world, swap)
     changes = []
@@ -144,7 +144,7 @@ def test_samples_are_held_once_and_only_when_no_moment_offers_itself():
 
 
 def test_patience_ends_and_the_old_writer_drains_beside():
-    """A writer never fully acknowledged is replaced all the same; the swap says so, and the old one drains."""
+    """A writer that is never fully acknowledged is replaced too; the result says so, and the old one drains."""
     world, swap = make()
     now_s = run(swap, settled(world, swap), TIMING.patience_s)
     world.writers[1].acknowledges = True
@@ -158,7 +158,7 @@ def test_patience_ends_and_the_old_writer_drains_beside():
 
 
 def proving(world, swap, wanted=None):
-    """Bring a swap to where its new writer has to prove itself; returns when that is."""
+    """Bring a swap to PROVING; return the time."""
     now_s = settled(world, swap, wanted)
     world.writers[0].acknowledges, world.writers[1].acknowledges = True, False
     swap.step(now_s)
@@ -168,7 +168,7 @@ def proving(world, swap, wanted=None):
 
 
 def test_no_more_is_on_trial_than_the_new_writer_keeps():
-    """Half of its history may be unproven, the rest is held."""
+    """Half of its history may be on trial; further samples are held."""
     world, swap = make()
     now_s = proving(world, swap, qos(8))
     for _ in range(4):
@@ -182,7 +182,7 @@ def test_no_more_is_on_trial_than_the_new_writer_keeps():
 
 
 def test_a_new_writer_whose_readers_are_late_is_not_trusted_yet():
-    """Samples leave by the old writer until the ones on trial are acknowledged; then there is nothing left to prove."""
+    """Samples leave by the old writer until those on trial are acknowledged; then the new one takes over."""
     world, swap = make()
     now_s = proving(world, swap)
     publish(swap, now_s)
@@ -200,7 +200,7 @@ def test_a_new_writer_whose_readers_are_late_is_not_trusted_yet():
 
 
 def test_a_new_writer_that_proves_nothing_is_given_up():
-    """Samples nobody acknowledges end the swap, and are counted."""
+    """Samples on trial that are never acknowledged end the swap, and are counted."""
     world, swap = make()
     now_s = proving(world, swap)
     publish(swap, now_s)
@@ -210,7 +210,7 @@ def test_a_new_writer_that_proves_nothing_is_given_up():
 
 
 def test_samples_on_trial_are_not_thrown_away_by_a_newer_request():
-    """What only the new writer has is waited for, even when the old settings are wanted back."""
+    """The swap waits for their acknowledgement, even when the old QoS is requested again."""
     world, swap = make()
     now_s = proving(world, swap)
     publish(swap, now_s)
@@ -224,7 +224,7 @@ def test_samples_on_trial_are_not_thrown_away_by_a_newer_request():
 
 
 def test_a_silent_topic_is_swapped_without_proof():
-    """Where nothing is published nothing can be lost, and the swap does not wait for ever."""
+    """Without samples nothing can be lost, so the swap ends after the settle time."""
     world, swap = make()
     now_s = proving(world, swap)
     run(swap, now_s, TIMING.settle_s + 0.01)
@@ -232,7 +232,7 @@ def test_a_silent_topic_is_swapped_without_proof():
 
 
 def test_readers_that_do_not_match_leave_the_old_writer():
-    """A new writer nobody matches is given up, and the old one never stopped."""
+    """A new writer that no reader matches is destroyed, and the old one stays in force."""
     world, swap = make()
     world.readers = 0
     swap.request(qos(2))
@@ -243,7 +243,7 @@ def test_readers_that_do_not_match_leave_the_old_writer():
 
 
 def test_without_readers_a_swap_needs_no_acknowledgement():
-    """Nobody listens, so nobody is waited for."""
+    """The swap waits only for the settle time."""
     world, swap = make()
     world.readers = swap.current.readers = 0
     swap.current.acknowledges = False
@@ -253,7 +253,7 @@ def test_without_readers_a_swap_needs_no_acknowledgement():
 
 
 def test_a_newer_request_supersedes_one_that_waits_for_readers():
-    """The newest request wins, and the one it replaces is reported."""
+    """The newest request wins, and the replaced one has a result."""
     world, swap = make()
     world.readers = 0
     swap.request(qos(2))
@@ -266,7 +266,7 @@ def test_a_newer_request_supersedes_one_that_waits_for_readers():
 
 
 def test_requests_that_never_cease_do_not_starve_each_other():
-    """Asked for something else every 500 ms, the swap still changes its writer, each time to what was newest then."""
+    """With another request every 500 ms the writer still changes, each time to the newest one."""
     world, swap = make()
     now_s = 0.0
     for depth in range(2, 200):
@@ -281,7 +281,7 @@ def test_requests_that_never_cease_do_not_starve_each_other():
 
 
 def test_a_request_back_to_what_is_in_force_only_abandons():
-    """Changing one's mind costs the unfinished writer and nothing else."""
+    """The new writer is destroyed, and the old one stays."""
     world, swap = make()
     swap.request(qos(2))
     swap.step(0.0)
@@ -293,7 +293,7 @@ def test_a_request_back_to_what_is_in_force_only_abandons():
 
 @pytest.mark.parametrize("is_under_way", [False, True])
 def test_a_request_that_changes_nothing_is_no_swap(is_under_way):
-    """Asking for what is in force, or already under way, makes no writer."""
+    """A request for the QoS in force, or for the one under way, makes no writer."""
     world, swap = make()
     wanted = qos(2) if is_under_way else FIRST
     if is_under_way:
@@ -306,7 +306,7 @@ def test_a_request_that_changes_nothing_is_no_swap(is_under_way):
 
 
 def test_a_refusing_middleware_leaves_the_old_writer():
-    """A writer that cannot be made is reported, and the old one stays."""
+    """A writer that cannot be made is a result, and the old one stays."""
     world, swap = make()
     world.refuses = True
     swap.request(qos(2))
@@ -317,7 +317,7 @@ def test_a_refusing_middleware_leaves_the_old_writer():
 
 
 def test_a_reader_that_refuses_the_new_qos_ends_the_swap():
-    """A reader the new writer would lose is noticed at once, and the old writer stays."""
+    """A reader that the new writer would lose ends the swap at once, and the old writer stays."""
     world, swap = make()
     swap.request(qos(2))
     swap.step(0.0)
@@ -328,7 +328,7 @@ def test_a_reader_that_refuses_the_new_qos_ends_the_swap():
 
 
 def test_a_reader_that_joins_while_samples_are_held_is_waited_for():
-    """A reader only the old writer serves yet ends the holding, and the switch comes when both serve it."""
+    """A reader that only the old writer serves ends the holding, and the switch comes when both serve it."""
     world, swap = make()
     now_s = run(swap, settled(world, swap), TIMING.watch_s + 0.01)
     assert swap.is_holding
@@ -345,7 +345,7 @@ def test_a_reader_that_joins_while_samples_are_held_is_waited_for():
 
 @pytest.mark.parametrize("is_on_trial", [False, True])
 def test_a_reader_that_joins_while_the_new_writer_proves_itself_is_waited_for(is_on_trial):
-    """The old writer serves it until both do and the new one has proved itself to it, too."""
+    """The old writer stays until both serve that reader and the new one has proved itself again."""
     world, swap = make()
     now_s = proving(world, swap, qos(8))
     if is_on_trial:
@@ -364,7 +364,7 @@ def test_a_reader_that_joins_while_the_new_writer_proves_itself_is_waited_for(is
 
 
 def test_readers_that_keep_joining_do_not_end_a_swap():
-    """Each joiner is waited for, but all of them together for no longer than matching may take."""
+    """Each joining reader delays the switch, all together by at most the match timeout."""
     world, swap = make()
     swap.request(qos(8))
     now_s = 0.0
@@ -377,7 +377,7 @@ def test_readers_that_keep_joining_do_not_end_a_swap():
 
 
 def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
-    """Whatever the readers do, the swap is over when matching times out."""
+    """The swap is over when matching times out."""
     world, swap = make()
     swap.current.acknowledges = False
     swap.request(qos(2))
@@ -389,7 +389,7 @@ def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
 
 
 def test_old_writers_do_not_pile_up():
-    """While old writers wait for a reader that never acknowledges, only so many are kept; requests coalesce."""
+    """While a reader never acknowledges, a limited number of old writers drains, and requests coalesce."""
     world, swap = make(SwapTiming(settle_s=0.1, patience_s=0.0, drain_s=10.0))
     now_s = 0.0
     for depth in range(2, 40):
@@ -410,7 +410,7 @@ def test_old_writers_do_not_pile_up():
 
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.15, 0.5])
 def test_nothing_happens_after_close(seconds):
-    """Closed at any moment of a swap, no writer lives on and none is made, whoever still asks."""
+    """Closed at any moment of a swap, no writer lives on, and a request makes none."""
     world, swap = make()
     swap.current.acknowledges = False
     swap.request(qos(2))

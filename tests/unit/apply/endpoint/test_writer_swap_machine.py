@@ -1,4 +1,4 @@
-"""The swap as a state machine: whatever happens, in whatever order, its invariants hold."""
+"""The writer swap as a state machine: its invariants hold through any sequence of events."""
 
 from collections import defaultdict
 
@@ -13,7 +13,7 @@ from tests.unit.swap_world import FIRST, World, qos
 
 
 class SwapMachine(RuleBasedStateMachine):
-    """A publisher over a middleware that does what it likes; the application never stops publishing."""
+    """A publisher over a middleware that may do anything; the application never stops publishing."""
 
     def __init__(self):
         super().__init__()
@@ -24,7 +24,7 @@ class SwapMachine(RuleBasedStateMachine):
         self.held = []
         self.samples = 0
         self.asked = [FIRST]
-        self.told_before = 0  # events before the newest request
+        self.events_at_request = 0  # number of events before the newest request
         self.in_force = 0  # the newest of the requests for what is in force
         self.is_closed = False
         self.began_s: dict[int, float] = {}  # by number of the swap
@@ -33,7 +33,7 @@ class SwapMachine(RuleBasedStateMachine):
     def note(self, result, about):
         self.events.append((result, about))
         if result is SwapResult.UNDELIVERED:
-            return  # beside the result of its own
+            return  # beside the swap's own result
         record = self.swap.ledger.last
         assert record is not None
         assert (record.result, record.depth, record.deadline_ns) == (result, about.depth, about.deadline_ns)
@@ -50,7 +50,7 @@ class SwapMachine(RuleBasedStateMachine):
         for result, about in self.events[events_before:]:
             if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
                 assert about == self.swap.qos
-                # What is in force may lag behind the newest request, but never goes back to an older one.
+                # The QoS in force may lag behind the newest request, but never goes back to an older one.
                 newest = len(self.asked) - 1 - self.asked[::-1].index(about)
                 assert newest >= self.in_force, "an older request undid a newer one"
                 self.in_force = newest
@@ -67,7 +67,7 @@ class SwapMachine(RuleBasedStateMachine):
     @rule(depth=st.integers(1, 5))
     def request(self, depth):
         self.asked.append(qos(depth))
-        self.told_before = len(self.events)
+        self.events_at_request = len(self.events)
         self.swap.request(qos(depth))
 
     @precondition(lambda self: not self.is_closed)
@@ -106,7 +106,7 @@ class SwapMachine(RuleBasedStateMachine):
     @precondition(lambda self: not self.is_closed)
     @rule()
     def the_middleware_behaves_for_a_while(self):
-        """Then every request is settled: the newest is in force, or what it came to was told."""
+        """Every request then ends: the newest is in force, or has a result."""
         self.world.readers, self.world.refuses = 1, False
         for _ in range(int(50.0 / 0.1)):
             for writer in self.world.live:
@@ -116,12 +116,12 @@ class SwapMachine(RuleBasedStateMachine):
         assert not self.swap.is_busy
         assert self.world.live == [self.swap.current]
         wanted = self.asked[-1]
-        assert self.swap.qos == wanted or wanted in [about for _, about in self.events[self.told_before :]]
+        assert self.swap.qos == wanted or wanted in [about for _, about in self.events[self.events_at_request :]]
 
     @precondition(lambda self: not self.is_closed)
     @rule()
     def close(self):
-        self.held.clear()  # what waits at the end is withheld, and `Flow` counts it
+        self.held.clear()  # `Flow` counts these as withheld
         self.samples = len(self.world.log)
         self.swap.close()
         self.is_closed = True
