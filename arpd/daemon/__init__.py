@@ -1,1 +1,1 @@
-"""The daemon: its tick, and how it runs in real and in virtual time."""
+"""The daemon: its tick, and the loops that run it in real and in virtual time."""

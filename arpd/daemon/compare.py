@@ -1,4 +1,4 @@
-"""The same robot on the same link three ways: with arpd, without it, and with an oracle in place of its estimator."""
+"""One scenario run three ways: with arpd, without it, and with an oracle in place of arpd's estimator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WARM_UP_S = 10.0  # until the link is measured and the first plan applied; not p
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Comparison:
-    """One scenario, three ways."""
+    """Results of one scenario run three ways."""
 
     arpd: ScenarioResult
     without: ScenarioResult
@@ -33,22 +33,22 @@ class Comparison:
 
     @property
     def ways(self) -> dict[str, ScenarioResult]:
-        """The three by name."""
+        """Results by name."""
         return {"arpd": self.arpd, "without": self.without, "oracle": self.oracle}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Summary:
-    """Figures of one run over a span of it; what only arpd has is None without it.
+    """Figures of one run over a span of time; None where only arpd has the figure.
 
     Parameters
     ----------
     goodput_bytes_per_second : payload delivered from the robot (bytes/s)
-    queue_peak_s, queue_p99_s : longest queue on the robot's side, sampled at 10 Hz, and what 99 % stay below (s)
-    error_median, error_p90 : |estimate / rate of the link - 1|, half and 90 % of the moments stay below
+    queue_peak_s, queue_p99_s : longest queue on the robot's side and its 99th percentile, sampled at 10 Hz (s)
+    error_median, error_p90 : median and 90th percentile of |estimate / rate of the link - 1|
     levels_per_minute : plans made (1/min)
     swaps_per_minute : writers replaced, all topics together (1/min)
-    measuring_share : wire bytes of probes and reports over what the link could carry
+    measuring_share : wire bytes of probes and reports, as a share of what the link could carry
     """
 
     goodput_bytes_per_second: float
@@ -63,12 +63,12 @@ class Summary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkEvent:
-    """Something an operator would see in the log.
+    """An event that an operator would see in the log.
 
     Parameters
     ----------
     t_s : run time (s)
-    what : cause of a plan, or the state the link is in from now on
+    what : cause of a plan, or new state of the link
     before_bytes_per_second, after_bytes_per_second : level of the plan before and after; None for a state (bytes/s)
     """
 
@@ -94,7 +94,7 @@ def compare(
     ----------
     settings : configuration of arpd, and of the oracle's governor
     schedule, duration_s, seed, model, topics : as in `arpd.daemon.scenario.run`
-    on_way : told which way is about to run
+    on_way : called with the name of each way before it runs
     """
 
     def one(way: str, *, managed: bool, oracle: bool = False) -> ScenarioResult:
@@ -118,7 +118,7 @@ def compare(
 
 
 def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summary:
-    """Sum up the moments of a span.
+    """Summarise the moments of a span.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summar
 
 
 def estimate_error(moment: Moment) -> float | None:
-    """|estimate / rate of the link - 1|; None without an estimate, or while there is no link to estimate."""
+    """Return |estimate / rate of the link - 1|; None without an estimate, and in an outage."""
     if moment.estimate_bytes_per_second is None or moment.truth_bytes_per_second <= 0:
         return None
     return abs(moment.estimate_bytes_per_second / moment.truth_bytes_per_second - 1.0)
@@ -156,7 +156,7 @@ def between(moments: Sequence[Moment], start_s: float, end_s: float) -> list[Mom
 
 
 def events(result: ScenarioResult) -> tuple[LinkEvent, ...]:
-    """List the plans, and when the link was thought to be gone and back."""
+    """List the plans, and the begin and end of each outage as arpd saw it."""
     found = []
     level, was_out = None, False
     for moment in result.moments:

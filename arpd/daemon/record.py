@@ -1,4 +1,4 @@
-"""The record of a daemon: its counts, its decision log, its history, and the snapshot that shows them all."""
+"""The record of a daemon: its counts, decision log and history, and the snapshot that shows them all."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class Record:
-    """Keeps what the daemon's ticks leave behind.
+    """Keeps the results of the daemon's ticks.
 
     Parameters
     ----------
@@ -47,10 +47,10 @@ class Record:
         self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
         self._disagreements = 0
         self._decision_log = DecisionLog()
-        self._is_untold = False  # whether the decision log failed
+        self._has_failed = False  # whether the decision log raised
 
     def note_failed_tick(self) -> None:
-        """Count a tick that raised, and show it: there may be no other for a while."""
+        """Count a tick that raised, and show it at once: no tick may finish for a while."""
         self._totals = replace(self._totals, ticks_failed=self._totals.ticks_failed + 1)
         if self.snapshot is not None:
             totals = replace(self.snapshot.totals, ticks_failed=self._totals.ticks_failed)
@@ -65,14 +65,14 @@ class Record:
         )
 
     def keep_counts_of(self, program: Program) -> None:
-        """Keep the counts of a program that another one replaces."""
+        """Keep the counts of a program that is about to be replaced."""
         self._solves.update(program.outcomes)
         self._disagreements += program.disagreements
 
     def add(
         self, picture: Snapshot, *, world: World, program: Program, governor: Governor, configuration: Configuration
     ) -> None:
-        """Count a finished tick, write what happened into the decision log, and show the snapshot to everybody.
+        """Count a finished tick, add its events to the decision log, and publish the snapshot.
 
         Parameters
         ----------
@@ -84,10 +84,10 @@ class Record:
             for event in self._decision_log.follow(picture):
                 self._tell(event)
         except Exception:
-            # A log that fails must not keep the robot from being governed.
-            if not self._is_untold:
-                log.exception("the decision log misses what happened; said once")
-            self._is_untold = True
+            # A fault in the log must not stop the daemon.
+            if not self._has_failed:
+                log.exception("the decision log failed and misses events; not logged again")
+            self._has_failed = True
         totals = replace(picture.totals, events_by_kind=self._decision_log.counts_by_kind)
         self.snapshot = replace(picture, totals=totals, events=self._decision_log.events)
         self.history.note(self.snapshot)

@@ -1,4 +1,4 @@
-"""The configuration in force, and the reloads that change it."""
+"""The configuration in force, and its reloads."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_MOST_FAULTS = 20  # in the log; `arpd check` names all
+_MOST_FAULTS = 20  # logged; `arpd check` names all
 
 
 class Configuration:
-    """Settings in force, where they came from, and what became of every reload.
+    """Settings in force, their file, and the results of reloads.
 
     Parameters
     ----------
-    settings : the settings to begin with
-    path : the file they came from
+    settings : first settings
+    path : their file
     wall_clock : Unix time (s)
 
     Attributes
     ----------
-    error : first line of why the last reload was refused, empty when it was not
-    loaded_at_s : when the settings in force were read, Unix time (s)
-    awaiting_restart : keys whose value in the file last read takes effect after a restart
+    error : first fault of the last reload, empty when it succeeded
+    loaded_at_s : Unix time at which the settings in force were read (s)
+    awaiting_restart : keys whose new value takes effect after a restart
     reloads_by_result, changed_keys_by_effect : counts since start
     """
 
@@ -47,14 +47,14 @@ class Configuration:
         self._wall_clock = wall_clock
 
     def note_failed_reload(self, why: str) -> None:
-        """Count a reload that was refused; ``why`` shows in the status until one succeeds."""
+        """Count a refused reload; the status shows ``why`` until one succeeds."""
         self.error = why
         self.reloads_by_result["failed"] += 1
 
     def reload(self, load: Callable[[], Settings], *, take: Callable[[Settings], None]) -> bool:
         """Take a new configuration whole, or keep the old one whole.
 
-        Keys that are read only at start keep their value; they are named as waiting for a restart.
+        Keys that are read only at start keep their old value until a restart.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class Configuration:
             for fault in error.faults[:_MOST_FAULTS]:
                 log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
             if (more := len(error.faults) - _MOST_FAULTS) > 0:
-                log.error("further faults: %d", more)  # noqa: TRY400 - the same
+                log.error("%d more faults; arpd check shows all", more)  # noqa: TRY400 - the same
             self.note_failed_reload(error.faults[0])
             return False
         before, fresh = self.settings, in_force(self.settings, wanted)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.1
 _RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
-_RESTORE_READERS_S = 4.0  # additional time for readers that go first
-_UNPACE_S = 3.0  # additional time for the rates, which need no swap
+_RESTORE_READERS_S = 4.0  # more when readers move first
+_UNPACE_S = 3.0  # more for the rates, which need no swap
 
 
 def restore(
@@ -30,12 +30,12 @@ def restore(
 ) -> int:
     """Restore every publisher and reader that carries a plan, and wait for the announcements.
 
-    The rates go last: on a link that cannot carry what the applications publish, no new writer would prove itself.
+    The rates come last: on a link that cannot carry the applications' full traffic, no new writer could prove itself.
 
     Parameters
     ----------
-    observe : looks at the world at a time of the monotonic clock (s)
-    generation : of the plan that restores, above every plan this daemon made
+    observe : observes the world at a time of the monotonic clock (s)
+    generation : of the plan that restores, above every plan of this daemon
     clock : monotonic clock (s)
     wait : sleeps for the given time (s)
 
@@ -51,7 +51,7 @@ def restore(
         observation = observe(now_s)
         if observation.active_daemon:
             return 0  # the plan in force is another daemon's
-        # Every carrier of a plan, also a predecessor's, also of a topic whose far reader has left.
+        # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
         publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
         generation = max([generation, *(publisher.generation for publisher in publishers)])
         generation = max([generation, *(reader.generation for reader in observation.readers)])

@@ -1,4 +1,4 @@
-"""`arpd run`: puts the daemon together, runs it until a signal, and restores what it leaves."""
+"""`arpd run`: puts the daemon together, runs it until a signal, and restores the publishers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
     Raises
     ------
     ArpdError
-        If the configuration or ROS cannot be used, or a new process would reach more: the publishers keep their plan.
+        If the configuration or ROS cannot be used, or only a new process can use the link's address; the publishers
+        then keep their plan.
     """
     signals = Signals()
     signals.install()
@@ -45,14 +46,14 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
     notifier = Notifier()
 
     def load() -> Settings:
-        return load_settings(config_path, interfaces=None)  # one that is not there yet may come
+        return load_settings(config_path, interfaces=None)  # the interface may come later
 
-    settings = load()  # before ROS is imported: a wrong file is told at once
+    settings = load()  # before ROS is imported, so that a fault in the file shows at once
     from arpd.adapters.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
 
     addresses = Addresses(lambda: daemon.interface)
     with control_node("arpd") as node:
-        from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, as what follows
+        from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
         from arpd.adapters.http.service import serving  # noqa: PLC0415
         from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.adapters.ros.runtime import spinning_alone  # noqa: PLC0415
@@ -95,7 +96,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
 
 
 def stop(daemon: Daemon) -> None:
-    """Leave the publishers as the configuration says; whatever fails, the process ends cleanly."""
+    """Restore the publishers or leave them their plan, as configured; a failure is logged, and the process ends."""
     if daemon.settings.on_stop is not OnStop.RESTORE:
         log.info("stopping; the publishers keep their plan (on_stop: keep)")
         return

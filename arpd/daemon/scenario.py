@@ -1,4 +1,4 @@
-"""The whole of arpd against a robot in virtual time: the daemon's own tick, no ROS, no waiting."""
+"""A run of arpd in virtual time: the daemon's own tick over a simulated robot and link, without ROS or waiting."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
 
-_RUN_STARTS_S = 1000.0  # an uptime like any other; run time is counted from here
-_LEAD_S = 3.0  # daemon, relay and peer are up this long before the sensors publish
+_RUN_STARTS_S = 1000.0  # monotonic time at which run time is 0
+_LEAD_S = 3.0  # daemon, relay and peer run this long before the sensors publish
 _DRAIN_S = 4.0  # as in the real demo: late samples still count as delivered
 _AGE_S = 0.05
 _SHOW_S = 0.1
@@ -47,23 +47,22 @@ _LEAST_PAUSE_S = 0.02  # as in arpd.daemon.supervisor
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Moment:
-    """What was true and what was believed, ten times a second; beliefs are None without arpd.
+    """Truth and estimates at one moment, ten times a second; estimates are None without arpd.
 
     Parameters
     ----------
     t_s : run time (s)
-    truth_bytes_per_second : rate of the link until the next moment, in the mean (bytes/s)
-    queue_delay_s : what a packet sent now would wait on the robot's side (s)
-    estimate_bytes_per_second : the estimator's capacity (bytes/s)
-    cross_traffic_bytes_per_second : the estimator's foreign traffic (bytes/s)
-    level_bytes_per_second : what the plan in force was made for (bytes/s)
+    truth_bytes_per_second : mean rate of the link until the next moment (bytes/s)
+    queue_delay_s : time that a packet sent now would wait on the robot's side (s)
+    estimate_bytes_per_second, cross_traffic_bytes_per_second : the estimator's capacity and cross traffic (bytes/s)
+    level_bytes_per_second : level of the plan in force (bytes/s)
     packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
     gate, generation : gate in force, generation of the plan
     planned, confirmed : publishers in the plan, and those that announce it
-    cause : why the plan changed since the last moment, empty if it did not
-    delivered_bytes : payload that has reached its readers across the link so far, from the robot (bytes)
-    probe_bytes, report_bytes : what measuring has put on the link so far, there and back (wire bytes)
-    swaps : writers made to take another's place so far, all topics together
+    cause : cause of a plan made since the last moment, empty if there is none
+    delivered_bytes : payload from the robot that has reached its readers across the link so far (bytes)
+    probe_bytes, report_bytes : probes and reports so far (wire bytes)
+    swaps : writer swaps begun so far, all topics together
     """
 
     t_s: float
@@ -87,14 +86,14 @@ class Moment:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScenarioResult:
-    """One run: figures per topic, and the course of the link and of arpd's beliefs."""
+    """Result of one run: figures per topic, and the course of the link and of the estimates."""
 
     topics: tuple[TopicResult, ...]
     moments: tuple[Moment, ...]
 
     @property
     def plans(self) -> tuple[Moment, ...]:
-        """The moments at which a new plan was made."""
+        """Moments with a new plan."""
         return tuple(moment for moment in self.moments if moment.cause)
 
 
@@ -110,18 +109,18 @@ def run(
     topics: tuple[SimTopic, ...] | None = None,
     make_estimator: EstimatorMaker | None = None,
 ) -> ScenarioResult:
-    """Let a robot work for ``duration_s`` of virtual time.
+    """Run a robot for ``duration_s`` of virtual time.
 
     Parameters
     ----------
-    settings : configuration of arpd; without arpd nothing reads it
+    settings : configuration of arpd; unused without arpd
     schedule : rate of the link over run time, both directions
     seed : of phases, jitter and losses; the same seed gives the same result
     managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
-    foreign : what else goes from the robot over the link
-    topics : what the robot publishes; the demo robot's by default
-    make_estimator : makes what tells arpd the capacity, out of what tells the truth; arpd's own by default
+    foreign : cross traffic from the robot
+    topics : topics of the robot; the demo robot's by default
+    make_estimator : makes an estimator from a function that returns the truth; arpd's own by default
     """
     plant = _Plant(
         schedule,
@@ -135,7 +134,7 @@ def run(
 
 
 class _Plant:
-    """Links, publishers and sources of one run, and the course of what is measured."""
+    """Links, publishers and sources of one run, and the moments recorded."""
 
     def __init__(
         self,
@@ -150,7 +149,7 @@ class _Plant:
         self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
         self._service = Service(schedule, 0.0)
         self._model = model
-        self._foreign = foreign
+        self._cross_traffic = foreign
         self._topics = topics
         self.end_s = _RUN_STARTS_S + duration_s
         self._seed = seed
@@ -166,11 +165,11 @@ class _Plant:
         self.moments: list[Moment] = []
 
     def random(self, purpose: str) -> Random:
-        """Make a source of randomness of its own for every part, so that one does not disturb another."""
+        """Make a separate source of randomness for each part, so that no part changes another's."""
         return Random(f"{self._seed} {purpose}")  # noqa: S311 - a repeatable run, not a secret
 
     def populate(self, *, managed: bool) -> None:
-        """Make a publisher and a source per topic; with arpd, some cross the link under the relay's name."""
+        """Make a publisher and a source per topic; with arpd, relayed topics have the relay's prefix."""
         for topic in self._topics:
             sensing = topic.direction is Direction.SENSING
             there, back = (self.up, self.down) if sensing else (self.down, self.up)
@@ -195,22 +194,22 @@ class _Plant:
         self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
 
     def truth(self) -> Truth:
-        """Say what is true of the link now."""
+        """Return the true state of the link now."""
         run_s = max(0.0, self.timeline.now_s - _RUN_STARTS_S)
         rate = self._mean_rate(run_s, TICK_S)
         return Truth(
             capacity_bytes_per_second=rate,
             queue_delay_s=self.up.queue_delay_s,
             cross_traffic_bytes_per_second=sum(
-                flow.rate_bytes_per_second for flow in self._foreign if flow.start_s <= run_s < flow.end_s
+                flow.rate_bytes_per_second for flow in self._cross_traffic if flow.start_s <= run_s < flow.end_s
             ),
-            # On a busy link aggregates are full.
+            # Aggregates are full on a busy link.
             packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
             is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
         )
 
     def finish(self, show: Callable[[Moment], Moment]) -> ScenarioResult:
-        """Run to the end, noting a moment ten times a second."""
+        """Run to the end, and record a moment ten times a second."""
         self.timeline.every(_SHOW_S, partial(self._show, show), first_s=_RUN_STARTS_S)
         self.timeline.run_until(self.end_s + _DRAIN_S)
         return ScenarioResult(
@@ -218,7 +217,7 @@ class _Plant:
         )
 
     def _mean_rate(self, start_s: float, span_s: float) -> float:
-        """Return the rate over a span of run time; a recorded one changes faster than anybody looks (bytes/s)."""
+        """Return the mean rate over a span of run time; a recorded one changes within the span (bytes/s)."""
         return (self._service.by(start_s + span_s) - self._service.by(start_s)) / span_s
 
     def _sample_ages(self) -> None:
@@ -227,7 +226,7 @@ class _Plant:
                 publisher.arrivals.on_age(self.timeline.now_s)
 
     def _show(self, show: Callable[[Moment], Moment]) -> None:
-        t_s = round(self.timeline.now_s - _RUN_STARTS_S, 6)  # run time people can read
+        t_s = round(self.timeline.now_s - _RUN_STARTS_S, 6)  # so that people can read it
         if self.timeline.now_s < self.end_s:
             self.moments.append(
                 show(

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_LEAST_PAUSE_S = 0.02  # however many reports arrive
+_LEAST_PAUSE_S = 0.02  # between two ticks, also when many reports arrive
 
 
 @dataclass(slots=True)
 class Signals:
     """Signals only set flags; the loop reads them.
 
-    However often the same one comes, it is one flag: ten SIGHUPs are one reload of the last file, and a second SIGTERM
-    does not cut a restore short, which ends by itself. Before there is a loop nothing has been changed yet, and
-    importing ROS takes a Raspberry Pi longer than systemd waits: a stop then ends the process at once.
+    A repeated signal sets the same flag: ten SIGHUPs are one reload of the last file, and a second SIGTERM does not cut
+    a restore short. Before the loop runs, a stop ends the process at once: nothing has changed yet, and importing ROS
+    on a Raspberry Pi takes longer than systemd waits.
 
     Parameters
     ----------
-    is_looping : whether somebody reads the flags
+    is_looping : whether the loop reads the flags
     """
 
     stop: bool = False
@@ -48,7 +48,7 @@ class Signals:
         signal.signal(signal.SIGHUP, self._on_reload)
 
     def _on_stop(self, _signum: int, _frame: Any) -> None:
-        self.stop = True  # no Event.set() here: it could meet the lock that wait() holds
+        self.stop = True  # no Event.set() here: wait() may hold its lock
         if not self.is_looping:
             raise SystemExit(0)
 
@@ -57,9 +57,9 @@ class Signals:
 
 
 def _reading(load: Callable[[], Settings]) -> Future[Settings]:
-    """Read the configuration in a thread: a wrong file of a megabyte takes longer than ticks may wait.
+    """Read the configuration in a thread: a faulty file of a megabyte takes longer than a tick may wait.
 
-    No executor's thread, because the process must be able to end before it does.
+    A daemon thread and no executor's, so that the process can end before the thread does.
     """
     future: Future[Settings] = Future()
 
@@ -74,18 +74,18 @@ def _reading(load: Callable[[], Settings]) -> Future[Settings]:
 
 
 class Supervisor:
-    """Ticks a daemon until told to stop, reloads it when asked to, and tells systemd how it is.
+    """Ticks a daemon until a signal stops it, reloads its configuration, and reports to systemd.
 
-    Only a finished tick feeds the watchdog. One that raises leaves the plan in force; when all of them raise, whatever
-    the reason, publishers open their gate after five seconds, and systemd starts the daemon anew after ten.
+    Only a finished tick feeds the watchdog. A tick that raises leaves the plan in force. When every tick raises,
+    publishers open their gate after five seconds, and systemd restarts the daemon after ten.
 
     Parameters
     ----------
     load : reads and checks the configuration
-    fault : says what is wrong around the daemon, empty when nothing is
-    is_cut_off : whether a new process would reach somebody whom this one does not
-    resting : set while no tick runs, so that others may know when they are in nobody's way
-    tidy : called after every tick, for what had better not begin in the middle of one
+    fault : describes a fault outside the daemon, empty when there is none
+    is_cut_off : whether a new process would reach hosts that this one does not
+    resting : set while no tick runs, so that other threads can avoid delaying one
+    tidy : called after every tick
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Supervisor:
         self._failure = ""
 
     def run(self) -> None:
-        """Tick when a report wakes the loop or a period has passed, whichever comes first."""
+        """Tick when a report wakes the loop or a period has passed."""
         next_s = time.monotonic()
         while not self._signals.stop and not self._is_cut_off():
             self._follow_reloads()
@@ -126,7 +126,7 @@ class Supervisor:
             self._resting.clear()
             try:
                 self._daemon.tick(now_s)
-            except Exception as error:  # noqa: BLE001 - logged there, though not ten times a second
+            except Exception as error:  # noqa: BLE001 - _note_failure logs it, but not ten times a second
                 self._note_failure(error)
             else:
                 self._note_success()
@@ -138,7 +138,7 @@ class Supervisor:
             self._signals.wakeup.clear()
 
     def _follow_reloads(self) -> None:
-        """Begin or finish a reload; one that is asked for while a file is read follows, so that the last file wins."""
+        """Begin or finish a reload; a request during a reload begins another one, so the last file wins."""
         if self._reading is not None and self._reading.done():
             try:
                 self._daemon.reload(self._reading.result)
@@ -146,7 +146,7 @@ class Supervisor:
                 log.exception("reload failed; the configuration in force stays")
                 self._daemon.configuration.note_failed_reload(f"{type(error).__name__}: {error}")
             self._reading = None
-            if self._is_ready:  # else READY=1 would end the start before a tick has finished
+            if self._is_ready:  # READY=1 must not come before the first finished tick
                 self._notifier.ready()
         if self._signals.reload and self._reading is None:
             self._signals.reload = False
@@ -158,18 +158,18 @@ class Supervisor:
         self._daemon.record.note_failed_tick()
         if (failure := type(error).__name__) != self._failure:
             self._failure = failure
-            log.error("a tick failed; the publishers keep the plan they have", exc_info=error)
-            self._say(f"ticks fail ({failure}: {error}); the publishers keep the plan they have")
+            log.error("a tick failed; the publishers keep their plan", exc_info=error)
+            self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
 
     def _note_success(self) -> None:
         if self._failure:
-            log.info("ticks finish again")
+            log.info("ticks succeed again")
             self._failure = ""
         if not self._is_ready:
             self._is_ready = True
-            self._notifier.ready()  # only now: whoever waited for the start finds a daemon that has seen its world
+            self._notifier.ready()  # units that wait for the start find a daemon that has observed its world
         self._heartbeat.beat()
-        self._say("; ".join(said for said in (self._daemon.status_line(), self._fault()) if said))
+        self._say("; ".join(part for part in (self._daemon.status_line(), self._fault()) if part))
 
     def _say(self, status: str) -> None:
         if status != self._status:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
-_HEAR_S = 2.5  # until every carrier of a plan, and another daemon, has been heard
+_HEAR_S = 2.5  # time until every endpoint with a plan, and any other daemon, has been heard
 
 
 class Daemon:
@@ -45,10 +45,10 @@ class Daemon:
 
     Parameters
     ----------
-    world : the world that is observed and acted on
-    settings : the configuration in force
-    interface : the link interface as configured; the snapshot has the name it is found under
-    config_path : the file the settings came from, for the snapshot
+    world : what it observes and acts on
+    settings : configuration in force
+    interface : link interface as configured; the snapshot has the name of the interface that was found
+    config_path : file of the settings, for the snapshot
     clock, wall_clock : monotonic and Unix time (s)
     estimator : estimates the capacity; `arpd.estimate.estimator.Estimator` by default
     tell : called with each event of the decision log
@@ -86,7 +86,7 @@ class Daemon:
 
     @property
     def interface(self) -> str:
-        """The link interface by the name it has now, or had last; as configured before it was found."""
+        """Name of the link interface, now or last; as configured until it is found."""
         return self._interface
 
     @property
@@ -226,7 +226,7 @@ class Daemon:
         try:
             return Program.of(settings, clock=self._clock)
         except ImportError as error:
-            log.error("program.backend: %s cannot be used (%s); exact takes over", settings.program.backend, error)  # noqa: TRY400 - nothing of ours to trace
+            log.error("program.backend: %s cannot be used (%s); exact takes over", settings.program.backend, error)  # noqa: TRY400 - the traceback would not help
             return Program.of(settings, backend=Backend.EXACT, clock=self._clock)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
@@ -243,11 +243,11 @@ class Daemon:
         generation = self._governor.plan.generation + 1
         self._observe(self._clock())
         while self._clock() - (self._began_s or 0.0) < _HEAR_S:
-            # A predecessor's plan may be in force, or another daemon in charge: none was heard yet.
+            # Endpoints with a predecessor's plan, or the active daemon, may not have been heard yet.
             wait(TICK_S)
             self._observe(self._clock())
         return restore(self._world, self._observe, generation=generation, clock=self._clock, wait=wait)
 
     def status_line(self) -> str:
-        """One line a human can read, for ``systemctl status``."""
+        """Return one line for ``systemctl status``."""
         return status_line(self.snapshot)

@@ -1,4 +1,4 @@
-"""What the daemon needs of the world around it, and of whoever estimates the link."""
+"""Protocols of the daemon's surroundings: the world it observes and acts on, and its estimator."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class World(Protocol):
-    """What the daemon observes and acts on: ROS (`arpd.adapters.ros.world`), or a simulated link."""
+    """The world of the daemon: ROS (`arpd.adapters.ros.world`), or a simulated link."""
 
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""
 
     def set_gate(self, gate: float) -> None:
-        """Tell every publisher the gate."""
+        """Send the gate to every publisher."""
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Carry out the steps of a plan; called at every tick until the publishers announce it."""
+        """Carry out the steps of a plan; called at every tick until the endpoints announce it."""
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
@@ -40,17 +40,17 @@ class World(Protocol):
 
 
 class CapacityEstimator(Protocol):
-    """What tells the daemon the capacity: `arpd.estimate.estimator`, or in a simulation one to compare it with."""
+    """Estimator of the capacity: `arpd.estimate.estimator`, or another one in a simulation."""
 
     @property
     def has_evidence(self) -> bool:
-        """Whether the first plan may be made."""
+        """True once the first plan may be made."""
 
     def update(self, observation: Observation) -> LinkEstimate:
-        """Digest one observation and return what is believed now."""
+        """Take in one observation and return the estimate."""
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
-        """Probes to send now."""
+        """Return the probes to send now."""
 
     def reconfigure(self, settings: LinkSettings) -> None:
-        """Take new settings; what was measured stays."""
+        """Take new settings; measurements stay."""

@@ -1,4 +1,4 @@
-"""When the daemon collects garbage: between ticks, and before there is too much of it."""
+"""Garbage collection of the daemon: between ticks, and before there is too much."""
 
 import gc
 import weakref
@@ -9,7 +9,7 @@ from arpd.daemon.gc import EVERY_S, MOST_NEW, Garbage
 
 
 class Loop:
-    """Refers to itself, so that only a collection frees it."""
+    """An object that refers to itself, so that only a collection frees it."""
 
     def __init__(self):
         self.itself = self
@@ -29,7 +29,7 @@ def garbage(now_s):
 
 
 def test_nothing_is_collected_before_it_is_due(garbage, now_s):
-    """However much is allocated; then all of it is, and after as long again."""
+    """Allocations start no collection before 30 s have passed, and again after each."""
     for _ in range(2):
         lost = weakref.ref(Loop())
         for _ in range(50):
@@ -42,14 +42,14 @@ def test_nothing_is_collected_before_it_is_due(garbage, now_s):
 
 
 def test_much_garbage_is_collected_early(garbage):
-    """What could fill the memory does not wait for its time."""
+    """Many new objects are collected before the time is over."""
     lost = [weakref.ref(Loop()) for _ in range(MOST_NEW // 2)]
     garbage.collect_if_due()
     assert lost[0]() is None
 
 
 def test_python_collects_by_itself_again(garbage):
-    """Whoever gives it back leaves the process as it was."""
+    """`give_back` leaves the process as it was."""
     garbage.give_back()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0

@@ -1,4 +1,4 @@
-"""What a reload brings into force, key by key; and that it is the whole file or nothing."""
+"""Reloads: each key comes into force or waits for a restart, and a file counts whole or not at all."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ DT_S = 1.0
 COURSE_S = 50.0
 TOPICS: list[dict[str, Any]] = [{"name": "/b", "weight": 3}, {"name": "/a"}]
 RELAY = {"topics": [{"name": "/scan"}]}
-# Bit rate of the radio from a moment on (s, bytes/s); without one the first belief stands.
+# Bit rate of the radio from a time on (s, bytes/s); without it the first estimate stays.
 RADIO = ((6.0, 2.2e6), (11.0, 0.8e6), (18.0, 3e6), (24.0, 0.7e6), (30.0, 3e6), (46.0, 2.7e6))
 LATE_S = 15.0  # a third topic comes
 
-# Every key: what it becomes, and what the rest of the file must say for that to matter.
+# Every key: its new value, and other keys of the file that make it matter.
 CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.interface": ("wlan7", {}),
     "link.capacity": ("4mbit", {}),
@@ -75,14 +75,14 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "on_lost": ("baseline", {}),
     "lost_after": ("9s", {"on_lost": "baseline"}),
 }
-# In force, and nothing the daemon does depends on it: `arpd solve` reads them.
+# In force, but without effect on the daemon: `arpd solve` reads them.
 OFFLINE = {"topics.payload", "topics.source_rate_hz"}
 FREE = sorted(key for key in CHANGES if not needs_restart(key))
 BOUND = sorted(key for key in CHANGES if needs_restart(key))
 
 
 class World:
-    """Two topics, and later a third, over a link whose radio tells its bit rate; notes what it was told."""
+    """Two topics, and later a third, over a link whose radio has a bit rate; keeps the transitions it was sent."""
 
     def __init__(self, settings):
         self.settings = settings
@@ -129,7 +129,7 @@ class World:
 
 
 def document(key=None):
-    """Return a configuration: the one a key is changed in, or with the change."""
+    """Return the configuration in which a key is going to change."""
     extra = CHANGES[key][1] if key else {}
     topics = [{**topic} for topic in TOPICS]
     return {"link": {"initial_capacity": "16mbit"}, "topics": topics, "relay": json.loads(json.dumps(RELAY)), **extra}
@@ -149,7 +149,7 @@ def changed(key):
 
 @pytest.fixture(scope="module")
 def load(tmp_path_factory):
-    """Read a configuration as the daemon does, from a file."""
+    """Load a configuration from a file, as the daemon does."""
     path = tmp_path_factory.mktemp("reload") / "arpd.yaml"
 
     @cache
@@ -161,7 +161,7 @@ def load(tmp_path_factory):
 
 
 def course(settings, *, reload=None):
-    """Return what a daemon does over the course: what it decided and told, tick by tick, and how it would stop."""
+    """Return a daemon's decisions and transitions, tick by tick, and its action on a stop."""
     world = World(settings)
     now_s = 0.0
     daemon: Any = Daemon(world, settings, interface="w", clock=lambda: now_s)
@@ -188,7 +188,7 @@ def course(settings, *, reload=None):
 
 @pytest.fixture(scope="module")
 def untouched(load):
-    """Return what a daemon does that nobody reloads, by key: few of them need a file of their own."""
+    """Return the course of a daemon without a reload, by key; most keys share a file."""
     known = {}
 
     def of(key):
@@ -201,14 +201,14 @@ def untouched(load):
 
 
 def test_every_key_is_tried():
-    """No key of the file is left out below."""
+    """The tests below cover every key of the file."""
     keys = {".".join((*path, key)) for path, section in SECTIONS.items() for key in section.kinds()}
     assert keys == set(CHANGES)
 
 
 @pytest.mark.parametrize("key", FREE)
 def test_a_reloaded_key_is_in_force(load, untouched, key):
-    """A daemon that reloads the key does, tick for tick, what one does that was started with it, and not as before."""
+    """After a reload the daemon acts, tick for tick, as one that started with the new value, and not as before."""
     old, new = load(document(key)), load(changed(key))
     reloaded = course(old, reload=new)
     assert reloaded == course(new)
@@ -217,7 +217,7 @@ def test_a_reloaded_key_is_in_force(load, untouched, key):
 
 @pytest.mark.parametrize("key", BOUND)
 def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
-    """The daemon holds what is in force and not what the file says, and names the key in log, status and metrics."""
+    """The daemon keeps the value in force, and names the key in log, status and metrics."""
     old, new = load(document(key)), load(changed(key))
     daemon: Any = Daemon(World(old), old, interface="w", clock=lambda: 0.0)
     assert daemon.reload(lambda: new)
@@ -239,7 +239,7 @@ def daemon_of(settings, world=None):
 
 @pytest.mark.parametrize("part", [World, Estimator, Governor])
 def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch, part):
-    """Wherever taking the new settings fails, every part goes on with the old ones, in all it does from then on."""
+    """When one part fails to take the new settings, every part continues with the old ones."""
     old, new = load(document()), load(changed("graph.sensing_topics") | changed("link.headroom"))
     failures = iter([RuntimeError("broken")])
     take = part.reconfigure
@@ -264,7 +264,7 @@ def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch
 
 
 def unusable(path):
-    """Spoil a configuration file, in one way after the other; name each."""
+    """Spoil a configuration file in one way after the other, and name each."""
     path.unlink()
     yield "does not exist"
     path.mkdir()
@@ -285,7 +285,7 @@ def unusable(path):
 
 
 def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
-    """Each way is named in log, status and metrics while the old settings stay; a good file puts that right."""
+    """Log, status and metrics name each fault while the old settings stay, until a good file is loaded."""
     path = tmp_path / "arpd.yaml"
     path.write_text(json.dumps(document()))
     daemon = daemon_of(load_settings(path, interfaces=None))
@@ -307,18 +307,18 @@ def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
 
 
 def test_a_flood_of_faults_is_counted_and_not_logged(load, caplog):
-    """Somebody else's file, a megabyte of it, does not fill the journal."""
+    """A file with thousands of faults does not fill the journal."""
 
     def load_wrong():
         raise ConfigError([f"arpd.yaml:{line}:1: x: is wrong; right it" for line in range(1, 5001)])
 
     assert not daemon_of(load(document())).reload(load_wrong)
     assert len(caplog.records) < 30
-    assert caplog.records[-1].message == "further faults: 4980"
+    assert caplog.records[-1].message == "4980 more faults; arpd check shows all"
 
 
 def test_what_changed_is_logged_and_counted(load, caplog):
-    """One line per key, what waits for a restart apart; a file without changes is no change, and makes no new plan."""
+    """Each changed key has a line, keys that wait for a restart say so, and an unchanged file makes no plan."""
     caplog.set_level("INFO")
     world = World(load(document()))
     now_s = 0.0
@@ -347,7 +347,7 @@ def test_what_changed_is_logged_and_counted(load, caplog):
 
 
 def test_counts_go_on_through_a_reload(load):
-    """Solves are counted since the start, not since the last configuration."""
+    """Solves are counted since the start, not since the last reload."""
     daemon, now_s = daemon_of(load(document())), 0.0
     while daemon.tick(now_s).plan.generation == 0:
         now_s += DT_S
@@ -358,7 +358,7 @@ def test_counts_go_on_through_a_reload(load):
 
 
 def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeypatch, caplog):
-    """`exact` takes over, at a start and at a reload, and the log says so."""
+    """`exact` takes over at a start and at a reload, and the log says so."""
     monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     cvxpy = load({"program": {"backend": "cvxpy"}})
     reloaded = daemon_of(load(document()))

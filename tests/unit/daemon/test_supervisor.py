@@ -1,4 +1,4 @@
-"""The loop around the daemon: signals, reloads, failing ticks, and what is told to systemd."""
+"""The loop around the daemon: signals, reloads, failing ticks, and the messages to systemd."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def signals():
 
 
 class Told:
-    """Stands in for systemd: notes what it is told, in order."""
+    """A notifier that keeps its messages, in order."""
 
     watchdog_period_s = 10.0
 
@@ -60,7 +60,7 @@ class Told:
 
 
 class Daemon:
-    """Does at each tick what the test wants done then; ends with the last."""
+    """Calls one of the test's functions at each tick, and ends after the last."""
 
     def __init__(self, signals, *ticks):
         self._signals = signals
@@ -76,11 +76,11 @@ class Daemon:
 
     def tick(self, _now_s):
         self._signals.wakeup.set()  # the next one at once
-        do = next(self._ticks, None) or next(self.then, None)
-        if do is None:
+        action = next(self._ticks, None) or next(self.then, None)
+        if action is None:
             self._signals.stop = True
             return
-        do()
+        action()
         self.ticked += 1
 
     def reload(self, load):
@@ -122,7 +122,7 @@ def run(daemon, signals, load=Settings, **options):
 
 
 def test_others_know_when_no_tick_runs(signals):
-    """It rests between two ticks, whether they succeed or not, and never in one."""
+    """`resting` is set between two ticks, also after one that failed, and never within one."""
     resting, seen = threading.Event(), []
 
     def look():
@@ -139,10 +139,10 @@ def test_others_know_when_no_tick_runs(signals):
 
 
 def test_how_late_each_tick_begins_is_told(signals):
-    """A tick after one that took twice the period is a period late at least; early ones are not late."""
+    """A tick that follows one of twice the period is at least a period late; an early one is not late."""
     daemon = Daemon(signals, lambda: time.sleep(2 * TICK_S), nothing, nothing)
     run(daemon, signals)
-    assert len(daemon.late_s) == 4  # the last finds nothing to do
+    assert len(daemon.late_s) == 4  # the last ends the loop
     assert daemon.late_s[1] >= TICK_S
     assert min(daemon.late_s) >= 0.0
 
@@ -151,7 +151,7 @@ def test_how_late_each_tick_begins_is_told(signals):
 
 
 def test_ten_reloads_in_a_second_are_few_and_the_last_file_wins(signals):
-    """Signals that come while a file is read are one more reload of what the file says by then."""
+    """Signals during a reload lead to one more reload, of the file as it is by then."""
     file = ["first"]
     reading, go_on = threading.Event(), threading.Event()
 
@@ -175,7 +175,7 @@ def test_ten_reloads_in_a_second_are_few_and_the_last_file_wins(signals):
 
 
 def until(condition, timeout_s=10.0):
-    """Tick on until a condition holds."""
+    """Continue the ticks until a condition holds."""
     until_s = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < until_s, "did not happen in time"
@@ -183,7 +183,7 @@ def until(condition, timeout_s=10.0):
 
 
 def test_a_file_that_takes_long_to_read_does_not_stop_the_ticks(signals):
-    """Ticks go on while it is read, and it is in force afterwards."""
+    """Ticks go on during the reading, and the file is in force afterwards."""
     go_on = threading.Event()
 
     def load():
@@ -208,7 +208,7 @@ def test_whatever_a_reload_raises_is_refused_and_answered(signals, caplog):
 
 
 def test_a_reload_does_not_end_the_start(signals):
-    """READY is said once a tick has finished; a reload before that is not announced."""
+    """READY is sent once a tick has finished; a reload before that is not announced."""
     daemon = Daemon(signals, *3 * [fail])
     daemon.then = until(lambda: daemon.loaded)
     send(signal.SIGHUP)
@@ -222,12 +222,12 @@ def test_a_reload_does_not_end_the_start(signals):
 
 
 def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
-    """While ticks fail nothing is fed, systemd and the log are told why, once, and that they finish again."""
+    """Failing ticks do not feed the watchdog; systemd and the log have the reason once, and the recovery."""
     told_while_failing: list[str] = []
     told: Any = Told()
     daemon: Any = Daemon(signals, *20 * [fail], lambda: told_while_failing.extend(told.messages), nothing)
     Supervisor(daemon, signals, told, load=Settings).run()
-    assert told_while_failing == ["ticks fail (ValueError: a bug); the publishers keep the plan they have"]
+    assert told_while_failing == ["ticks fail (ValueError: a bug); the publishers keep their plan"]
     assert daemon.failed == 20
     assert told.messages[1:] == ["READY", "WATCHDOG", "fine"]
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
@@ -238,7 +238,7 @@ def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
 
 
 def test_a_stop_before_there_is_a_loop_ends_the_process(signals):
-    """Nothing has been changed yet, and importing ROS would take longer than systemd waits."""
+    """Nothing has changed yet, and importing ROS would take longer than systemd waits."""
     signals.is_looping = False
     with pytest.raises(SystemExit) as ended:
         send(signal.SIGTERM)
@@ -247,7 +247,7 @@ def test_a_stop_before_there_is_a_loop_ends_the_process(signals):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stop_ends_the_loop_after_the_tick_even_if_a_reload_waits(signals, number):
-    """What is asked for together with a stop is not begun."""
+    """A reload that is requested together with a stop does not begin."""
     daemon = Daemon(signals, lambda: (send(signal.SIGHUP), send(number)), nothing)
     told = run(daemon, signals)
     assert (daemon.ticked, daemon.loaded, told.count("RELOADING")) == (1, [], 0)
@@ -255,7 +255,7 @@ def test_a_stop_ends_the_loop_after_the_tick_even_if_a_reload_waits(signals, num
 
 @pytest.mark.parametrize("times", [1, 2, 5])
 def test_more_of_the_same_signal_does_not_cut_a_restore_short(signals, caplog, times):
-    """However impatient somebody is, publishers get their QoS back; the restore ends by itself."""
+    """Publishers get their QoS back, and the restore ends by itself."""
     restored = []
 
     class Restoring(Daemon):
@@ -289,20 +289,20 @@ def test_a_daemon_told_to_keep_restores_nothing(signals):
     """`on_stop: keep` leaves the plan in force."""
     daemon: Any = Daemon(signals)
     daemon.settings = Settings(on_stop=OnStop.KEEP)
-    stop(daemon)  # which has no restore
+    stop(daemon)  # it has no restore()
 
 
-# -- around it
+# -- faults outside the daemon
 
 
 def test_what_is_wrong_around_the_daemon_shows_in_its_status(signals):
-    """Whoever reads `systemctl status` learns that there are no metrics."""
+    """`systemctl status` shows that there are no metrics."""
     told = run(Daemon(signals, nothing), signals, fault=lambda: "no metrics: port taken")
     assert "fine; no metrics: port taken" in told.messages
 
 
 def test_the_loop_ends_when_a_new_process_would_reach_more(signals):
-    """It does so without being told to stop."""
+    """The loop ends without a signal."""
     cut_off = iter([False, False, True])
     daemon = Daemon(signals, *9 * [nothing])
     run(daemon, signals, is_cut_off=lambda: next(cut_off))
@@ -331,7 +331,7 @@ class Host:
 
 
 def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
-    """A radio that is late, or that gets another address, after a few seconds in which it may get more."""
+    """A late or changed address of the link needs a new process, after a few seconds in which more may come."""
     late = Host(lo="127.0.0.1")
     assert not late.are_outdated(60.0)
     late.by_interface["wlan0"] = "10.0.0.5"
@@ -343,7 +343,7 @@ def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
 
 
 def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
-    """Not the link's own that goes and returns, not another interface, and not a link that is chosen late."""
+    """The link's address may go and return, other interfaces may come, and the link may be chosen late."""
     host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
     del host.by_interface["wlan0"]
     assert not host.are_outdated(30.0)
@@ -354,7 +354,7 @@ def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
 
 
 def test_an_address_that_is_passed_through_calls_for_nothing():
-    """A link-local address that is gone after two seconds was none to be found under."""
+    """A link-local address that is gone after two seconds needs no new process."""
     host = Host(wlan0="10.0.0.5")
     host.by_interface["wlan0"] = "169.254.3.4"
     assert not host.are_outdated(2.0)
@@ -364,7 +364,7 @@ def test_an_address_that_is_passed_through_calls_for_nothing():
 
 @contextmanager
 def listening(port):
-    """Listen where nobody else may; as the real server, raise where somebody does."""
+    """Listen as the real server does; raise when the port is taken."""
     try:
         with socket.create_server(("127.0.0.1", port), reuse_port=False):
             yield f"http://127.0.0.1:{port}"
@@ -373,7 +373,7 @@ def listening(port):
 
 
 def test_a_port_that_is_taken_is_tried_again(caplog):
-    """The daemon goes on without metrics, says so once, and serves as soon as the port is free."""
+    """The daemon goes on without metrics, logs that once, and serves as soon as the port is free."""
     caplog.set_level("INFO")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -392,6 +392,6 @@ def test_a_port_that_is_taken_is_tried_again(caplog):
 
 
 def test_what_else_keeps_it_from_serving_at_the_start_is_raised():
-    """A web configuration that is wrong does not get better by trying again."""
+    """A faulty web configuration is raised, because trying again would not help."""
     with pytest.raises(ValueError, match="a bug"), RetryingServer(fail).up():
         raise AssertionError("must not be entered")

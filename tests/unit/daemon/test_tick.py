@@ -1,4 +1,4 @@
-"""The daemon over a world that does what it is told, some of it late."""
+"""The daemon over a world that follows its calls, some of them late."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ MS = 1_000_000
 
 
 class World:
-    """One publisher and one reader that carry a predecessor's plan; each announces what it was told a second later."""
+    """One publisher and one reader with a predecessor's plan; each announces a new row a second after its call."""
 
     def __init__(self, *, deaf=()):
         self.now_s = 0.0
@@ -94,7 +94,7 @@ def restored(world):
 
 
 def test_a_clean_stop_restores_writers_and_readers_in_order():
-    """The reader relaxes only when the writer allows it, the writer only when the reader does, and all is as before."""
+    """Writer and reader return to their application's QoS without losing each other."""
     world = World()
     assert restored(world) == 0
     assert (world.writer.depth, world.writer.deadline_ns) == (10, 90 * MS)
@@ -103,7 +103,7 @@ def test_a_clean_stop_restores_writers_and_readers_in_order():
 
 
 def test_a_clean_stop_waits_for_the_reader_that_goes_first():
-    """A writer whose own deadline is longer than what the reader still requests keeps it until the reader is back."""
+    """A writer whose own deadline is longer than the reader's request waits until the reader is restored."""
     world = World()
     world.reader = replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 0
@@ -112,7 +112,7 @@ def test_a_clean_stop_waits_for_the_reader_that_goes_first():
 
 
 def test_a_clean_stop_gives_the_rates_back_last():
-    """On a link that cannot carry what the application publishes, its QoS would else never be proved."""
+    """QoS comes first, because a weak link could not prove a new writer at the full rate."""
     world = World()
     world.writer = replace(world.writer, rate_hz=5.0)
     assert restored(world) == 0
@@ -122,7 +122,7 @@ def test_a_clean_stop_gives_the_rates_back_last():
 
 
 def test_a_clean_stop_gives_the_rates_back_whatever_the_readers_do():
-    """A publisher that cannot have its QoS back is not left paced."""
+    """A publisher whose QoS cannot be restored is unpaced all the same."""
     world = World(deaf={"/r"})
     world.writer, world.reader = replace(world.writer, rate_hz=5.0), replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 1
@@ -130,7 +130,7 @@ def test_a_clean_stop_gives_the_rates_back_whatever_the_readers_do():
 
 
 def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
-    """A reader that does not answer is counted, and its writer is left what that reader requests."""
+    """A reader that does not answer is counted, and its writer offers what that reader requests."""
     world = World(deaf={"/r"})
     world.reader = replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 1
@@ -138,7 +138,7 @@ def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
 
 
 def test_a_daemon_that_stands_by_only_watches():
-    """While another one drives it sets nothing, probes nothing and restores nothing, and says why; then it drives."""
+    """While another daemon is active it sets, probes and restores nothing, and says why; then it takes over."""
     world = World()
     told: list[Any] = []
     daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=told.append)
@@ -161,7 +161,7 @@ def test_a_daemon_that_stands_by_only_watches():
 
 
 def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
-    """Before it restores anything a daemon hears who is there: publishers with a plan, or another daemon in charge."""
+    """A daemon first waits for the publishers with a plan, and for another active daemon."""
     world = World()
     late: Any = World()
     late.active_daemon = "robot-2"
@@ -179,7 +179,7 @@ def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
 
 @pytest.mark.parametrize("stage", ["observe", "solve"])
 def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
-    """Nothing is told to anybody in such a tick, and the next one that works goes on where the last one stood."""
+    """Such a tick sends nothing, and the next one that succeeds continues from the last good one."""
     world: Any = World()
     world.active_daemon = "robot-2"
     daemon: Any = Daemon(world, Settings(link=LinkSettings(capacity_bytes_per_second=1e6)), interface="lo")
@@ -208,7 +208,7 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
 
 
 def test_an_interface_that_is_not_there_yet_is_named():
-    """The status tells what never was there from what is gone."""
+    """The status distinguishes an interface that was never there from one that is gone."""
     world: Any = World()
     for wanted, said in (("wlan0", "wlan0 is not there yet"), ("auto", "no link interface is there yet")):
         daemon: Any = Daemon(world, Settings(), interface=wanted)
@@ -226,11 +226,12 @@ def test_an_interface_that_is_not_there_yet_is_named():
 
 
 def test_a_decision_log_that_fails_stops_nothing(monkeypatch, caplog):
-    """The robot is governed all the same, and what is wrong is said once."""
+    """Ticks go on, and the failure is logged once."""
     daemon = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0)
     monkeypatch.setattr(daemon.record._decision_log, "follow", lambda _picture: 1 / 0)
     for tick in range(3):
         daemon.tick(tick / 10)
     assert daemon.snapshot is not None
     assert daemon.snapshot.totals.ticks == 3
-    assert [record.message for record in caplog.records] == ["the decision log misses what happened; said once"]
+    (told,) = caplog.records
+    assert told.message == "the decision log failed and misses events; not logged again"
