@@ -45,8 +45,8 @@ def test_a_changed_lease_reaches_publishers_that_run_the_plan_already():
     assert plan_transitions([CONFIRMED], PLAN, reason="test") == ()
     (transition,) = plan_transitions([CONFIRMED], PLAN, reason="test", lease_s=30.0)
     assert (transition.lease_s, transition.generation, transition.topics) == (30.0, 3, {"/a": ROW})
-    told = replace(CONFIRMED, lease_s=30.0)
-    assert plan_transitions([told], PLAN, reason="test", lease_s=30.0) == ()
+    announced = replace(CONFIRMED, lease_s=30.0)
+    assert plan_transitions([announced], PLAN, reason="test", lease_s=30.0) == ()
 
 
 def test_a_publisher_that_gave_the_plan_up_is_planned_for_again():

@@ -49,18 +49,6 @@ def test_a_swap_that_waits_for_acknowledgements_says_for_how_long():
     assert swap.ledger.seconds_by_phase == pytest.approx(expected | drained, abs=4 * STEP_S)
 
 
-def test_a_writer_that_is_refused_is_a_swap_that_took_no_time():
-    """It began and failed, and its record has no time."""
-    world, swap = make()
-    world.refuses = True
-    swap.request(qos(4))
-    swap.step(5.0)
-    assert swap.ledger.begun == 1
-    record = swap.ledger.last
-    assert record is not None
-    assert (record.result, record.seconds_by_phase) == (SwapResult.FAILED, {})
-
-
 @given(
     st.lists(st.tuples(st.sampled_from(SwapPhase), st.floats(0.0, 100.0)), min_size=1, max_size=10), st.floats(0, 100)
 )

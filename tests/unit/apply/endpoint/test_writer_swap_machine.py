@@ -161,4 +161,4 @@ class SwapMachine(RuleBasedStateMachine):
 
 
 TestSwapMachine = SwapMachine.TestCase
-TestSwapMachine.settings = settings(deadline=None, max_examples=80, stateful_step_count=40)
+TestSwapMachine.settings = settings(deadline=None, max_examples=150, stateful_step_count=40)
