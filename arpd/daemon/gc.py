@@ -38,11 +38,6 @@ class Garbage:
         gc.disable()
         self._collected_s = self._clock()
 
-    def give_back(self) -> None:
-        """Switch automatic collection on again."""
-        gc.unfreeze()
-        gc.enable()
-
     def collect_if_due(self) -> None:
         """Collect every 30 s, or when many objects are new; call it where a delay costs least."""
         now_s = self._clock()

@@ -87,7 +87,7 @@ class World:
     def __init__(self, settings):
         self.settings = settings
         self.graph = settings.graph
-        self.told = []
+        self.sent = []
 
     def observe(self, now_s):
         names = {"/a": 200.0, "/b": 20_000.0} | ({"/c": 4000.0} if now_s >= LATE_S else {})
@@ -110,7 +110,7 @@ class World:
         )
 
     def apply(self, transitions, *, now_s):
-        self.told += ((now_s, step.topics, step.lease_s) for step in transitions)
+        self.sent += ((now_s, step.topics, step.lease_s) for step in transitions)
 
     def set_gate(self, gate):
         pass
@@ -183,7 +183,7 @@ def course(settings, *, reload=None):
             )
         )
         now_s += DT_S
-    return done, world.told, daemon.settings.on_stop
+    return done, world.sent, daemon.settings.on_stop
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def signals():
         signal.signal(number, handler)
 
 
-class Told:
+class Notifier:
     """A notifier that keeps its messages, in order."""
 
     watchdog_period_s = 10.0
@@ -113,9 +113,9 @@ def send(number, times=1):
 
 
 def run(daemon, signals, load=Settings, **options):
-    told: Any = Told()
-    Supervisor(daemon, signals, told, load=load, **options).run()
-    return told
+    notifier: Any = Notifier()
+    Supervisor(daemon, signals, notifier, load=load, **options).run()
+    return notifier
 
 
 # -- ticks
@@ -169,9 +169,12 @@ def test_ten_reloads_in_a_second_are_few_and_the_last_file_wins(signals):
 
     daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP), nothing, change)
     daemon.then = until(lambda: len(daemon.loaded) == 2)
-    told = run(daemon, signals, load)
+    notifier = run(daemon, signals, load)
     assert daemon.loaded == ["first", "last"]
-    assert [said for said in told.messages if said in {"READY", "RELOADING"}] == ["READY", *2 * ("RELOADING", "READY")]
+    assert [message for message in notifier.messages if message in {"READY", "RELOADING"}] == [
+        "READY",
+        *2 * ("RELOADING", "READY"),
+    ]
 
 
 def until(condition, timeout_s=10.0):
@@ -201,9 +204,13 @@ def test_whatever_a_reload_raises_is_refused_and_answered(signals, caplog):
     """A bug in reading or taking a configuration ends the reload, not the daemon."""
     daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP))
     daemon.then = until(lambda: daemon.refused)
-    told = run(daemon, signals, fail)
+    notifier = run(daemon, signals, fail)
     assert daemon.refused == ["ValueError: a bug"]
-    assert [said for said in told.messages if said in {"READY", "RELOADING"}] == ["READY", "RELOADING", "READY"]
+    assert [message for message in notifier.messages if message in {"READY", "RELOADING"}] == [
+        "READY",
+        "RELOADING",
+        "READY",
+    ]
     assert "reload failed; the configuration in force stays" in caplog.text
 
 
@@ -212,9 +219,9 @@ def test_a_reload_does_not_end_the_start(signals):
     daemon = Daemon(signals, *3 * [fail])
     daemon.then = until(lambda: daemon.loaded)
     send(signal.SIGHUP)
-    told = run(daemon, signals, lambda: "file")
-    before = told.messages.index("READY")
-    assert "RELOADING" not in told.messages[:before]
+    notifier = run(daemon, signals, lambda: "file")
+    before = notifier.messages.index("READY")
+    assert "RELOADING" not in notifier.messages[:before]
     assert daemon.failed == 3
 
 
@@ -223,13 +230,13 @@ def test_a_reload_does_not_end_the_start(signals):
 
 def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
     """Failing ticks do not feed the watchdog; systemd and the log have the reason once, and the recovery."""
-    told_while_failing: list[str] = []
-    told: Any = Told()
-    daemon: Any = Daemon(signals, *20 * [fail], lambda: told_while_failing.extend(told.messages), nothing)
-    Supervisor(daemon, signals, told, load=Settings).run()
-    assert told_while_failing == ["ticks fail (ValueError: a bug); the publishers keep their plan"]
+    messages_while_failing: list[str] = []
+    notifier: Any = Notifier()
+    daemon: Any = Daemon(signals, *20 * [fail], lambda: messages_while_failing.extend(notifier.messages), nothing)
+    Supervisor(daemon, signals, notifier, load=Settings).run()
+    assert messages_while_failing == ["ticks fail (ValueError: a bug); the publishers keep their plan"]
     assert daemon.failed == 20
-    assert told.messages[1:] == ["READY", "WATCHDOG", "fine"]
+    assert notifier.messages[1:] == ["READY", "WATCHDOG", "fine"]
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
     assert caplog.records[0].exc_info is not None
 
@@ -249,8 +256,8 @@ def test_a_stop_before_there_is_a_loop_ends_the_process(signals):
 def test_a_stop_ends_the_loop_after_the_tick_even_if_a_reload_waits(signals, number):
     """A reload that is requested together with a stop does not begin."""
     daemon = Daemon(signals, lambda: (send(signal.SIGHUP), send(number)), nothing)
-    told = run(daemon, signals)
-    assert (daemon.ticked, daemon.loaded, told.count("RELOADING")) == (1, [], 0)
+    notifier = run(daemon, signals)
+    assert (daemon.ticked, daemon.loaded, notifier.count("RELOADING")) == (1, [], 0)
 
 
 @pytest.mark.parametrize("times", [1, 2, 5])
@@ -297,8 +304,8 @@ def test_a_daemon_told_to_keep_restores_nothing(signals):
 
 def test_what_is_wrong_around_the_daemon_shows_in_its_status(signals):
     """`systemctl status` shows that there are no metrics."""
-    told = run(Daemon(signals, nothing), signals, fault=lambda: "no metrics: port taken")
-    assert "fine; no metrics: port taken" in told.messages
+    notifier = run(Daemon(signals, nothing), signals, fault=lambda: "no metrics: port taken")
+    assert "fine; no metrics: port taken" in notifier.messages
 
 
 def test_the_loop_ends_when_a_new_process_would_reach_more(signals):

@@ -23,7 +23,7 @@ class World:
 
     def __init__(self, *, deaf=()):
         self.now_s = 0.0
-        self.told = []
+        self.sent = []
         self.active_daemon = ""
         self.gates = []
         self.probes = []
@@ -52,9 +52,9 @@ class World:
 
     def apply(self, transitions, *, now_s):
         for step in transitions:
-            if step.node in self._deaf or (step.node, step.topics, step.readers) in self.told:
+            if step.node in self._deaf or (step.node, step.topics, step.readers) in self.sent:
                 continue
-            self.told.append((step.node, step.topics, step.readers))
+            self.sent.append((step.node, step.topics, step.readers))
             self._pending.append((now_s + 1.0, lambda step=step: self._announce(step)))
 
     def _announce(self, step):
@@ -107,7 +107,7 @@ def test_a_clean_stop_waits_for_the_reader_that_goes_first():
     world = World()
     world.reader = replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 0
-    assert [node for node, *_ in world.told] == ["/r", "/w"]
+    assert [node for node, *_ in world.sent] == ["/r", "/w"]
     assert world.writer.deadline_ns == 90 * MS
 
 
@@ -116,7 +116,7 @@ def test_a_clean_stop_gives_the_rates_back_last():
     world = World()
     world.writer = replace(world.writer, rate_hz=5.0)
     assert restored(world) == 0
-    rows = [topics[TOPIC] for node, topics, _ in world.told if node == "/w"]
+    rows = [topics[TOPIC] for node, topics, _ in world.sent if node == "/w"]
     assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
     assert (rows[-2].depth, rows[-2].deadline_ns) == (rows[-1].depth, rows[-1].deadline_ns) == (10, 90 * MS)
 
@@ -140,17 +140,17 @@ def test_a_clean_stop_gives_up_on_a_reader_that_is_gone():
 def test_a_daemon_that_stands_by_only_watches():
     """While another daemon is active it sets, probes and restores nothing, and says why; then it takes over."""
     world = World()
-    told: list[Any] = []
-    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=told.append)
+    events: list[Any] = []
+    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=events.append)
     world.active_daemon = "robot-2"
     for _ in range(100):
         world.now_s += 0.1
         daemon.tick(world.now_s)
-    assert (world.told, world.gates, world.probes) == ([], [], [])
+    assert (world.sent, world.gates, world.probes) == ([], [], [])
     assert daemon.restore(wait=world.wait) == 0
-    assert not world.told
+    assert not world.sent
     assert daemon.status_line() == "standing by: another arpd daemon, on robot-2, drives this robot"
-    assert [event.text for event in told if event.kind == "standing_by"] == [
+    assert [event.text for event in events if event.kind == "standing_by"] == [
         "another arpd daemon, on robot-2, has run for longer: standing by"
     ]
     world.active_daemon = ""
@@ -174,7 +174,7 @@ def test_a_stop_right_after_the_start_restores_what_a_predecessor_left():
     late.observe = observe
     assert (restored(world), restored(late)) == (0, 0)
     assert world.writer.deadline_ns == 90 * MS
-    assert not late.told
+    assert not late.sent
 
 
 @pytest.mark.parametrize("stage", ["observe", "solve"])
@@ -233,5 +233,5 @@ def test_a_decision_log_that_fails_stops_nothing(monkeypatch, caplog):
         daemon.tick(tick / 10)
     assert daemon.snapshot is not None
     assert daemon.snapshot.totals.ticks == 3
-    (told,) = caplog.records
-    assert told.message == "the decision log failed and misses events; not logged again"
+    (record,) = caplog.records
+    assert record.message == "the decision log failed and misses events; not logged again"
