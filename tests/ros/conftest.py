@@ -1,4 +1,4 @@
-"""Real rclpy for every test: a context of its own, on this host only, with an executor in a thread."""
+"""Real rclpy for every test: its own context, on this host only, with executors in threads."""
 
 import threading
 import time
@@ -12,7 +12,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
 class Ros:
-    """Nodes of one test, each spun by an executor of its own."""
+    """Nodes of one test, each with its own executor."""
 
     def __init__(self, context, stack):
         self.context = context
@@ -47,7 +47,7 @@ def ros(monkeypatch):
 
 @pytest.fixture
 def eventually():
-    """Wait for a condition, generously: the machine is shared and noisy."""
+    """Wait for a condition, with a long timeout: the machine is shared and noisy."""
 
     def wait(condition, timeout_s=15.0):
         until_s = time.monotonic() + timeout_s

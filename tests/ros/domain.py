@@ -1,5 +1,5 @@
-"""The ROS domain of this process: pytest's workers run side by side and must not hear each other."""
+"""The ROS domain of this process: pytest's workers run in parallel and must not hear each other."""
 
 import os
 
-DOMAIN = 1 + os.getpid() % 45  # tests/chaos takes those above 50
+DOMAIN = 1 + os.getpid() % 45  # tests/chaos uses those above 50

@@ -1,4 +1,4 @@
-"""A process with one AdaptiveSubscription: prints what it heard as JSON when its standard input ends."""
+"""A process with one AdaptiveSubscription; it prints the numbers it received as JSON when its input ends."""
 
 import json
 import sys
@@ -34,7 +34,7 @@ print(
             "incompatible": incompatible,
             "depth": state.depth,
             "deadline_ns": state.deadline_ns,
-            "handovers": state.swaps_by_result,
+            "swaps": state.swaps_by_result,
         }
     )
 )

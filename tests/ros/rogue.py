@@ -1,4 +1,4 @@
-"""A process that floods arpd's topics with inventions, from its first line of input on until it is killed."""
+"""A process that floods arpd's topics with false messages, from its first line of input until it is killed."""
 
 import random
 import sys
@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.announcement import reader_to_status, to_status
-from arpd.adapters.ros.daemons import to_status as claim_to_status
+from arpd.adapters.ros.daemons import to_status as heartbeat_to_status
 from arpd.adapters.ros.names import DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.probe_messages import encode_report
 from arpd.model.probing import PeerReport, Train
@@ -30,10 +30,10 @@ def announcement(*statuses):
 
 def report(name, number):
     trains = (Train(payload_bytes=1_000_000, duration_s=8e-6, packets=24),)
-    told = PeerReport(
+    message = PeerReport(
         peer=name, received_at_s=0.0, interval_s=0.1, rx_bytes=2**32 - 1, rx_packets=9, trains=trains, last_probe=number
     )
-    return serialize_message(encode_report(told))
+    return serialize_message(encode_report(message))
 
 
 def spoilt(data):
@@ -45,21 +45,21 @@ def spoilt(data):
 
 writers = [announcement(to_status(publisher(f"/rogue{k}", f"/invented{k}", **HUGE))) for k in range(3000)]
 readers = [announcement(reader_to_status(reader(f"/rogue{k}", honest_topic, deadline_ns=20_000))) for k in range(300)]
-# A node that is there, with topics it does not write, and with more of them than anybody may have.
+# A real node, with topics that it does not write, and with too many of them.
 own = [
     announcement(*(to_status(publisher("/rogue", f"/own{k}", **HUGE)) for k in range(of, of + 100)))
     for of in range(900)[::100]
 ]
 own += [announcement(*(to_status(publisher("/rogue", f"/many{k}")) for k in range(300)))]
-own += [announcement(to_status(publisher("/rogue", honest_topic, **HUGE)))]  # of a topic that another one writes
+own += [announcement(to_status(publisher("/rogue", honest_topic, **HUGE)))]  # another node writes this topic
 own += [announcement(DiagnosticStatus(name="/rogue: /t", values=[KeyValue(key="node", value="/rogue")]))]
 own += [announcement(to_status(publisher("/rogue", "/x")), to_status(publisher(honest_node, honest_topic, **HUGE)))]
 own += [spoilt(own[0]) for _ in range(20)]
 long = announcement(DiagnosticStatus(name="/rogue: /t", message="x" * 600_000))
 reports = [report("ceddp", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
-claim = announcement(claim_to_status(DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="liar")))
-claims = [claim, spoilt(claim), announcement(DiagnosticStatus(name="arpd on " + "x" * 4000))]
+heartbeat = announcement(heartbeat_to_status(DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="liar")))
+heartbeats = [heartbeat, spoilt(heartbeat), announcement(DiagnosticStatus(name="arpd on " + "x" * 4000))]
 reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))
 
 rclpy.init()
@@ -80,7 +80,7 @@ while True:
     for data in draw.choices(reports, k=5):
         to_reports.publish(data)
     if batch % 5 == 0:
-        to_daemons.publish(claims[batch // 5 % 3])
+        to_daemons.publish(heartbeats[batch // 5 % 3])
     if batch % 25 == 0:
         to_publishers.publish(long)
         to_readers.publish(long)

@@ -81,7 +81,7 @@ def test_a_reader_is_read_as_it_was_announced(ros_reader):
 
 
 def test_a_readers_announcement_is_small():
-    """What crosses the link for a reader once a second is a few hundred bytes."""
+    """A reader's announcement is a few hundred bytes."""
     assert len(serialize_message(reader_to_status(DRIVEN))) < 600
 
 
@@ -100,7 +100,7 @@ def test_a_readers_announcement_is_small():
     ],
 )
 def test_nonsense_about_a_reader_is_refused(key, value):
-    """A field that is missing, malformed or out of range makes an announcement that nobody believes."""
+    """A reader's announcement with a missing, malformed or impossible field is refused."""
     status = reader_to_status(DRIVEN)
     status.values = [pair for pair in status.values if pair.key != key]
     status.values += [KeyValue(key=key, value=value)] if value is not None else []
@@ -109,7 +109,7 @@ def test_nonsense_about_a_reader_is_refused(key, value):
 
 
 def test_an_announcer_cannot_make_labels_without_end():
-    """Of invented results of swaps only so many, and only so long ones, are kept."""
+    """The number and length of invented swap results are bounded."""
     status = to_status(PLAIN)
     status.values += [KeyValue(key=f"swaps_{i}{'x' * 100}", value="1") for i in range(60)]
     swaps = from_status(status).swaps_by_result
@@ -118,7 +118,7 @@ def test_an_announcer_cannot_make_labels_without_end():
 
 
 def test_an_older_announcer_is_understood():
-    """Without a reason or a history a refusal may pass, and there is a depth."""
+    """Without a reason a refusal may pass, and without a history there is a depth."""
     status = to_status(LATCHED)
     status.values = [pair for pair in status.values if pair.key not in {"refusal_reason", "history"}]
     state = from_status(status)
@@ -127,7 +127,7 @@ def test_an_older_announcer_is_understood():
 
 
 def test_an_announcer_of_before_the_accounts_is_understood():
-    """What it does not tell is nothing: no cause, no phase, no swap that went before."""
+    """Missing counters are zero: no cause, no phase, no last swap."""
     status = to_status(SWAPPED)
     status.values = [pair for pair in status.values if not pair.key.startswith(NEW_KEYS)]
     state = from_status(status)
@@ -137,22 +137,22 @@ def test_an_announcer_of_before_the_accounts_is_understood():
 
 
 def test_what_never_happened_is_not_announced():
-    """A publisher that nobody retuned says no more than one did before there were accounts."""
+    """A publisher that was never re-tuned announces no swap and no cause."""
     assert not [pair.key for pair in to_status(PLAIN).values if pair.key.startswith(NEW_KEYS)]
     idle_reader = reader_to_status(DRIVEN)
     assert "deadlines_missed" not in [pair.key for pair in idle_reader.values]
 
 
-def test_causes_and_phases_nobody_knows_make_no_labels():
-    """Of what a newer announcer, or a liar, calls a cause or a phase only the known ones are kept."""
+def test_unknown_causes_and_phases_make_no_labels():
+    """Only known causes and phases of an announcement are kept."""
     status = to_status(SWAPPED)
-    told = {
+    invented = {
         "withheld_by_cause": "moon=1 gate=2 =3 x",
         "swap_seconds_by_phase": "moon=1 holding=0.5",
         "last_swap": "7 moon 1 0 moon=1 proving=2 =3 x",
     }
-    status.values = [pair for pair in status.values if pair.key not in told]
-    status.values += [KeyValue(key=key, value=value) for key, value in told.items()]
+    status.values = [pair for pair in status.values if pair.key not in invented]
+    status.values += [KeyValue(key=key, value=value) for key, value in invented.items()]
     state = from_status(status)
     assert state.withheld_by_cause == {DropCause.GATE: 2}
     assert state.swap_seconds_by_phase == {SwapPhase.HOLDING: 0.5}
@@ -189,7 +189,7 @@ def test_causes_and_phases_nobody_knows_make_no_labels():
     ],
 )
 def test_what_no_publisher_is_like_is_refused(key, value):
-    """Values that are numbers but absurd make an announcement that nobody believes."""
+    """A publisher's announcement with absurd values is refused."""
     status = to_status(SWAPPED)
     status.values = [pair for pair in status.values if pair.key != key] + [KeyValue(key=key, value=value)]
     with pytest.raises(ValueError, match=f"announcement.*{key if value.isascii() else 'name'}"):
@@ -197,13 +197,13 @@ def test_what_no_publisher_is_like_is_refused(key, value):
 
 
 def test_a_reader_cannot_ask_a_writer_for_a_nanosecond():
-    """What a reader says it requests is what its writer would be asked to keep."""
+    """A reader's deadline that no writer can keep is refused."""
     with pytest.raises(ValueError, match="shorter than 10000 ns"):
         reader_from_status(reader_to_status(replace(DRIVEN, deadline_ns=1)))
 
 
 def test_words_of_others_do_nothing_to_a_terminal():
-    """Whatever is shown of an announcement as text is printable."""
+    """Every text of an announcement is printable."""
     lurid = replace(SWAPPED.last_swap, result="\x1b[2J")
     status = to_status(
         replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07", swaps_by_result={"\x1b": 1}, last_swap=lurid)

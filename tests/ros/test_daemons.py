@@ -16,7 +16,7 @@ OWN = DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")
 
 
 def test_the_elder_drives_and_is_succeeded(ros, eventually):
-    """Two daemons hear of each other; when the elder is gone, the younger one drives."""
+    """The older of two daemons is active; when it is gone, the younger one is."""
     first, second = ros.node("first"), ros.node("second")
     for node in (first, second):
         node.create_publisher(Float64, GATE_TOPIC, 1)
@@ -30,29 +30,29 @@ def test_the_elder_drives_and_is_succeeded(ros, eventually):
 
 
 def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
-    """Claims of a node that could not drive the robot take nothing from the one that does, whenever it began."""
+    """Heartbeats of a node without a gate do not make it the active daemon."""
     driver = ros.node("driver")
     driver.create_publisher(Float64, GATE_TOPIC, 1)
-    heard = []
+    received = []
     daemons = Daemons(driver, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
     note = daemons._leader.note
-    daemons._leader.note = lambda claim, now_s: heard.append(claim) or note(claim, now_s)
+    daemons._leader.note = lambda heartbeat, now_s: received.append(heartbeat) or note(heartbeat, now_s)
     liar = ros.node("liar")
-    claims = liar.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
+    heartbeats = liar.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
 
-    def claim(stopping):
+    def beat(stopping):
         while not stopping.wait(0.2):
-            claims.publish(DiagnosticArray(status=[to_status(OWN)]))
+            heartbeats.publish(DiagnosticArray(status=[to_status(OWN)]))
 
-    background(claim)
-    eventually(lambda: heard.count(OWN) > 5)
+    background(beat)
+    eventually(lambda: received.count(OWN) > 5)
     assert (daemons.active_daemon(), daemons.others()) == ("", ())
     liar.create_publisher(Float64, GATE_TOPIC, 1)
     eventually(lambda: daemons.active_daemon() == "robot")
 
 
-def test_a_claim_survives_the_wire():
-    """What is encoded is decoded as it was."""
+def test_a_heartbeat_survives_the_wire():
+    """Decoding returns the encoded heartbeat."""
     assert from_status(to_status(OWN)) == OWN
 
 
@@ -70,10 +70,10 @@ def test_a_claim_survives_the_wire():
         lambda status: setattr(status.values[0], "value", "9" * 30),
     ],
 )
-def test_a_malformed_claim_is_refused(spoil):
-    """What no daemon says is no daemon."""
+def test_a_malformed_heartbeat_is_refused(spoil):
+    """A heartbeat with a wrong token, host or time raises."""
     status = to_status(OWN)
     assert isinstance(status, DiagnosticStatus)
     spoil(status)
-    with pytest.raises(ValueError, match=r"claim|invalid"):
+    with pytest.raises(ValueError, match=r"heartbeat|invalid"):
         from_status(status)

@@ -26,23 +26,23 @@ NAMES = ["arpd: link", "arpd: plan", "arpd: configuration", "arpd: events"]
 
 
 class Daemon:
-    """A daemon whose pictures the test makes."""
+    """A daemon whose snapshots the test makes."""
 
     def __init__(self):
-        self._chronicle = DecisionLog()
+        self._decision_log = DecisionLog()
         self.snapshot = None
 
     def tick(self, **changed):
-        """Take the sample picture, with another link where the test says so."""
-        # Of the future: however slow the machine is, it does not grow stale before it is looked at.
+        """Take the sample snapshot, with changes of the link."""
+        # In the future, so that it does not grow stale on a slow machine.
         picture = replace(make_snapshot(), finished_at_s=time.monotonic() + 1000.0, unix_time_s=time.time())
         picture = replace(picture, link=replace(picture.link, **changed))
-        self._chronicle.follow(picture)
-        self.snapshot = replace(picture, events=self._chronicle.events)
+        self._decision_log.follow(picture)
+        self.snapshot = replace(picture, events=self._decision_log.events)
 
 
 class Monitor:
-    """What rqt_robot_monitor's side sees: arrays, and when they arrived."""
+    """A monitor such as rqt_robot_monitor: it keeps arrays and their arrival times."""
 
     def __init__(self, node):
         self.arrays = []
@@ -68,7 +68,7 @@ def daemon():
 
 
 class Clock:
-    """A clock that can be stopped, so that nothing is due by it any more."""
+    """A clock that can be stopped, so that nothing becomes due."""
 
     def __init__(self):
         self._stopped_s = None
@@ -92,7 +92,7 @@ def monitor(ros, daemon, clock):
 
 
 def test_a_monitor_sees_every_status(monitor, daemon, eventually):
-    """Four statuses with names an aggregator sorts by, levels as bytes, host, values and a stamp."""
+    """An array has four statuses with names for an aggregator, levels, host, values and a stamp."""
     eventually(monitor.statuses)
     assert {status.level for status in monitor.statuses().values()} == {DiagnosticStatus.STALE}
     daemon.tick()
@@ -106,7 +106,7 @@ def test_a_monitor_sees_every_status(monitor, daemon, eventually):
 
 
 def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
-    """An outage is told when it happens, though nothing else is due."""
+    """An outage is published when it happens, also when nothing else is due."""
     daemon.tick()
     eventually(lambda: monitor.message("arpd: events"))
     clock.stop()
@@ -117,8 +117,8 @@ def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
     print(f"seen after {monitor.arrays[-1][0] - told_s:.2f} s")
 
 
-def test_nothing_is_made_while_nobody_listens(ros, daemon, eventually, monkeypatch):
-    """Without a subscriber no array is published; the first one is, once somebody is there."""
+def test_nothing_is_made_without_a_subscriber(ros, daemon, eventually, monkeypatch):
+    """Arrays are published only once there is a subscriber."""
     published = []
     node = ros.node("arpd")
     real = node.create_publisher
@@ -138,7 +138,7 @@ def test_nothing_is_made_while_nobody_listens(ros, daemon, eventually, monkeypat
 
 
 def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, caplog):
-    """The node goes on spinning, and so does the daemon."""
+    """The node goes on spinning, and the fault is logged once."""
     calls = []
 
     def broken():
@@ -151,8 +151,8 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, 
     assert sum("/diagnostics is not told" in record.message for record in caplog.records) == 1
 
 
-def test_what_the_daemon_says_there_is_no_traffic_of_the_robot(ros, daemon, eventually):
-    """The graph shows the robot's own writers of /diagnostics, and the daemon's not among them."""
+def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventually):
+    """The graph shows the robot's writers of /diagnostics without the daemon's."""
     node = ros.node("arpd")
     node.create_publisher(Float64, GATE_TOPIC, 1)  # by which the daemon knows its host
     Diagnostics(node, lambda: daemon.snapshot)

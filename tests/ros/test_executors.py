@@ -1,4 +1,4 @@
-"""AdaptivePublisher under every executor, from many threads, while it is swapped all the time."""
+"""AdaptivePublisher under every executor and from many threads, during continual swaps."""
 
 import threading
 import time
@@ -23,7 +23,7 @@ from arpd.apply.endpoint.writer_swap import SwapTiming
 pytestmark = pytest.mark.ros
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]
 TOPIC = "/busy"
-QUICK = SwapTiming(settle_s=0.1)  # this host loses nothing, so that readers match at once
+QUICK = SwapTiming(settle_s=0.1)  # this host loses nothing, so readers match at once
 SECONDS = 4.0
 
 
@@ -37,7 +37,7 @@ def switched(publisher):
 
 
 def os_threads():
-    """Count the threads of this process, the middleware's included, but not the pool MultiThreadedExecutor fills."""
+    """Count the threads of this process, also the middleware's, but not MultiThreadedExecutor's pool."""
     pooled = sum(thread.name.startswith("ThreadPoolExecutor") for thread in threading.enumerate())
     return len(list(Path("/proc/self/task").iterdir())) - pooled
 
@@ -56,7 +56,7 @@ def listen(ros, eventually, publisher):
 
 
 def swap_all_the_time(publisher):
-    """Ask for another depth every 100 ms: a swap takes about that long."""
+    """Request another depth every 100 ms, about the time of a swap."""
 
     def work(stopping):
         depth = 1000
@@ -68,7 +68,7 @@ def swap_all_the_time(publisher):
 
 
 def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
-    """Under each executor, swaps of a 100 Hz topic one upon the other lose and double nothing, and leave no thread."""
+    """Under each executor, continual swaps at 100 Hz lose and double nothing, and leave no thread."""
     publisher = AdaptivePublisher(talker, String, TOPIC, 1000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     before = os_threads()
@@ -85,7 +85,7 @@ def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
     eventually(lambda: len(received) >= number)
     assert sorted(map(int, received)) == list(range(number))
     assert switched(publisher) >= 5
-    # A machine too busy to acknowledge in time is told by the result, and then only order may suffer.
+    # On a machine too busy to acknowledge in time the result says so, and only the order may suffer.
     if "reorder_possible" not in state(publisher).swaps_by_result:
         assert received == sorted(received, key=int)
     eventually(lambda: os_threads() <= before)
@@ -93,7 +93,7 @@ def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
 
 
 def test_readers_that_join_and_leave_mid_swap_miss_nothing(ros, background, eventually):
-    """Whenever a reader joins, it gets every message from its first one on, and one that leaves disturbs no other."""
+    """A reader that joins at any time receives every message from its first one on; others may leave."""
     publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 1000, swap_timing=QUICK)
     background(swap_all_the_time(publisher))
     numbers = []
@@ -123,7 +123,7 @@ def test_readers_that_join_and_leave_mid_swap_miss_nothing(ros, background, even
 
 @pytest.mark.parametrize("method", ["publish", "offer"])
 def test_many_threads_publish_at_once(ros, talker, background, eventually, method):
-    """Messages of several threads all arrive once, each thread's in its order, typed and raw mixed, through swaps."""
+    """Messages of several threads, typed and raw, arrive once and in each thread's order, through swaps."""
     publisher = AdaptivePublisher(talker, String, TOPIC, 5000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     background(swap_all_the_time(publisher))
@@ -149,7 +149,7 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually, metho
 
 
 def test_a_callback_of_the_node_itself_may_publish_and_tune(talker, eventually):
-    """Publishing and setting its own parameters from a timer of the same node neither blocks nor loses the swap."""
+    """A timer of the node may publish and set the node's parameters without a deadlock."""
     publisher = AdaptivePublisher(talker, String, TOPIC, 10)
     ticks = []
 
@@ -165,7 +165,7 @@ def test_a_callback_of_the_node_itself_may_publish_and_tune(talker, eventually):
 
 
 def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, talker, background, eventually):
-    """With use_sim_time and a clock that stands still, messages are paced and writers swapped all the same."""
+    """With use_sim_time and a paused clock, messages are paced and writers swapped."""
     talker.set_parameters([Parameter("use_sim_time", value=True)])
     clock = ros.node("simulator").create_publisher(Clock, "/clock", 1)
     clock.publish(Clock())
@@ -184,7 +184,7 @@ def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, talker, background
 
 
 def test_it_stays_in_the_context_of_its_node(ros, eventually):
-    """A node of another context, on another domain, has a publisher that readers here never see."""
+    """The publisher of a node in another context and domain is not visible here."""
     elsewhere = rclpy.Context()
     rclpy.init(context=elsewhere, domain_id=100)
     try:
@@ -196,7 +196,7 @@ def test_it_stays_in_the_context_of_its_node(ros, eventually):
         publisher.retune(replace(publisher.plan, depth=30))
         eventually(lambda: state(publisher).depth == 30)
         assert same.topic_name == publisher.topic_name
-        thread = publisher._tuning._thread
+        thread = publisher._shared._thread
         node.destroy_node()
     finally:
         rclpy.try_shutdown(context=elsewhere)
@@ -204,7 +204,7 @@ def test_it_stays_in_the_context_of_its_node(ros, eventually):
 
 
 def test_the_signature_is_that_of_create_publisher(ros):
-    """Whatever `Node.create_publisher` takes, in its order, an AdaptivePublisher takes; but no publisher class."""
+    """An AdaptivePublisher takes the arguments of `Node.create_publisher` in order, except publisher_class."""
     import inspect
 
     theirs = inspect.signature(rclpy.node.Node.create_publisher).parameters

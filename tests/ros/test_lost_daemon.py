@@ -1,4 +1,4 @@
-"""What a node does when the daemon that planned for it is gone: real rclpy."""
+"""A node whose daemon is gone, with real rclpy."""
 
 import math
 import threading
@@ -9,7 +9,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, String
 
@@ -17,6 +16,7 @@ from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.adapters.ros.parameters import ParameterApplier
 from arpd.model.plan import TopicPlan, Transition
+from tests.ros.setter import Setter
 
 pytestmark = pytest.mark.ros
 TOPIC = "/leased"
@@ -25,7 +25,7 @@ ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
 
 
 class Announced:
-    """What the node last announced."""
+    """The last announcement of the node."""
 
     def __init__(self, node):
         self.last = None
@@ -40,7 +40,7 @@ class Announced:
 
 
 class FakeDaemon:
-    """Applies one plan as `arpd run` does, and says the gate until it is told to fall silent."""
+    """Applies one plan as `arpd run` does, and sends the gate until `fall_silent`."""
 
     def __init__(self, node, stopping):
         self._applier = ParameterApplier(node)
@@ -91,15 +91,15 @@ def daemon(ros):
 
 
 def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(node, publisher, announced, daemon, eventually):
-    """The plan stays while the daemon speaks, ends after it fell silent, and a returning daemon plans again."""
+    """The plan stays while the daemon sends its gate, ends with the lease, and a returning daemon plans again."""
     daemon.plan(generation=7, lease_s=4.0)
     eventually(lambda: announced.shows(depth=40, generation=7, lease_s=4.0))
     time.sleep(6.0)
-    assert publisher.plan == ROW, "the daemon still speaks"
+    assert publisher.plan == ROW, "the daemon still sends its gate"
     daemon.fall_silent()
     eventually(lambda: announced.shows(depth=10, deadline_ns=0, rate_hz=math.inf, generation=0))
-    assert node.get_parameter(DEPTH).value == 10, "the parameters say what is in force"
-    daemon.plan(generation=1, lease_s=4.0)  # another daemon, which knows nothing of its predecessor
+    assert node.get_parameter(DEPTH).value == 10, "the parameters follow"
+    daemon.plan(generation=1, lease_s=4.0)  # another daemon, without knowledge of its predecessor
     eventually(lambda: announced.shows(depth=40, generation=1))
 
 
@@ -113,7 +113,7 @@ def test_without_a_lease_a_plan_stays(publisher, announced, daemon, eventually):
 
 
 def test_settings_made_by_hand_have_no_lease(node, publisher, eventually):
-    """What a person set, with no plan in force, is no daemon's to lose."""
+    """Settings made by hand, with no plan in force, do not end with a lease."""
     node.set_parameters([Parameter("arpd.lease", value=0.5), Parameter(DEPTH, value=33)])
     eventually(lambda: publisher.state(generation=0).depth == 33)
     time.sleep(2.5)
@@ -121,24 +121,17 @@ def test_settings_made_by_hand_have_no_lease(node, publisher, eventually):
 
 
 @pytest.mark.parametrize("value", [-1.0, math.inf, math.nan])
-def test_a_lease_that_is_no_time_is_refused(node, publisher, value):
+def test_an_impossible_lease_is_refused(node, publisher, value):
     """A negative or infinite lease is refused with a reason."""
     (result,) = node.set_parameters([Parameter("arpd.lease", value=value)])
     assert not result.successful
-    assert "is no time" in result.reason
+    assert "is not a lease" in result.reason
 
 
 def test_a_late_call_of_an_older_plan_changes_nothing(ros, node, publisher, announced, eventually):
-    """Calls that overtake each other leave the newest plan in force, lease and all."""
-    client = ros.node("planner").create_client(SetParametersAtomically, "/talker/set_parameters_atomically")
-    assert client.wait_for_service(timeout_sec=10)
-
-    def call(**values):
-        names = {"depth": DEPTH, "lease": "arpd.lease", "generation": "arpd.generation"}
-        parameters = [Parameter(names[key], value=value).to_parameter_msg() for key, value in values.items()]
-        return client.call_async(SetParametersAtomically.Request(parameters=parameters))
-
-    answers = [call(depth=10 + n, lease=100.0 + n, generation=n) for n in (1, 4, 2, 3)]
+    """Calls that overtake each other leave the newest plan and its lease in force."""
+    configure = Setter(ros.node("planner"), "/talker", TOPIC)
+    answers = [configure.call(depth=10 + n, lease=100.0 + n, generation=n) for n in (1, 4, 2, 3)]
     eventually(lambda: all(answer.done() for answer in answers))
     assert [answer.result().result.successful for answer in answers] == [True, True, False, False]
     eventually(lambda: announced.shows(depth=14, generation=4, lease_s=104.0))

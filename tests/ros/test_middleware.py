@@ -1,4 +1,4 @@
-"""Publishers and relay on a middleware whose swaps were never measured; only its name is not real."""
+"""Publishers and graph on a middleware whose swaps were never measured; only its name is fake."""
 
 from dataclasses import replace
 
@@ -17,12 +17,12 @@ OTHER = rmw_of("rmw_cyclonedds_cpp")
 
 
 def test_the_middleware_here_is_one_that_is_swapped(ros):
-    """Fast DDS is detected, and its swaps are on."""
+    """Fast DDS is detected, with swaps."""
     assert current_rmw().can_swap
 
 
 def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
-    """New depth and rate: the rate is in force at once, the depth stays, and the announcement says why."""
+    """A new rate is in force at once, the depth stays, and the announcement says why."""
     publisher = AdaptivePublisher(ros.node("talker"), String, "/x", 10)
     publisher._rmw = OTHER
     publisher.retune(replace(publisher.plan, depth=20, rate_hz=3.0))
@@ -34,7 +34,7 @@ def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
 
 
 def test_the_graph_is_read_without_hosts(ros, eventually):
-    """Where GIDs tell no hosts, a topic whose reader is in its writer's process is local, as on Fast DDS."""
+    """Without hosts in GIDs, a topic whose reader is in its writer's process is local, as on Fast DDS."""
     node = ros.node("talker")
     node.create_publisher(String, "/x", 10)
     ros.node("listener").create_subscription(String, "/x", lambda _m: None, 10)

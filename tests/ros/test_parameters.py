@@ -1,4 +1,4 @@
-"""When parameter calls are made, over a node that only notes them; and what may be set by such a call."""
+"""Times of parameter calls, over a node that only keeps them, and bounds of their values."""
 
 import logging
 import math
@@ -37,7 +37,7 @@ TO_READERS = Transition(
 
 
 class Node:
-    """Makes clients whose calls are answered when the test says so."""
+    """A node whose parameter calls the test answers."""
 
     def __init__(self):
         self.calls, self.futures, self.destroyed = [], [], 0
@@ -70,32 +70,27 @@ def applier(node):
     return ParameterApplier(node)
 
 
-def test_the_same_step_is_repeated_only_after_a_while(node, applier):
-    """A step that nobody confirms goes out again after the back-off, and then after a longer one."""
+def accept(future):
+    future.set_result(SetParametersAtomically.Response(result=SetParametersResult(successful=True)))
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected_s"), [(Future.cancel, [0.0, 1.5, 4.5, 10.5]), (accept, [0.0, 6.0, 12.0])], ids=["no", "yes"]
+)
+def test_an_unconfirmed_step_is_repeated_after_a_while(node, applier, answer, expected_s):
+    """Without an answer a step is repeated with growing back-off; an accepted one after the time of a swap."""
     sent_s = []
-    for tick in range(200):
+    for tick in range(180):
         before = len(node.calls)
         applier.apply([STEP], now_s=tick / 10)
         if len(node.calls) > before:
             sent_s.append(tick / 10)
-            node.futures[-1].cancel()
-    assert sent_s == [0.0, 1.5, 4.5, 10.5]
-
-
-def test_what_was_accepted_is_not_repeated_while_its_swap_is_under_way(node, applier):
-    """A node that said yes has the time a swap takes to announce it; one that did not act on it is asked again."""
-    sent_s = []
-    for tick in range(140):
-        before = len(node.calls)
-        applier.apply([STEP], now_s=tick / 10)
-        if len(node.calls) > before:
-            sent_s.append(tick / 10)
-            node.futures[-1].set_result(SetParametersAtomically.Response(result=SetParametersResult(successful=True)))
-    assert sent_s == [0.0, 6.0, 12.0]
+            answer(node.futures[-1])
+    assert sent_s == expected_s
 
 
 def test_another_row_of_the_same_plan_goes_out_at_once(node, applier):
-    """What a node was not told yet waits neither for the back-off nor for an older call's answer."""
+    """A new row waits neither for the back-off nor for the answer of an older call."""
     applier.apply([STEP], now_s=0.0)
     applier.apply([replace(STEP, topics={"/t": replace(ROW, deadline_ns=5)})], now_s=0.1)
     assert node.futures[0].cancelled()
@@ -105,7 +100,7 @@ def test_another_row_of_the_same_plan_goes_out_at_once(node, applier):
 
 
 def test_a_part_of_what_was_told_is_nothing_new(node, applier):
-    """When one of two topics has confirmed, the other is not asked again at once."""
+    """When one of two topics has confirmed, the other is not sent again at once."""
     applier.apply([replace(STEP, topics={"/t": ROW, "/u": ROW})], now_s=0.0)
     applier.apply([STEP], now_s=0.1)
     assert len(node.calls) == 1
@@ -125,7 +120,7 @@ def test_readers_are_told_apart_from_publishers(node, applier):
 
 
 def test_nodes_without_end_take_no_memory_without_end(node, applier):
-    """Of more nodes than any robot has, those asked least lately are forgotten."""
+    """Beyond the limit of nodes those used longest ago are forgotten."""
     for k in range(600):
         applier.apply([replace(STEP, node=f"/n{k}")], now_s=0.0)
     assert node.destroyed == 100
@@ -133,15 +128,15 @@ def test_nodes_without_end_take_no_memory_without_end(node, applier):
     assert len(node.calls) == 600
 
 
-def test_what_a_node_says_is_cut_short_and_harmless(node, applier, caplog):
-    """A refusal of a megabyte that would clear the terminal is one short line."""
+def test_a_nodes_reason_is_cut_short_and_harmless(node, applier, caplog):
+    """A reason of a megabyte with control characters is one short line of the log."""
     applier.apply([STEP], now_s=0.0)
     answer = SetParametersResult(successful=False, reason="\x1b[2J\n" * 10**5)
     with caplog.at_level(logging.WARNING):
         node.futures[0].set_result(SetParametersAtomically.Response(result=answer))
-    (said,) = [record.getMessage() for record in caplog.records]
-    assert len(said) < 2000
-    assert said.isprintable()
+    (message,) = [record.getMessage() for record in caplog.records]
+    assert len(message) < 2000
+    assert message.isprintable()
 
 
 BOUNDS = {
@@ -155,7 +150,7 @@ BOUNDS = {
 @settings(max_examples=60)
 @given(value=st.floats())
 def test_a_number_that_is_set_is_within_bounds_or_refused_by_name(check, value):
-    """Whatever float somebody sets, NaN and denormals included, it is taken as it is or refused with a reason."""
+    """Any float, NaN and denormals too, is taken as it is or refused with a reason."""
     parameter = SimpleNamespace(name="arpd./t.publisher.x", value=value)
     if BOUNDS[check](value):
         assert check(parameter) == value
@@ -167,7 +162,7 @@ def test_a_number_that_is_set_is_within_bounds_or_refused_by_name(check, value):
 @settings(max_examples=60)
 @given(st.integers(-(2**63), 2**63 - 1))
 def test_a_depth_or_a_deadline_that_is_set_is_one_that_a_writer_can_have(value):
-    """Depths from 1 to 5000, deadlines none or from 10 us on; the application's own is always good."""
+    """Depths from 1 to 5000 and deadlines from 10 us are taken, and the application's own deadline always."""
     parameter = SimpleNamespace(name="p", value=value)
     for check, is_good in (
         (lambda: checked_depth(parameter, 5000), 1 <= value <= 5000),
@@ -182,7 +177,7 @@ def test_a_depth_or_a_deadline_that_is_set_is_one_that_a_writer_can_have(value):
 
 
 def test_no_plan_is_numbered_beyond_all_others():
-    """A generation that no daemon reaches would shut every later plan out."""
+    """A generation above the greatest is refused, because it would block every later plan."""
     declared = SimpleNamespace(declare_parameter=lambda *_: None)
     grant = Grant(declared, generation_name="g", lease_name="l", plan="", whose="", clock=lambda: 0.0)
     grant.check([SimpleNamespace(name="g", value=MOST_GENERATION)])

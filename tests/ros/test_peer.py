@@ -1,4 +1,4 @@
-"""The peer with real rclpy: what it reports, how often, and what of it survives a host's mishaps."""
+"""The peer with real rclpy: content and rate of its reports, also when the interface is gone."""
 
 import time
 from itertools import count
@@ -20,7 +20,7 @@ SIZE = 1200
 
 
 class Interface:
-    """An interface that received 1000 bytes more at every reading, and may be gone."""
+    """An interface that receives 1000 bytes between two readings, and may be gone."""
 
     def __init__(self):
         self.packets = 0
@@ -43,7 +43,7 @@ class Interface:
 
 
 class Daemon:
-    """The other side: sends probes, keeps reports."""
+    """The other side: it sends probes and keeps reports."""
 
     def __init__(self, node):
         from rclpy.qos import QoSProfile, QoSReliabilityPolicy
@@ -69,7 +69,7 @@ class Daemon:
         return number
 
     def collect(self, duration_s, every_s=None, packets=1):
-        """Return the reports of a while, with a probe every so often."""
+        """Return the reports of a duration, with a probe every ``every_s``."""
         self.reports.clear()
         self.sizes.clear()
         until_s = time.monotonic() + duration_s
@@ -98,9 +98,9 @@ def daemon(ros, interface, eventually):
 
 
 def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, eventually):
-    """A train comes back as bytes, time and departures, and a ping's number within a tenth of a second."""
+    """A train is reported as bytes, time and departures, and a ping within a tenth of a second."""
     daemon.reports.clear()
-    daemon.probe(20, every_s=0.001)  # no link disperses these: what arrives all at once would be no train
+    daemon.probe(20, every_s=0.001)  # no link disperses these, and packets that arrive together are no train
     eventually(lambda: any(report.trains for report in daemon.reports))
     (train,) = next(report.trains for report in daemon.reports if report.trains)
     assert 1 <= train.packets <= 19
@@ -113,12 +113,12 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, eventually):
         eventually(lambda number=number: daemon.reports[-1].last_probe == number)
         waits.append(time.monotonic() - sent_s)
     print(f"ping to report (s): {sorted(waits)}")
-    assert sorted(waits)[5] < 0.1  # 20 ms here, the step in which the test looks
+    assert sorted(waits)[5] < 0.1  # 20 ms here, the step of `eventually`
     assert all(abs(delay) < 1.0 for report in daemon.reports for delay in report.delays_s)
 
 
 def test_what_never_arrives_is_known_to_the_packet(daemon, eventually):
-    """Of twenty trains of four, half of which lose a packet, be it the first, the loss is an eighth."""
+    """Twenty trains of four, of which ten lose a packet, make a loss of an eighth."""
     loss = ProbeLoss()
 
     def probe(packets, **lost):
@@ -138,7 +138,7 @@ def test_what_never_arrives_is_known_to_the_packet(daemon, eventually):
 
 
 def test_the_daemon_hears_what_was_lost_and_how_long_the_way_back_was(ros, interface, eventually):
-    """A report that reaches the daemon has the count, and the time it took between the two hosts' clocks."""
+    """A report has the packet count, and the daemon knows its delay by the two hosts' clocks."""
     from arpd.adapters.ros.world import RosControl
     from arpd.model.settings import GraphSettings
 
@@ -152,13 +152,13 @@ def test_the_daemon_hears_what_was_lost_and_how_long_the_way_back_was(ros, inter
         return len(reports) > 5 and reports[-1].probe_packets > 6
 
     eventually(answered)
-    assert all(0.0 <= report.return_delay_s < 5.0 for report in reports)  # here both clocks are one
+    assert all(0.0 <= report.return_delay_s < 5.0 for report in reports)  # both clocks are the same here
     counts = [report.probe_packets for report in reports]
     assert counts == sorted(counts)
 
 
 def test_pings_set_the_pace_of_reports(daemon):
-    """Four reports a second by itself, one for each of more pings, and never a kilobyte of data a second."""
+    """Without pings there are four reports a second, with more pings one for each, below 1 kB/s."""
     quiet = daemon.collect(2.0)
     assert 4 <= len(quiet) <= 9
     busy = daemon.collect(3.0, every_s=0.1)
@@ -168,7 +168,7 @@ def test_pings_set_the_pace_of_reports(daemon):
 
 
 def test_a_ping_may_ask_for_fewer_reports(daemon):
-    """On a slow link the reports that nothing calls for are as rare as the last ping allowed."""
+    """Reports without a cause are as rare as the last ping allowed."""
     daemon.probe(1, quiet_s=1.0)
     time.sleep(0.3)
     assert 2 <= len(daemon.collect(3.0)) <= 4
@@ -178,7 +178,7 @@ def test_a_ping_may_ask_for_fewer_reports(daemon):
 
 
 def test_traffic_without_pings_is_reported_twice_as_often(daemon, interface, background):
-    """While data flood in and no ping comes through, the bytes are told at every look."""
+    """While much data arrives without a ping, reports come every 0.12 s."""
 
     def flood(stopping):
         while not stopping.wait(0.02):
@@ -191,7 +191,7 @@ def test_traffic_without_pings_is_reported_twice_as_often(daemon, interface, bac
 
 
 def test_every_byte_is_reported_once(daemon, interface):
-    """What the interface received is split over the reports without gap or overlap, like the time."""
+    """Received bytes and time are split over the reports without gap or overlap."""
     started_s = time.monotonic()
     first = interface.packets
     reports = daemon.collect(2.0, every_s=0.1)
@@ -203,7 +203,7 @@ def test_every_byte_is_reported_once(daemon, interface):
 
 
 def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on(daemon, interface):
-    """Probes that arrive some other way are no outage."""
+    """Without the interface, reports go on with delays and without bytes."""
     interface.is_there = False
     daemon.collect(0.3, every_s=0.1)
     reports = daemon.collect(1.0, every_s=0.1)
@@ -215,7 +215,7 @@ def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on(daemon, 
 
 
 def test_two_peers_tell_themselves_apart(daemon, ros, eventually, monkeypatch):
-    """Hosts cloned with their host name differ in their interface's address, and keep their names when restarted."""
+    """Hosts with the same host name have different peer names by their interface's address."""
     addresses = {"wlan0": "b827eb123f2a", "wlan1": "b827eb99c001", "tun0": ""}
     monkeypatch.setattr("arpd.adapters.ros.peer.hardware_address", addresses.__getitem__)
     monkeypatch.setattr("arpd.adapters.ros.peer.platform.node", lambda: "ceddp")
@@ -227,7 +227,7 @@ def test_two_peers_tell_themselves_apart(daemon, ros, eventually, monkeypatch):
 
 
 def test_probes_of_strangers_are_ignored(daemon, ros, eventually):
-    """What is no probe of ours neither stops the peer nor counts."""
+    """Messages that are no probes are ignored."""
     from std_msgs.msg import UInt8MultiArray
 
     stranger = ros.node("stranger").create_publisher(UInt8MultiArray, PROBE_TOPIC, 10)
@@ -240,7 +240,7 @@ def test_probes_of_strangers_are_ignored(daemon, ros, eventually):
 
 
 def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
-    """One observation holds the interface's counters, its state, and what its radio told last."""
+    """An observation has the interface's counters and state, and the last bit rate of its radio."""
     from arpd.adapters.host.interface import index_of
     from arpd.adapters.ros.world import RosControl
     from arpd.model.settings import GraphSettings

@@ -21,11 +21,11 @@ class Node:
 
 
 def threads():
-    return [thread for thread in threading.enumerate() if thread.name == "arpd-rounds"]
+    return [thread for thread in threading.enumerate() if thread.name == "arpd-periodic"]
 
 
 def test_a_part_that_fails_does_not_stop_the_others(eventually, caplog):
-    """It is logged, and all of them are done again and again until the context ends."""
+    """The failure is logged, and all tasks run again and again until the context ends."""
     node, done = Node(), []
 
     def fail():
@@ -33,13 +33,13 @@ def test_a_part_that_fails_does_not_stop_the_others(eventually, caplog):
 
     PeriodicThread(node, fail, lambda: done.append(1), every_s=0.01)
     eventually(lambda: len(done) >= 3)
-    assert "a part of a round failed" in caplog.text
+    assert "a periodic task failed" in caplog.text
     node.is_ok = False
     eventually(lambda: not threads())
 
 
 def test_a_destroyed_node_ends_the_rounds(eventually):
-    """Nobody is left to ask."""
+    """A task that meets a destroyed node ends the thread."""
 
     def ask():
         raise InvalidHandle("gone")

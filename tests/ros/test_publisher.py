@@ -10,23 +10,21 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, String
 
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.settings import Overflow
+from tests.ros.setter import Setter
 
 pytestmark = pytest.mark.ros
 TOPIC = "/swapped"
 DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
-DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
 RATE = f"arpd.{TOPIC}.publisher.rate"
-MIN_RATE = f"arpd.{TOPIC}.publisher.min_rate"
 
 
 class Reader:
@@ -35,38 +33,15 @@ class Reader:
         node.create_subscription(String, TOPIC, lambda message: self.received.append(int(message.data)), qos)
 
 
-class Setter:
-    """What `ros2 param set` and `arpd run` do."""
-
-    def __init__(self, node, target):
-        self._client = node.create_client(SetParametersAtomically, f"{target}/set_parameters_atomically")
-        assert self._client.wait_for_service(timeout_sec=10)
-
-    def __call__(self, **values):
-        names = {
-            "depth": DEPTH,
-            "deadline": DEADLINE,
-            "rate": RATE,
-            "min_rate": MIN_RATE,
-            "generation": "arpd.generation",
-        }
-        parameters = [Parameter(names[key], value=value).to_parameter_msg() for key, value in values.items()]
-        future = self._client.call_async(SetParametersAtomically.Request(parameters=parameters))
-        until_s = time.monotonic() + 10
-        while not future.done() and time.monotonic() < until_s:
-            time.sleep(0.005)
-        return future.result().result
-
-
 @pytest.fixture
 def publisher(ros):
-    # This host loses nothing, so that readers need not be given the time a lossy link takes.
+    # This host loses nothing, so readers match at once.
     return AdaptivePublisher(ros.node("talker"), String, TOPIC, 10, swap_timing=SwapTiming(settle_s=0.1))
 
 
 @pytest.fixture
 def configure(ros, publisher):
-    return Setter(ros.node("tuner"), "/talker")
+    return Setter(ros.node("tuner"), "/talker", TOPIC)
 
 
 @pytest.fixture
@@ -98,34 +73,25 @@ def test_swap_loses_nothing(publisher, reader, configure, background, eventually
     for k in range(12):
         assert configure(depth=20 + k, deadline=10**9 + k).successful
         eventually(lambda k=k: state(publisher).depth == 20 + k)
-    # The last swap is counted once its writer has proved itself, a little after it is in force.
+    # The last swap ends when its writer has proved itself, shortly after it is in force.
     eventually(lambda: sum(state(publisher).swaps_by_result.get(end, 0) for end in ("ok", "reorder_possible")) == 12)
     swaps = state(publisher).swaps_by_result
     sent = state(publisher).published
     eventually(lambda: len(reader.received) >= sent)
     assert sorted(reader.received) == list(range(len(reader.received)))
-    # A machine too busy to acknowledge in time is told by the result, and then only order may suffer.
+    # On a machine too busy to acknowledge in time the result says so, and only the order may suffer.
     assert "reorder_possible" in swaps or reader.received == sorted(reader.received)
 
 
 def test_equal_settings_are_no_swap(publisher, reader, configure):
-    """Setting what is already in force makes no new writer."""
+    """Setting the QoS in force makes no new writer."""
     assert configure(depth=10, deadline=0).successful
     time.sleep(0.3)
     assert not state(publisher).swaps_by_result
 
 
-def test_the_newest_request_wins(publisher, reader, configure, eventually):
-    """Requests that arrive while a swap is under way coalesce to the newest."""
-    for depth in (11, 12, 13, 14):
-        publisher.retune(replace(publisher.plan, depth=depth))
-    eventually(lambda: state(publisher).depth == 14)
-    swaps = state(publisher).swaps_by_result
-    assert swaps.get("ok", 0) + swaps.get("reorder_possible", 0) < 4, swaps
-
-
 def test_pacing_conflates_and_counts(publisher, reader, configure, background, eventually):
-    """A paced topic sends its newest sample at the rate set, and every sample is sent, withheld or waiting."""
+    """A paced topic sends its newest sample at the set rate, and every sample is sent, withheld or waiting."""
     assert configure(rate=5.0).successful
     background(publish_at(publisher, 100))
     eventually(lambda: state(publisher).published >= 10)
@@ -135,20 +101,8 @@ def test_pacing_conflates_and_counts(publisher, reader, configure, background, e
     assert reader.received == sorted(set(reader.received))
 
 
-def test_queue_overflow_keeps_order(ros, background, eventually):
-    """With overflow ``queue`` the samples leave in order, at most depth of them wait, the oldest give way."""
-    publisher = AdaptivePublisher(ros.node("queued"), String, TOPIC, 5, overflow=Overflow.QUEUE)
-    configure = Setter(ros.node("tuner"), "/queued")
-    assert configure(rate=10.0).successful
-    background(publish_at(publisher, 200))
-    eventually(lambda: state(publisher).published >= 5)
-    now = state(publisher)
-    assert now.queued <= 5
-    assert now.withheld > 0
-
-
 def test_gate_scales_but_keeps_the_floor(ros, publisher, configure, background, eventually):
-    """A closed gate pushes the rate down to the floor and no further; opening it lets the rate return."""
+    """A closed gate lowers the rate to the floor and no further; an open one lets the rate return."""
     assert configure(rate=100.0, min_rate=20.0).successful
     gate = ros.node("governor").create_publisher(Float64, "/arpd/gate", 1)
     background(publish_at(publisher, 200))
@@ -181,7 +135,7 @@ def test_gate_scales_but_keeps_the_floor(ros, publisher, configure, background, 
     ],
 )
 def test_nonsense_is_refused_with_a_reason(publisher, configure, values, reason):
-    """A bad value is refused with a reason, and nothing else of the same call is applied."""
+    """A bad value is refused with a reason, and no other value of the call is applied."""
     before = publisher.plan
     result = configure(**{"rate": 7.0, **values})
     assert not result.successful
@@ -189,16 +143,8 @@ def test_nonsense_is_refused_with_a_reason(publisher, configure, values, reason)
     assert publisher.plan == before
 
 
-def test_an_older_generation_is_refused(publisher, configure):
-    """A late answer of an older plan cannot undo a newer one."""
-    assert configure(depth=20, generation=5).successful
-    result = configure(depth=10, generation=4)
-    assert not result.successful
-    assert "older" in result.reason
-
-
 def test_deadline_is_clamped_to_the_tightest_reader(ros, publisher, configure, background, eventually):
-    """An offered deadline longer than a reader requests is clamped, so that no reader is lost."""
+    """An offered deadline longer than a reader requests is clamped, so no reader is lost."""
     assert configure(deadline=100_000_000).successful
     eventually(lambda: state(publisher).deadline_ns == 100_000_000)
     demanding = Reader(ros.node("demanding"), QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000_000)))
@@ -210,18 +156,8 @@ def test_deadline_is_clamped_to_the_tightest_reader(ros, publisher, configure, b
     eventually(lambda: len(demanding.received) > 5)
 
 
-def test_transient_local_is_paced_but_not_swapped(ros, eventually):
-    """A TRANSIENT_LOCAL topic keeps its writer; the announcement says why."""
-    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    publisher = AdaptivePublisher(ros.node("latched"), String, TOPIC, latched)
-    configure = Setter(ros.node("tuner"), "/latched")
-    assert configure(depth=20, rate=3.0).successful
-    eventually(lambda: "TRANSIENT_LOCAL" in state(publisher).refusal)
-    assert (state(publisher).depth, state(publisher).rate_hz) == (1, 3.0)
-
-
 def test_it_announces_itself(ros, publisher, reader, eventually):
-    """The announcement carries what is really in force, once a second."""
+    """The announcement has the settings in force and the counters."""
     seen = []
     ros.node("watcher").create_subscription(DiagnosticArray, "/arpd/publishers", seen.append, 10)
     publisher.publish(String(data="0"))
@@ -232,9 +168,10 @@ def test_it_announces_itself(ros, publisher, reader, eventually):
 
 
 def test_two_publishers_of_one_topic_in_one_node_are_refused(publisher):
-    """Two AdaptivePublishers whose parameters would share a name cannot exist in one node."""
+    """A second AdaptivePublisher of a topic in one node is refused, and leaves no writer."""
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(publisher._node, String, TOPIC, 10)
+    assert len(publisher._node.get_publishers_info_by_topic(TOPIC)) == 1
 
 
 def test_destroy_frees_name_and_writers(publisher, ros):
@@ -253,7 +190,7 @@ def test_wrong_type_is_refused(publisher):
 
 
 def test_one_failing_topic_does_not_stop_the_others(publisher, configure, background, monkeypatch, eventually):
-    """A publisher that raises is logged and tried again; the pacing of the node's other topics goes on."""
+    """A publisher that raises is logged and tried again, and the node's other topics are paced."""
     other = AdaptivePublisher(publisher._node, String, "/other", 10)
 
     def fail(_now_s):
@@ -269,28 +206,21 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, configure, backgr
 def test_the_pacing_thread_ends_with_its_node(ros, eventually):
     """Destroying the node ends the thread that served its publishers."""
     node = ros.node("short_lived")
-    thread = AdaptivePublisher(node, String, TOPIC, 10)._tuning._thread
+    thread = AdaptivePublisher(node, String, TOPIC, 10)._shared._thread
     node.destroy_node()
     eventually(lambda: not thread.is_alive())
 
 
 def test_overrides_given_at_the_start_are_in_force(ros, eventually):
-    """Depth and rate from --ros-args overrides are what the publisher runs with."""
+    """Depth and rate from --ros-args overrides are in force."""
     overrides = [Parameter(DEPTH, value=77), Parameter(RATE, value=5.0)]
     publisher = AdaptivePublisher(ros.node("overridden", parameter_overrides=overrides), String, TOPIC, 10)
     eventually(lambda: state(publisher).depth == 77)
     assert publisher.plan.rate_hz == 5.0
 
 
-def test_a_refused_publisher_leaves_no_writer(publisher):
-    """What the constructor refuses does not stay behind in the graph."""
-    with pytest.raises(ValueError, match="already has"):
-        AdaptivePublisher(publisher._node, String, TOPIC, 10)
-    assert len(publisher._node.get_publishers_info_by_topic(TOPIC)) == 1
-
-
 class SlowWriter:
-    """Stands in for a flow's writer: tells what was written by which thread, and may block as a full link does."""
+    """A writer that keeps its samples and their threads, and may block as on a full link."""
 
     def __init__(self, publisher, monkeypatch, *, takes_s=0.0):
         self.written, self.threads, self.takes_s = [], [], takes_s
@@ -308,7 +238,7 @@ class SlowWriter:
 
 
 def test_offer_writes_at_once_where_nothing_blocks(publisher, monkeypatch):
-    """An unblocked publisher's sample leaves in the thread that offers it, and nobody else is woken."""
+    """A sample leaves in the thread that offers it, and the pacing thread is not woken."""
     writer = SlowWriter(publisher, monkeypatch)
     monkeypatch.setattr(publisher, "service", pytest.fail)
     for number in range(10):
@@ -318,14 +248,14 @@ def test_offer_writes_at_once_where_nothing_blocks(publisher, monkeypatch):
 
 
 def test_offer_does_not_wait_for_a_writer_that_blocks(publisher, monkeypatch, eventually):
-    """While a write blocks, offers return and conflate; the newest sample is what leaves next."""
+    """While a write blocks, offers return and conflate, and the newest sample leaves next."""
     writer = SlowWriter(publisher, monkeypatch)
     writer.may_go_on.clear()
     publisher.retune(replace(publisher.plan, rate_hz=25.0))
     threading.Thread(target=publisher.offer, args=(b"first",), daemon=True).start()
     eventually(lambda: writer.written == [b"first"])
     for number in range(100):
-        publisher.offer(b"%d" % number)  # each would block for good if offer wrote, or waited for the write
+        publisher.offer(b"%d" % number)  # would block if it wrote, or waited for the write
     assert writer.written == [b"first"]
     writer.may_go_on.set()
     eventually(lambda: writer.written[-1] == b"99")
@@ -333,7 +263,7 @@ def test_offer_does_not_wait_for_a_writer_that_blocks(publisher, monkeypatch, ev
 
 
 def test_one_long_write_is_enough_to_hand_over(publisher, monkeypatch, eventually):
-    """A write that took longer than any scheduler's doing sends the next offer by the pacing thread."""
+    """After a write longer than any scheduling delay the pacing thread writes the next sample."""
     writer = SlowWriter(publisher, monkeypatch, takes_s=0.1)
     publisher.offer(b"0")
     publisher.offer(b"1")
@@ -342,14 +272,14 @@ def test_one_long_write_is_enough_to_hand_over(publisher, monkeypatch, eventuall
 
 
 def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, monkeypatch, eventually):
-    """After writes that blocked, the node's offers leave by the pacing thread, until writes are quick again."""
-    monkeypatch.setattr("arpd.adapters.ros.node_publishers._BLOCKED_S", math.inf)  # however slow this machine is
+    """After writes that blocked, the pacing thread writes the node's samples, until writes are quick again."""
+    monkeypatch.setattr("arpd.adapters.ros.node_publishers._BLOCKED_S", math.inf)  # this machine may be slow
     other = AdaptivePublisher(publisher._node, String, "/other", 10)
     blocking, unblocked = SlowWriter(publisher, monkeypatch, takes_s=0.1), SlowWriter(other, monkeypatch)
     me = threading.current_thread()
     publisher.offer(b"0")
     other.offer(b"0")
-    assert unblocked.threads == [me]  # one slow write may be the scheduler's doing
+    assert unblocked.threads == [me]  # one slow write may come from the scheduler
     publisher.offer(b"1")
     publisher.offer(b"2")
     other.offer(b"1")
@@ -357,27 +287,27 @@ def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, monkeypatch
     assert blocking.threads[:2] == [me, me]
     assert me not in (blocking.threads[2], unblocked.threads[1])
 
-    def is_mine_again():
+    def is_written_here():
         other.offer(b"later")
         return unblocked.threads[-1] is me
 
-    eventually(is_mine_again)
+    eventually(is_written_here)
 
 
-def test_only_due_publishers_are_visited(ros, monkeypatch, eventually):
-    """The pacing thread leaves alone whose samples left at once, however busy another topic keeps it."""
+def test_only_due_publishers_are_served(ros, monkeypatch, eventually):
+    """The pacing thread does not serve publishers whose samples left at once, while another topic is busy."""
     publisher = AdaptivePublisher(ros.node("queued"), String, TOPIC, 100, overflow=Overflow.QUEUE)
     idle = [AdaptivePublisher(publisher._node, String, f"/idle{k}", 10) for k in range(5)]
-    visits = dict.fromkeys((publisher, *idle), 0)
+    calls = dict.fromkeys((publisher, *idle), 0)
 
     def counted(one, service):
         def count(now_s):
-            visits[one] += 1
+            calls[one] += 1
             return service(now_s)
 
         return count
 
-    for one in visits:
+    for one in calls:
         monkeypatch.setattr(one, "service", counted(one, one.service))
     publisher.retune(replace(publisher.plan, rate_hz=50.0))
     for one in idle:
@@ -385,12 +315,12 @@ def test_only_due_publishers_are_visited(ros, monkeypatch, eventually):
     for _ in range(20):
         publisher.offer(b"paced")
     eventually(lambda: state(publisher).published == 20)
-    assert visits[publisher] >= 5
-    assert all(visits[one] <= 1 for one in idle)  # the one that adopting it asked for
+    assert calls[publisher] >= 5
+    assert all(calls[one] <= 1 for one in idle)  # at its creation
 
 
 def test_what_waits_leaves_without_further_offers(ros, monkeypatch, eventually):
-    """Every sample queued for pacing leaves in its time, and all at once when the rate is raised."""
+    """Every queued sample leaves in time, and all at once when the rate is raised."""
     publisher = AdaptivePublisher(ros.node("queued"), String, TOPIC, 100, overflow=Overflow.QUEUE)
     writer = SlowWriter(publisher, monkeypatch)
     samples = [b"%d" % number for number in range(20)]
@@ -407,7 +337,7 @@ def test_what_waits_leaves_without_further_offers(ros, monkeypatch, eventually):
 
 
 def test_a_gate_that_opens_lets_out_what_waits(ros, monkeypatch, eventually):
-    """A sample that a closed gate would hold for an hour leaves when the gate opens, with no offer after it."""
+    """Samples that a closed gate holds leave when it opens, without a further offer."""
     publisher = AdaptivePublisher(ros.node("gated"), String, TOPIC, 100, overflow=Overflow.QUEUE)
     writer = SlowWriter(publisher, monkeypatch)
     publisher.retune(replace(publisher.plan, rate_hz=100.0))
@@ -420,7 +350,7 @@ def test_a_gate_that_opens_lets_out_what_waits(ros, monkeypatch, eventually):
 
 
 def test_what_waits_behind_a_failed_write_leaves(ros, monkeypatch, eventually):
-    """When a write fails, whoever offered hears of it, and the samples behind it leave with no offer after them."""
+    """A failed write raises in `offer`, and the samples behind it leave without a further offer."""
     publisher = AdaptivePublisher(ros.node("failing"), String, TOPIC, 100, overflow=Overflow.QUEUE)
     writer = SlowWriter(publisher, monkeypatch)
 
@@ -435,8 +365,8 @@ def test_what_waits_behind_a_failed_write_leaves(ros, monkeypatch, eventually):
     eventually(lambda: writer.written == [b"behind it"])
 
 
-def test_a_destroyed_publisher_is_not_visited(publisher, monkeypatch, eventually):
-    """One that is destroyed while a sample of it waits is not visited any more; the others are."""
+def test_a_destroyed_publisher_is_not_served(publisher, monkeypatch, eventually):
+    """A publisher that is destroyed while its samples wait is no longer served; the others are."""
     other = AdaptivePublisher(publisher._node, String, "/other", 100, overflow=Overflow.QUEUE)
     writer = SlowWriter(other, monkeypatch)
     publisher.retune(replace(publisher.plan, rate_hz=10.0))
@@ -444,17 +374,17 @@ def test_a_destroyed_publisher_is_not_visited(publisher, monkeypatch, eventually
         publisher.offer(b"waits")
     assert state(publisher).queued > 0
     publisher.destroy()
-    visited = []
-    monkeypatch.setattr(publisher, "service", lambda now_s: visited.append(None) or now_s + 1.0)
+    served = []
+    monkeypatch.setattr(publisher, "service", lambda now_s: served.append(None) or now_s + 1.0)
     other.retune(replace(other.plan, rate_hz=40.0))
     for _ in range(20):
         other.offer(b"paced")
     eventually(lambda: len(writer.written) == 20)  # 0.5 s, in which the destroyed one would have been due
-    assert not visited
+    assert not served
 
 
 def test_offers_of_many_threads_keep_their_order(ros, monkeypatch, eventually):
-    """However offers interleave with the pacing thread and with writes that block, each thread's order is kept."""
+    """Offers, the pacing thread and blocking writes keep the order of each thread's samples."""
     publisher = AdaptivePublisher(ros.node("busy"), String, TOPIC, 5000, overflow=Overflow.QUEUE)
     writer = SlowWriter(publisher, monkeypatch)
     threads, each = 4, 400
@@ -464,7 +394,7 @@ def test_offers_of_many_threads_keep_their_order(ros, monkeypatch, eventually):
             if number % 100 == 0:
                 rate_hz = 2000.0 if number % 200 else float("inf")
                 publisher.retune(replace(publisher.plan, rate_hz=rate_hz))
-                writer.takes_s = 0.006 if thread == 0 else 0.0  # now and then writes block, and callers hand over
+                writer.takes_s = 0.006 if thread == 0 else 0.0  # some writes block
             publisher.offer(b"%d %d" % (thread, number))
 
     workers = [threading.Thread(target=offer, args=(thread,)) for thread in range(threads)]
@@ -477,4 +407,4 @@ def test_offers_of_many_threads_keep_their_order(ros, monkeypatch, eventually):
     for thread in range(threads):
         mine = [int(sample.split()[1]) for sample in writer.written if sample.startswith(b"%d " % thread)]
         assert mine == list(range(each))
-    assert publisher._tuning._thread in writer.threads
+    assert publisher._shared._thread in writer.threads

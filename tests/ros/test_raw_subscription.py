@@ -1,4 +1,4 @@
-"""How messages come in: read without decoding, refused without harm."""
+"""Messages from the network: read without decoding, and refused without harm."""
 
 from contextlib import suppress
 from types import SimpleNamespace
@@ -37,7 +37,7 @@ ANNOUNCEMENT = serialized(*(to_status(publisher("/n", topic)) for topic in ("/a"
 
 
 class Node:
-    """Keeps the callback of a subscription, and hands over what waits for it."""
+    """A node that keeps the callback of a subscription, and the messages that wait for it."""
 
     def __init__(self):
         self.waiting = []
@@ -58,7 +58,7 @@ class Node:
 
 
 class World:
-    """Announcements of publishers without a network, and a clock that stands."""
+    """Announcements of publishers without a network, and a stopped clock."""
 
     def __init__(self):
         self.node, self.now_s = Node(), 0.0
@@ -87,25 +87,25 @@ TEXTS = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=
 @given(st.lists(TEXTS, min_size=1, max_size=4), TEXTS)
 @settings(max_examples=30, deadline=None)
 def test_the_first_name_is_read_without_decoding(names, frame):
-    """Whatever stands before it, the name of the first status and the number of all are read from the bytes."""
+    """The first status's name and the number of statuses are read from the bytes, after any header."""
     statuses = [DiagnosticStatus(name=name, level=b"\2", values=[KeyValue(key="k", value="v")]) for name in names]
     assert peek(serialized(*statuses, frame=frame)) == (names[0], len(names))
 
 
 @given(st.binary(max_size=100))
 def test_the_bytes_of_an_array_are_read_without_decoding(data):
-    """What arpd's reports hold is taken from their bytes."""
+    """The content of a UInt8MultiArray is read from its bytes."""
     assert octets(serialize_message(UInt8MultiArray(data=data))) == data
 
 
 @given(st.binary(max_size=60), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255)), max_size=6), st.data())
 @settings(max_examples=50, deadline=None)
 def test_any_bytes_are_refused_or_read(noise, spoils, data):
-    """Whatever arrives, nothing is raised, and what is believed was said as it is."""
+    """Any bytes are refused or read, and nothing is raised."""
     spoilt = bytearray(ANNOUNCEMENT[: data.draw(st.integers(0, len(ANNOUNCEMENT)))])
-    for place, value in spoils:
+    for index, value in spoils:
         if spoilt:
-            spoilt[place % len(spoilt)] = value
+            spoilt[index % len(spoilt)] = value
     for read in (peek, octets):
         for each in (noise, bytes(spoilt)):
             with suppress(ValueError):
@@ -118,7 +118,7 @@ def test_any_bytes_are_refused_or_read(noise, spoils, data):
 
 
 def test_a_node_waits_for_the_graph_and_is_heard_then():
-    """What a node says before the graph shows it is not lost, and an invented one is refused."""
+    """A message that arrives before the graph shows its node is kept; one of an invented node is refused."""
     world = World()
     world.see()
     world.node.callback(ANNOUNCEMENT)
@@ -130,7 +130,7 @@ def test_a_node_waits_for_the_graph_and_is_heard_then():
 
 
 def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
-    """While a participant's nodes are unknown, what could be theirs is believed, at one rate for all."""
+    """While a participant's nodes are unknown, any node is believed, at one rate for all."""
     world = World()
     world.see("")
     for k in range(100):
@@ -140,7 +140,7 @@ def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
 
 
 def test_a_node_speaks_for_itself_at_its_own_rate():
-    """Nobody announces another's publishers, more of them than anybody has, or a thousand times a second."""
+    """A node cannot announce another's publishers, too many of them, or too often."""
     world = World()
     world.see("/n", "/m")
     world.node.callback(serialized(to_status(publisher("/n", "/a")), to_status(publisher("/m", "/b"))))
@@ -159,10 +159,10 @@ def test_a_node_speaks_for_itself_at_its_own_rate():
     assert counts[MessageKind.PUBLISHERS, MessageRefusal.RATE] > 980
 
 
-def test_what_waits_is_taken_together_and_a_flood_slows_the_asking():
-    """Nothing that waits is passed over, what is too long goes no further, and 500 at once are a flood."""
+def test_waiting_messages_are_taken_together_and_many_are_a_flood():
+    """Every waiting message is taken, one that is too long is refused, and 500 at once are a flood."""
     node, taken, long = Node(), [], []
-    intake = RawSubscription(
+    subscription = RawSubscription(
         node,
         Float64,
         "/t",
@@ -174,15 +174,15 @@ def test_what_waits_is_taken_together_and_a_flood_slows_the_asking():
     )
     node.waiting = [b"1", b"2" * 9, b"3"]
     node.callback(b"0")
-    assert (taken, long, intake.is_flooded) == ([b"0", b"1", b"3"], [1], False)
+    assert (taken, long, subscription.is_flooded) == ([b"0", b"1", b"3"], [1], False)
     node.waiting = [b"x"] * 500
     node.callback(b"x")
-    assert intake.is_flooded
+    assert subscription.is_flooded
     assert (len(taken), node.waiting) == (504, [])
 
 
 def test_one_impossible_topic_hides_no_other():
-    """A name or a QoS that ROS cannot express, as another DDS may bring it, leaves the rest of the graph readable."""
+    """A name or QoS of another DDS that ROS cannot express leaves the rest of the graph readable."""
 
     def info(topic):
         if topic == "/odd":
@@ -202,8 +202,8 @@ def test_one_impossible_topic_hides_no_other():
     assert set(read_crossings(node, rmw_of("rmw_fastrtps_cpp"))) == {"/good"}
 
 
-def test_the_graph_bears_out_who_is_in_it():
-    """A node counts for a topic it writes or reads, if it can announce at all; a nanosecond binds no writer."""
+def test_the_graph_confirms_the_nodes_it_shows():
+    """A node is confirmed on a topic that it writes or reads if it can announce; an impossible request is ignored."""
     crossing = Crossing(
         direction="sensing",
         remote_readers=1,
@@ -225,8 +225,8 @@ def test_the_graph_bears_out_who_is_in_it():
     assert crossing.requests_of("/reader") == ()
 
 
-def test_in_a_flood_intakes_rest_by_turns():
-    """One of them waits for all; what they do in between takes a part of the time, however many they are."""
+def test_in_a_flood_subscriptions_rest_most_of_the_time():
+    """The shared pause takes most of the time, for any number of subscriptions."""
     now_s, slept = [0.0], []
 
     def sleep(seconds):

@@ -1,4 +1,6 @@
-"""What a publisher that cannot take a plan announces, and what the daemon makes of it: real rclpy."""
+"""Announcements of publishers that cannot take a plan, with real rclpy."""
+
+from dataclasses import replace
 
 import pytest
 
@@ -22,17 +24,20 @@ def announced(publisher):
 
 
 def test_a_latched_publisher_is_settled_by_its_rate(ros):
-    """A TRANSIENT_LOCAL topic refuses new QoS for good, by name; with the rate the plan is in force."""
+    """A TRANSIENT_LOCAL topic refuses new QoS and names the way out; its rate confirms the plan."""
     latched = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     publisher = AdaptivePublisher(ros.node("talker"), String, "/map", latched)
     assert announced(publisher).refusal_reason is RefusalReason.NONE
     publisher.retune(ROW)
     state = announced(publisher)
-    assert (state.refusal_reason, state.depth) == (RefusalReason.TRANSIENT_LOCAL, 3)
+    assert (state.refusal_reason, state.depth, state.rate_hz) == (RefusalReason.TRANSIENT_LOCAL, 3, 5.0)
+    assert "swap_transient_local" in state.refusal
     assert is_confirmed(state, ROW)
+    publisher.retune(replace(ROW, depth=3, deadline_ns=0))
+    assert not announced(publisher).refusal
 
 
-def test_a_clamped_publisher_may_be_asked_again(ros, eventually):
+def test_a_clamped_publisher_is_not_settled(ros, eventually):
     """A deadline that a reader does not allow now is a refusal that may pass."""
     strict = QoSProfile(depth=3, deadline=Duration(nanoseconds=100_000_000))
     ros.node("reader").create_subscription(String, "/scan", lambda _m: None, strict)
@@ -45,7 +50,7 @@ def test_a_clamped_publisher_may_be_asked_again(ros, eventually):
 
 
 def test_a_publisher_that_keeps_all_gets_no_writer_for_a_depth(ros, eventually):
-    """Where the history is KEEP_ALL a new depth makes no swap, a new deadline one, and the plan is in force."""
+    """With KEEP_ALL a new depth makes no swap, a new deadline makes one, and the plan is confirmed."""
     publisher = AdaptivePublisher(ros.node("talker"), String, "/all", QoSProfile(history=QoSHistoryPolicy.KEEP_ALL))
     publisher.retune(TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
     assert not publisher._flow._swap.is_busy

@@ -1,4 +1,4 @@
-"""`arpd run` among real nodes while something goes wrong: a node that hangs, signals at any time, files, ports."""
+"""`arpd run` among real nodes, with a node that hangs, signals at any time, faulty files and a taken port."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HANGS = "second"
 
 
 class Stage:
-    """Three nodes that publish across what counts as the link, and a daemon that drives them."""
+    """Three nodes that publish across the assumed link, and a daemon that plans for them."""
 
     def __init__(self, world, path):
         self.world = world
@@ -67,14 +67,14 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    """Start everything once: the tests follow each other on it, and the last one stops the daemon."""
+    """Start everything once; the tests follow each other, and the last one stops the daemon."""
     folder = tmp_path_factory.mktemp("failures")
     with this_host_only(), World(folder) as world:
         yield Stage(world, folder / "arpd.yaml")
 
 
 def test_a_node_that_hangs_delays_nobodys_plan(stage):
-    """While one node is stopped the others' new plan comes into force; when it goes on, it follows."""
+    """While one node is stopped the others take a new plan; when it continues, it follows."""
     stage.send(HANGS, signal.SIGSTOP)
     try:
         stage.write(depth=130)
@@ -83,11 +83,11 @@ def test_a_node_that_hangs_delays_nobodys_plan(stage):
         assert stage.shows(100, HANGS)
     finally:
         stage.send(HANGS, signal.SIGCONT)
-    insist(lambda: stage.shows(130), "the one that hung follows")
+    insist(lambda: stage.shows(130), "the stopped node follows")
 
 
 def test_ten_reloads_of_a_file_that_is_being_written_end_with_what_it_says_last(stage):
-    """Half files are refused and counted, the last one is in force, and the daemon ticks on."""
+    """Half files are refused and counted, the last file is in force, and the ticks go on."""
     begun, failed = "arpd_config_reloads_total", "arpd_config_reload_failures_total"
     before = stage.metric(begun) - stage.metric(failed)
     stage.write(depth=999, spoil="}")
@@ -104,7 +104,7 @@ def test_ten_reloads_of_a_file_that_is_being_written_end_with_what_it_says_last(
 
 
 def test_a_stop_during_a_swap_with_a_node_that_hangs_is_clean(stage):
-    """However often it is told to stop, it gives everybody who answers their own QoS back, and exits 0."""
+    """After several stop signals it restores every node that answers, and exits 0."""
     stage.write(depth=170)
     stage.process.send_signal(signal.SIGHUP)
     generation = stage.metric("arpd_plan_generation")
@@ -128,7 +128,7 @@ def test_a_stop_during_a_swap_with_a_node_that_hangs_is_clean(stage):
 
 @pytest.fixture
 def alone(tmp_path, monkeypatch):
-    """Start `arpd run` where nobody else is."""
+    """Start `arpd run` without other nodes."""
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     started = []
@@ -149,14 +149,14 @@ def alone(tmp_path, monkeypatch):
 
 
 def handles_stop(process):
-    """Whether it has said what it does on SIGTERM (proc(5))."""
+    """Return whether the process has a handler for SIGTERM (proc(5))."""
     status = Path(f"/proc/{process.pid}/status").read_text()
     caught = next(int(line.split()[1], 16) for line in status.splitlines() if line.startswith("SigCgt"))
     return bool(caught & 1 << (signal.SIGTERM - 1))
 
 
 def test_a_stop_before_ros_is_up_is_clean(alone):
-    """While it imports ROS there is nothing to restore, and it exits 0 at once."""
+    """While the daemon imports ROS it has nothing to restore, and exits 0 at once."""
     process, log = alone(0)
     insist(lambda: handles_stop(process), "it handles signals")
     process.terminate()
@@ -164,8 +164,8 @@ def test_a_stop_before_ros_is_up_is_clean(alone):
     assert "Traceback" not in log()
 
 
-def test_a_port_that_is_taken_keeps_it_from_no_work_and_a_stop_before_any_evidence_is_clean(alone):
-    """Nor does an interface that is not there: it says so, serves when the port is free, and stops with code 0."""
+def test_without_a_port_and_an_interface_it_runs_and_stops_cleanly(alone):
+    """It names a taken port and a missing interface, serves once the port is free, and exits 0."""
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         process, log = alone(port)

@@ -1,7 +1,7 @@
-"""The SROS 2 policy in etc/sros2, against what arpd's processes really open.
+"""The SROS 2 policy in etc/sros2 against the topics and services that arpd's processes open.
 
-The Fast DDS of the wheels has no security plugins (it was built without -DSECURITY=ON), so what is enforced cannot be
-seen here; what a process opens can, and that is what a permission is about.
+The Fast DDS of the wheels was built without security plugins, so these tests compare permissions with open endpoints,
+and cannot test the enforcement.
 """
 
 import json
@@ -35,7 +35,7 @@ NODE = REPO / "etc/sros2/node.xml"
 XI = "{http://www.w3.org/2001/XInclude}"
 CHECK = "arpd_executor_check"
 TOPIC = "/sros2/scan"
-# Element → what it may hold, by sros2's policy.xsd 0.2.0.
+# Element → allowed children, by sros2's policy.xsd 0.2.0.
 CHILDREN = {
     "policy": {"enclaves"},
     "enclaves": {"enclave"},
@@ -57,18 +57,18 @@ ATTRIBUTES = {
 
 
 def included(path):
-    """Parse a policy file and resolve its includes, each of which takes all a profile holds."""
+    """Parse a policy file, and resolve its includes of whole profiles."""
     root = ET.parse(path).getroot()
     for parent in list(root.iter()):
-        for place, child in reversed(list(enumerate(parent))):
+        for index, child in reversed(list(enumerate(parent))):
             if child.tag == f"{XI}include":
                 assert child.get("xpointer") == "xpointer(/profile/*)"
-                parent[place : place + 1] = list(included(path.parent / child.get("href")))
+                parent[index : index + 1] = list(included(path.parent / child.get("href")))
     return root
 
 
 def rules(profile):
-    """Return what a profile allows: (what, full name) pairs."""
+    """Return the permissions of a profile as (action, full name) pairs."""
     namespace, node = profile.get("ns", "/").rstrip("/"), profile.get("node", "")
 
     def full(name):
@@ -90,7 +90,7 @@ def profile_of(enclave, *, is_check=False):
 
 
 def opened(node, name):
-    """Return what a node has opened, as the graph knows it."""
+    """Return the endpoints that a node has opened, from the graph."""
     asked = {
         "publish": node.get_publisher_names_and_types_by_node,
         "subscribe": node.get_subscriber_names_and_types_by_node,
@@ -108,13 +108,13 @@ def is_used(rule, endpoints):
 
 
 def beyond(endpoints, allowed):
-    """Return what was opened and no rule allows."""
+    """Return the open endpoints that no rule allows."""
     return {endpoint for endpoint in endpoints if not any(is_used(rule, {endpoint}) for rule in allowed)}
 
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
-    """Run, relay, peer and a driver with both adaptive ends, after the driver was tuned; what each has opened."""
+    """Run daemon, relay, peer and a driver with both kinds of endpoints; return what each opened once it has a plan."""
     workdir = tmp_path_factory.mktemp("sros2")
     config = workdir / "arpd.yaml"
     config.write_text(
@@ -133,7 +133,7 @@ def graph(tmp_path_factory):
         patch.setenv("ROS_DOMAIN_ID", str(domain))
         patch.setenv("PYTHONPATH", str(REPO))
         prepare_environment()
-        # The chaos tests' daemon is arpd run, for which another process is across the link: there is one host only.
+        # On this one host the chaos tests' daemon treats another process as across the link.
         argvs = [
             [str(REPO / "tests/chaos/nodes.py"), "daemon", str(config)],
             ["-m", "arpd.cli", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
@@ -163,7 +163,7 @@ def graph(tmp_path_factory):
 
 
 def wait_for_plan(node, publisher):
-    """Collect what every node has opened, until the driver's publisher is under a plan and all is there."""
+    """Return the endpoints of every node, once the driver's publisher has a plan and all nodes are there."""
     wanted = {"arpd": 1, "arpd_relay_robot": 1, "arpd_peer": 1, "driver": 1}
     until_s = time.monotonic() + 60.0
     while time.monotonic() < until_s:
@@ -177,7 +177,7 @@ def wait_for_plan(node, publisher):
 
 
 def test_the_policy_has_sros2s_form():
-    """Every element and attribute of the policy is one of sros2's format 0.2.0, and nothing is named DENY or *."""
+    """Every element and attribute of the policy is in sros2's format 0.2.0, without DENY and without a bare *."""
     root = included(POLICY)
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     for element in root.iter():
@@ -193,7 +193,7 @@ def test_the_policy_has_sros2s_form():
     ("enclave", "name"), [("/arpd/run", "arpd"), ("/arpd/relay", "arpd_relay_robot"), ("/arpd/peer", "arpd_peer")]
 )
 def test_an_enclave_allows_exactly_what_its_process_opens(graph, enclave, name):
-    """What the process has opened is allowed, and what is allowed it has opened, but for the relay's own sources."""
+    """Permissions and open endpoints of each process are the same, except for the relay's sources."""
     allowed = rules(profile_of(enclave))
     carried = {("subscribe", TOPIC)} if name.startswith("arpd_relay") else set()
     assert beyond(graph[name], allowed) == carried
@@ -201,22 +201,22 @@ def test_an_enclave_allows_exactly_what_its_process_opens(graph, enclave, name):
 
 
 def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
-    """A node with an AdaptivePublisher and an AdaptiveSubscription opens its topics and what managed.xml names."""
+    """A node with both kinds of endpoints opens its own topics and those in managed.xml."""
     profile = ET.Element("profile", ns="/", node="driver")
     profile.extend([*included(NODE), *included(MANAGED)])
     assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC), ("subscribe", "/sros2/cmd")}
 
 
 def test_the_executors_check_is_allowed_everywhere(ros, monkeypatch):
-    """The node with which a process tries its executor opens what each enclave allows it, and no more."""
+    """The node of the executor check opens exactly what each enclave allows it."""
     seen = {}
 
-    class Looked(Node):
+    class Observed(Node):
         def destroy_node(self):
             seen[self.get_name()] = opened(self, self.get_name())
             super().destroy_node()
 
-    monkeypatch.setattr(rclpy, "create_node", Looked)
+    monkeypatch.setattr(rclpy, "create_node", Observed)
     best_executor(ros.context).shutdown()
     for enclave in ("/arpd/run", "/arpd/relay", "/arpd/peer"):
         allowed = rules(profile_of(enclave, is_check=True))
@@ -224,7 +224,7 @@ def test_the_executors_check_is_allowed_everywhere(ros, monkeypatch):
 
 
 def test_enforce_without_a_keystore_starts_nothing(tmp_path):
-    """Under ROS_SECURITY_STRATEGY=Enforce a process that has no keys ends; it never runs unprotected."""
+    """Under ROS_SECURITY_STRATEGY=Enforce a process without keys ends."""
     secured = {
         "ROS_SECURITY_ENABLE": "true",
         "ROS_SECURITY_STRATEGY": "Enforce",

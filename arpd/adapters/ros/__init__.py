@@ -1,1 +1,1 @@
-"""The ROS 2 side: adaptive publishers, relay, peer, graph and parameters."""
+"""The ROS 2 side: AdaptivePublisher, AdaptiveSubscription, relay, peer, and the daemon's view of the graph."""

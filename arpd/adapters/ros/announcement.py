@@ -1,6 +1,6 @@
-"""Announcements of live publishers and of live readers, each on a topic of its own, to and from diagnostic_msgs.
+"""Announcements of live publishers and of live readers, to and from diagnostic_msgs.
 
-Keys that a daemon does not know it passes over, and what was added since the first version may be missing.
+A daemon ignores unknown keys, and keys added after the first version may be missing.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from enum import StrEnum
 
 _SWAP_PREFIX = "swaps_"
-_HANDOVER_PREFIX = "handovers_"
+_READER_SWAP_PREFIX = "handovers_"
 _CAUSES = "withheld_by_cause"
 _PHASES = "swap_seconds_by_phase"
-_BEGUN = "begun_swaps"  # with the prefix of the results an older daemon would take it for one
+_BEGUN = "begun_swaps"  # not "swaps_…": an older daemon would read that as a result
 _LAST_SWAP = "last_swap"
 _MISSED = "deadlines_missed"
 _PUBLISHED_RATE = "published_rate_hz"
@@ -43,7 +43,7 @@ _INTEGERS = (
 )
 _MOST_SECONDS = 1e9  # 30 years
 _MOST_FLOATS = {
-    "payload_bytes": float(2**30),  # no link that needs arpd carries such a message
+    "payload_bytes": float(2**30),  # too large for any link that needs arpd
     "source_rate_hz": 1e5,
     _PUBLISHED_RATE: 1e5,
     "blocked_s": _MOST_SECONDS,
@@ -53,7 +53,7 @@ _MOST_FLOATS = {
 _READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
 _MAX_INTEGER = 2**63 - 1
 _MOST_DEPTH = 100_000
-_MOST_RESULTS = 32  # of swaps or handovers; each becomes a label of a metric
+_MOST_RESULTS = 32  # of swaps; each becomes a label of a metric
 _MAX_RESULT = 40
 _MAX_NAME = 256
 MOST_VALUES = 128  # pairs in one status
@@ -62,7 +62,7 @@ N = TypeVar("N", int, float)
 
 
 def to_status(state: PublisherState) -> Any:
-    """Encode one publisher as a DiagnosticStatus; a refusal shows as WARN in any diagnostics viewer."""
+    """Encode one publisher as a DiagnosticStatus; diagnostics viewers show a refusal as WARN."""
     values = [("node", state.node), ("topic", state.topic), ("type", state.type_name), ("refusal", state.refusal)]
     values += _remarks(state)
     values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
@@ -78,14 +78,14 @@ def reader_to_status(state: ReaderState) -> Any:
     values += [("refusal", state.refusal)] if state.refusal else []
     values += _remarks(state)
     values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
-    values += [(_HANDOVER_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
+    values += [(_READER_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
-    # What never changes is no fault of the moment.
+    # A lasting refusal is no fault, so it is no warning.
     return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
 
 
 def from_status(status: Any) -> PublisherState:
-    """Decode one announcement; what came over the network is checked before anything believes it.
+    """Decode one publisher's announcement, and check every field.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def from_status(status: Any) -> PublisherState:
 
 
 def reader_from_status(status: Any) -> ReaderState:
-    """Decode one reader's announcement, checked as a publisher's is.
+    """Decode one reader's announcement, and check every field.
 
     Raises
     ------
@@ -115,10 +115,10 @@ def reader_from_status(status: Any) -> ReaderState:
         If a field is missing, malformed or out of range; the message names it.
     """
     values, fields = _fields(status, texts=("node", "topic"), floats=("lease_s",), integers=_READER_INTEGERS)
-    # A writer offers what its readers request; of a liar it would be asked for a nanosecond.
+    # A writer is asked to offer what its readers request, so a false announcement could ask it for a nanosecond.
     if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
         raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
-    return ReaderState(swaps_by_result=_counts(values, _HANDOVER_PREFIX), **fields)
+    return ReaderState(swaps_by_result=_counts(values, _READER_SWAP_PREFIX), **fields)
 
 
 def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
@@ -134,9 +134,9 @@ def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], 
 def _fields(
     status: Any, *, texts: Iterable[str], floats: Iterable[str], integers: Iterable[str]
 ) -> tuple[Mapping[str, str], dict[str, Any]]:
-    """Return all pairs as they came, and the checked fields that writers and readers announce alike."""
+    """Return all pairs as they came, and the checked fields that writers and readers both announce."""
     if len(status.values) > MOST_VALUES:
-        raise ValueError(f"announcement with {len(status.values)} values; at most {MOST_VALUES} are one")
+        raise ValueError(f"announcement with {len(status.values)} values; at most {MOST_VALUES} are allowed")
     values = {pair.key: pair.value for pair in status.values}
     try:
         fields: dict[str, Any] = {key: values[key] for key in texts}
@@ -157,13 +157,13 @@ def _fields(
 
 
 def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
-    """Return what only some endpoints have to say."""
+    """Return the pairs that only some endpoints announce."""
     refused = [("refusal_reason", str(state.refusal_reason))] if state.refusal else []
     return [*refused, ("history", _KEEP_ALL)] if state.keeps_all else refused
 
 
 def _account(state: PublisherState) -> list[tuple[str, str]]:
-    """Return what explains the counters; what never happened is left out."""
+    """Return the pairs that explain the counters; counters at zero are left out."""
     values = [(_PUBLISHED_RATE, f"{state.published_rate_hz:.6g}")] if state.published_rate_hz else []
     values += [(_CAUSES, _words(state.withheld_by_cause))] if state.withheld_by_cause else []
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
@@ -176,7 +176,7 @@ def _account(state: PublisherState) -> list[tuple[str, str]]:
 
 
 def _words(numbers: Mapping[str, float]) -> str:
-    # In one value, because each takes a dozen bytes beside what it says.
+    # In one value, because each value costs a dozen bytes more.
     shown = ((name, number if isinstance(number, int) else f"{number:.6g}") for name, number in numbers.items())
     return " ".join(f"{name}={number}" for name, number in shown)
 
@@ -194,7 +194,7 @@ def _record(text: str) -> SwapRecord:
 
 
 def _by_name(key: str, words: Iterable[str], names: Iterable[StrEnum], read: Callable[[str, str], N]) -> dict[str, N]:
-    """Return the numbers that have a name that is known; each becomes a label of a metric."""
+    """Return the numbers with known names; each name becomes a label of a metric."""
     found = dict(word.partition("=")[::2] for word in words)
     return {name.value: read(key, found[name]) for name in names if name in found}
 
@@ -208,7 +208,7 @@ def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
 
 
 def _plain(text: str) -> str:
-    """Cut a text short, and take out what would do something to a terminal or a log."""
+    """Cut a text short, and replace characters that would act on a terminal or a log."""
     return "".join(character if character.isprintable() else "?" for character in text[:_MAX_NAME])
 
 
@@ -220,7 +220,7 @@ def _check(fields: Mapping[str, Any]) -> None:
     if not 1 <= fields["depth"] <= _MOST_DEPTH or not 1 <= fields["baseline_depth"] <= _MOST_DEPTH:
         raise ValueError(f"announcement of {topic} with a depth outside 1..{_MOST_DEPTH}")
     if fields["generation"] > MOST_GENERATION:
-        raise ValueError(f"announcement of {topic} with generation {fields['generation']}; no daemon comes that far")
+        raise ValueError(f"announcement of {topic} with generation {fields['generation']}, above {MOST_GENERATION}")
 
 
 def _number(key: str, text: str) -> float:
@@ -243,7 +243,7 @@ def _up_to(most: float, key: str, text: str) -> float:
 
 def _bounded(key: str, text: str) -> int:
     try:
-        value = int(text[:40])  # longer ones are none, and take long
+        value = int(text[:40])  # a longer text is out of range, and slow to convert
     except ValueError:
         value = -1
     if not 0 <= value <= _MAX_INTEGER:

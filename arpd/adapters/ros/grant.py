@@ -1,4 +1,4 @@
-"""What a daemon grants one node: a plan of some generation, and for how long it outlives the daemon."""
+"""Generation and lease of a node's plan, as parameters that the daemon sets."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class Grant:
-    """Generation and lease of the plan that a node's publishers, or its readers, run with, as two parameters.
+    """Generation and lease of the plan of a node's publishers, or of its readers, as two parameters.
 
     Parameters
     ----------
-    node : on which the parameters are declared; its owner's callbacks call `check` and `take`
+    node : declares the parameters; its owner's callbacks call `check` and `take`
     generation_name, lease_name : names of the parameters
-    plan, whose : which plan it is, and whose QoS returns when its lease is over, in words
+    plan, whose : the plan, and the endpoints whose own QoS returns after the lease, in words
     clock : monotonic clock (s)
     """
 
@@ -40,12 +40,12 @@ class Grant:
         node.declare_parameter(lease_name, 0.0, ParameterDescriptor(description=description))
 
     def check(self, parameters: Sequence[Any]) -> None:
-        """Refuse a plan that is older than the one in force, a number beyond all plans, and a lease that is no time.
+        """Refuse a generation below the one in force or above the greatest, and a lease out of bounds.
 
         Raises
         ------
         ValueError
-            If one of them is; the message names the parameter.
+            The message names the parameter.
         """
         for parameter in parameters:
             if parameter.name == self._generation_name and parameter.value < self.generation:
@@ -58,10 +58,10 @@ class Grant:
                 checked_lease_s(parameter)
 
     def take(self, parameters: Sequence[Any]) -> None:
-        """Take what was checked."""
+        """Take checked parameters."""
         for parameter in parameters:
             if parameter.name == self._generation_name:
                 self.generation = int(parameter.value)
-                self.lease.renew(self._clock())  # who sends a plan is there
+                self.lease.renew(self._clock())  # a plan is a sign of the daemon
             elif parameter.name == self._lease_name:
                 self.lease.granted_s = float(parameter.value)

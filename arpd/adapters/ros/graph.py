@@ -1,4 +1,4 @@
-"""Which topics really cross the link, and who is there to speak of them, read from the live ROS graph."""
+"""Topics that cross the link, and the nodes that may announce them, read from the live ROS graph."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from arpd.adapters.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
-# What rmw_dds_common says of an endpoint whose participant has not told its nodes, yet or ever.
+# rmw_dds_common's names for the node of an endpoint whose participant has not named its nodes, yet or ever.
 _UNNAMED = frozenset({"_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"})
-_MOST_TOPICS = 3000  # looked at each second; who fills the graph with topics must not keep us busy with them
+_MOST_TOPICS = 3000  # read each second, so that a graph full of topics does not take the processor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
-    """One writer or reader: its host, its participant, its deadline (ns, 0 = infinite), its node (empty = not told)."""
+    """One writer or reader: its host, its participant, its deadline (ns, 0 = infinite), its node (empty = unknown)."""
 
     host: bytes
     participant: bytes
@@ -47,15 +47,15 @@ class Endpoint:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Crossing:
-    """How one topic crosses the link.
+    """Direction, readers and writers of one topic.
 
     Parameters
     ----------
-    direction : which way; a topic with writers on both sides counts as sensing
-    remote_readers : participants on the far side that read it: as many unicast copies
+    direction : a topic with writers on both sides counts as sensing
+    remote_readers : participants on the far side that read it; each receives a unicast copy
     requests : node and requested deadline of every reader (ns, 0 = infinite)
     offers_ns : deadlines its writers offer, each once (ns, 0 = infinite)
-    writers : nodes that write it; the empty name is one that is not told
+    writers : nodes that write it; the empty name is a node whose name is unknown
     """
 
     direction: Direction
@@ -65,30 +65,30 @@ class Crossing:
     writers: frozenset[str] = frozenset()
 
     def tightest_request_ns(self, *, besides: Collection[str] = ()) -> int:
-        """Return the tightest deadline a reader of another node than these requests, 0 = none does (ns).
+        """Return the tightest deadline requested by a reader of other nodes than these, 0 = none (ns).
 
-        A request that nothing keeps binds nobody: its reader stays alone.
+        Requests that no writer can keep do not count.
         """
         return min((ns for node, ns in self.requests if ns >= LEAST_DEADLINE_NS and node not in besides), default=0)
 
     def requests_of(self, node: str) -> tuple[int, ...]:
-        """Return the deadlines that readers of a node request, those that no link keeps left out (ns, 0 = infinite)."""
+        """Return the deadlines that readers of a node request, without those that no writer can keep (ns)."""
         return tuple(ns for name, ns in self.requests if name == node and not 0 < ns < LEAST_DEADLINE_NS)
 
     @property
     def readers(self) -> frozenset[str]:
-        """Nodes that read it; the empty name is one that is not told."""
+        """Nodes that read it; the empty name is a node whose name is unknown."""
         return frozenset(node for node, _ in self.requests)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Graph:
-    """The ROS graph at one moment, as far as it concerns arpd.
+    """The part of the ROS graph that concerns arpd, at one moment.
 
     Parameters
     ----------
-    crossings : how every topic of the robot crosses the link
-    announcers, reader_announcers : nodes that could announce publishers, and readers; the empty name is one not told
+    crossings : every topic of the robot
+    announcers, reader_announcers : nodes that may announce publishers, and readers; the empty name is an unknown node
     peers : writers of receiver reports
     """
 
@@ -98,23 +98,23 @@ class Graph:
     peers: int
 
     def shows_writer(self, node: str, topic: str) -> bool:
-        """Whether a node may announce a publisher of the topic, and writes it."""
+        """Return whether a node may announce a publisher of the topic, and writes it."""
         crossing = self.crossings.get(topic)
         return crossing is not None and is_among(node, crossing.writers) and is_among(node, self.announcers)
 
     def shows_reader(self, node: str, topic: str) -> bool:
-        """Whether a node may announce a reader of the topic, and reads it."""
+        """Return whether a node may announce a reader of the topic, and reads it."""
         crossing = self.crossings.get(topic)
         return crossing is not None and is_among(node, crossing.readers) and is_among(node, self.reader_announcers)
 
 
 def is_among(node: str, nodes: Collection[str]) -> bool:
-    """Whether a node is one of these, or may be: endpoints whose nodes are not told could be anybody's."""
+    """Return whether a node is one of these, or may be: an endpoint with an unknown node may be anybody's."""
     return node in nodes or "" in nodes
 
 
 def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Tell how a topic crosses, from where its endpoints live: pure."""
+    """Return the crossing of a topic from the hosts of its endpoints: pure."""
     writers, readers = tuple(writers), tuple(readers)
     writer_hosts = {writer.host for writer in writers}
     remote = {reader.participant for reader in readers if writer_hosts - {reader.host}}
@@ -125,7 +125,7 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
     elif any(reader.host == robot_host for reader in readers):
         direction = Direction.ACTUATION
     else:
-        direction = Direction.LOCAL  # between two other hosts: not over the robot's link
+        direction = Direction.LOCAL  # between two other hosts
     return Crossing(
         direction=direction,
         remote_readers=len(remote) if direction is not Direction.LOCAL else 0,
@@ -136,11 +136,11 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
 
 
 def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Tell how a topic crosses where the middleware does not say which host an endpoint lives on: pure.
+    """Return the crossing of a topic where the middleware does not name the hosts of endpoints: pure.
 
-    A reader in another process than any writer may be across the link. Such a topic counts as sensing and as one copy:
-    a topic wrongly planned for only gets a rate, one wrongly left out is neither paced nor gated, and copies that
-    are not there would take rate from everybody.
+    A reader in another process than any writer may be across the link. Such a topic counts as sensing, with one copy.
+    To plan a local topic only gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies
+    that do not exist would take rate from every topic.
     """
     writers, readers = tuple(writers), tuple(readers)
     processes = {writer.participant for writer in writers}
@@ -155,26 +155,26 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
 
 
 def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mapping[str, Crossing]:
-    """Return how every topic of the graph crosses the link; what belongs to ROS or to arpd itself is left out.
+    """Return the crossing of every topic of the graph, without those of ROS and of arpd itself.
 
-    Fast DDS GUIDs carry the host in bytes 2-3 ; the robot's own host is that of this node's writer.
+    Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's gate writer.
 
     Parameters
     ----------
-    first : topics that are looked at before all others, should there be too many
+    first : topics to read first, in case there are too many
     """
     own = [info for info in node.get_publishers_info_by_topic(GATE_TOPIC) if info.node_name == node.get_name()]
     robot_host = _endpoint(own[0]).host if own else b""
-    tell = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
+    cross = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
     topics = [topic for topic, _ in node.get_topic_names_and_types() if not is_internal(topic) and is_full_name(topic)]
     topics.sort(key=lambda topic: topic not in first)
     own_name = node.get_fully_qualified_name()
-    found = {topic: _read(node, topic, tell, own_name) for topic in topics[:_MOST_TOPICS]}
+    found = {topic: _read(node, topic, cross, own_name) for topic in topics[:_MOST_TOPICS]}
     return {topic: crossed for topic, crossed in found.items() if crossed is not None}
 
 
 def read_graph(node: Any, rmw: Rmw, *, first: Collection[str]) -> Graph:
-    """Return what the graph holds now: `read_crossings`, and who may speak of them."""
+    """Return the graph as it is now: the crossings, and the nodes that may announce them."""
     return Graph(
         crossings=read_crossings(node, rmw, first=first),
         announcers=_nodes(map(_endpoint, node.get_publishers_info_by_topic(PUBLISHERS_TOPIC))),
@@ -183,14 +183,14 @@ def read_graph(node: Any, rmw: Rmw, *, first: Collection[str]) -> Graph:
     )
 
 
-def _read(node: Any, topic: str, tell: Callable[..., Crossing], own_name: str) -> Crossing | None:
-    """Return how one topic crosses, None where the graph has a name or a QoS in it that ROS cannot express.
+def _read(node: Any, topic: str, cross: Callable[..., Crossing], own_name: str) -> Crossing | None:
+    """Return the crossing of one topic, None where the graph has a name or QoS that ROS cannot express.
 
-    What daemons write to a topic that is everybody's, /diagnostics, is no traffic of the robot's.
+    The daemon's own writer of /diagnostics does not count: it is no traffic of the robot.
     """
     try:
         written = node.get_publishers_info_by_topic(topic)
-        return tell(
+        return cross(
             writers=[_endpoint(info) for info in written if node_name_of(info) != own_name],
             readers=map(_endpoint, node.get_subscriptions_info_by_topic(topic)),
         )
@@ -200,7 +200,7 @@ def _read(node: Any, topic: str, tell: Callable[..., Crossing], own_name: str) -
 
 
 def deadline_ns_of(qos: Any) -> int:
-    """Return the deadline of a QoS profile in ns, 0 for infinite (rclpy says 2^63-1 or 0 for it)."""
+    """Return the deadline of a QoS profile, 0 = infinite, for which rclpy has 2^63-1 or 0 (ns)."""
     nanoseconds = int(qos.deadline.nanoseconds)
     return 0 if nanoseconds >= INFINITE_NS else nanoseconds
 
@@ -239,7 +239,7 @@ def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:
 
 
 class Requests:
-    """The deadlines that readers of a topic request.
+    """Deadlines that the readers of a topic request.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ class Requests:
         self._topic = topic
 
     def tightest_ns(self) -> int:
-        """Return the shortest, 0 = none is requested (ns)."""
+        """Return the shortest deadline, 0 = none is requested (ns)."""
         return min((request for _, request in self._all() if request), default=0)
 
     def names(self) -> list[str]:
@@ -260,7 +260,7 @@ class Requests:
         return sorted(name for name, _ in self._all())
 
     def lost(self, *, offered_ns: int, offer_ns: int) -> list[str]:
-        """Name the readers that hear a writer with the one deadline and would not hear one with the other (ns)."""
+        """Name the readers that hear a writer which offers the first deadline, and would not hear the second (ns)."""
         return sorted(
             f"{name} requests {request} ns"
             for name, request in self._all()

@@ -1,4 +1,4 @@
-"""Hearing what endpoints of one kind announce of themselves, and believing what the graph bears out."""
+"""Announcements of the endpoints of one kind, believed as far as the ROS graph confirms them."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ if TYPE_CHECKING:
     from arpd.adapters.ros.raw_subscription import RefusedMessages
     from arpd.model.observation import MessageKind
 
-_DEPTH = 1000  # messages that may wait while the executor is elsewhere
-_MOST_BYTES = 512 * 1024  # of a message: twice what MOST_OF_NODE publishers take
-_HZ, _BURST = 4.0, 8.0  # messages of one node; arpd's own say one a second
-_MOST_STRANGERS = 64  # nodes that are heard before the graph shows them
+_DEPTH = 1000  # messages that may wait while the executor is busy
+_MOST_BYTES = 512 * 1024  # of a message: twice the size of MOST_OF_NODE publishers
+_HZ, _BURST = 4.0, 8.0  # messages of one node; arpd sends one a second
+_MOST_STRANGERS = 64  # nodes whose message waits until the graph shows them
 _MOST_STRANGE_BYTES = 32 * 1024
 
 S = TypeVar("S", PublisherState, ReaderState)
 
 
 class Announcements(Generic[S]):
-    """The endpoints of one kind that are there.
+    """The live endpoints of one kind.
 
-    A node is listened to when the graph shows that it may announce, each at a rate of its own. The graph may show it
-    later than its first message arrives: that waits, undecoded, until the graph is read again.
+    A node is heard when the graph shows that it may announce, each node at its own limited rate. The graph may show a
+    node after its first message arrives; that message waits, undecoded, until the graph is read again.
 
     Parameters
     ----------
-    node : rclpy node; somebody else spins it
-    topic : on which they announce themselves
-    kind : what they are
-    decode : reads one status
+    node : rclpy node; its owner spins it
+    topic : topic of the announcements
+    kind : kind of the endpoints
+    decode : decodes one status
     stale_s : silence after which an endpoint is gone (s)
-    refused : counts what is
-    pause : of the executor, in a flood
+    refused : counts refused messages
+    pause : taken by the executor in a flood
     clock : monotonic clock (s)
     """
 
@@ -67,9 +67,9 @@ class Announcements(Generic[S]):
         self._clock = clock
         self._lock = threading.Lock()
         self._endpoints: Endpoints[S] = Endpoints(stale_s)
-        self._turnstile = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
+        self._limiter = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
         self._has_unnamed = False
-        self._strangers: dict[str, bytes] = {}  # by node, what it said last
+        self._strangers: dict[str, bytes] = {}  # last message by node
         self._subscription = RawSubscription(
             node,
             DiagnosticArray,
@@ -83,22 +83,22 @@ class Announcements(Generic[S]):
 
     @property
     def pending(self) -> int:
-        """Number of endpoints, and of nodes, that the graph has not shown."""
+        """Number of endpoints and nodes that the graph has not shown yet."""
         with self._lock:
             return self._endpoints.pending + len(self._strangers)
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics of everybody who announced himself lately."""
+        """Topics of the endpoints that announced themselves lately."""
         with self._lock:
             return self._endpoints.topics
 
     def live(self, now_s: float, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}) -> list[S]:
-        """Return who announced itself lately and is there, with the age of that (s), sorted by node and topic.
+        """Return the live endpoints with the age of their announcement (s), sorted by node and topic.
 
         Parameters
         ----------
-        known_of : what the graph knows of a state besides, by field
+        known_of : returns the fields of a state that the graph shows
         """
         is_flooded = self._subscription.is_flooded
         with self._lock:
@@ -109,18 +109,18 @@ class Announcements(Generic[S]):
 
         Parameters
         ----------
-        announcers : nodes that may announce endpoints; the empty name is one that is not told
-        is_shown : whether it has an endpoint of a node on a topic
+        announcers : nodes that may announce endpoints; the empty name is a node whose name is unknown
+        is_shown : returns whether the graph has an endpoint of a node on a topic
         """
         now_s = self._clock()
         with self._lock:
-            self._turnstile.know(node for node in announcers if node)
+            self._limiter.know(node for node in announcers if node)
             self._has_unnamed = "" in announcers
             self._endpoints.see(is_shown, now_s)
             strangers, self._strangers = self._strangers, {}
         for node, data in strangers.items():
             if node in announcers:
-                self._listen(node, data, now_s)
+                self._take(node, data, now_s)
             else:
                 self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
 
@@ -132,18 +132,16 @@ class Announcements(Generic[S]):
             return
         node = name.partition(":")[0]
         with self._lock:
-            is_heard = self._turnstile.knows(node) or self._has_unnamed
-            passes = is_heard and self._turnstile.lets_pass(node, self._clock())
+            is_heard = self._limiter.knows(node) or self._has_unnamed
+            passes = is_heard and self._limiter.lets_pass(node, self._clock())
         if is_heard and not passes:
             self._refuse(MessageRefusal.RATE, node, f"{node} announces {self._kind} more than {_HZ:g} times a second")
         elif not is_full_name(node):
             self._refuse(MessageRefusal.MALFORMED, "", "an announcement names no node")
         elif count > MOST_OF_NODE:
-            self._refuse(
-                MessageRefusal.QUOTA, node, f"{node} announces {count} {self._kind}; at most {MOST_OF_NODE} are heard"
-            )
+            self._refuse(MessageRefusal.QUOTA, node, f"{node} announces {count} {self._kind}, above {MOST_OF_NODE}")
         elif is_heard:
-            self._listen(node, data, self._clock())
+            self._take(node, data, self._clock())
         else:
             self._keep(node, data)
 
@@ -155,13 +153,10 @@ class Announcements(Generic[S]):
         if not is_kept:
             self._refuse(MessageRefusal.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
 
-    def _listen(self, node: str, data: bytes, now_s: float) -> None:
+    def _take(self, node: str, data: bytes, now_s: float) -> None:
         try:
             statuses = deserialize_message(data, DiagnosticArray).status
-        except (
-            RuntimeError,
-            ValueError,
-        ):  # of rclpy's, neither of them documented; the second is of bytes that are no text
+        except (RuntimeError, ValueError):  # rclpy documents neither; the second means bytes that are no text
             self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
             return
         for status in statuses:
@@ -171,14 +166,12 @@ class Announcements(Generic[S]):
                 self._refuse(MessageRefusal.MALFORMED, node, str(fault))
                 continue
             if state.node != node:
-                self._refuse(MessageRefusal.MALFORMED, node, f"{node} speaks for {state.node}")
+                self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces an endpoint of {state.node}")
                 continue
             with self._lock:
-                has_place = self._endpoints.note(state, now_s)
-            if not has_place:
-                self._refuse(
-                    MessageRefusal.QUOTA, node, f"no place for {state.topic} of {node}: there are too many {self._kind}"
-                )
+                has_room = self._endpoints.note(state, now_s)
+            if not has_room:
+                self._refuse(MessageRefusal.QUOTA, node, f"too many {self._kind}; {state.topic} of {node} is left out")
 
     def _refuse(self, reason: MessageRefusal, source: str, words: str) -> None:
         self._refused.note(self._kind, reason, words, source=source)

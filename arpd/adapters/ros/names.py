@@ -1,4 +1,4 @@
-"""Names of arpd's topics and parameters: the protocol (docs/design.md, Protocols) in one place."""
+"""Names of arpd's topics and parameters (docs/design.md, Protocols)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEASE_PARAMETER = "arpd.lease"
 READERS_GENERATION_PARAMETER = "arpd.readers.generation"
 READERS_LEASE_PARAMETER = "arpd.readers.lease"
 
-INFINITE_NS = 2**63 - 1  # how ROS 2 says "no deadline"
+INFINITE_NS = 2**63 - 1  # ROS 2's "no deadline"
 
 DEPTH = "depth"
 DEADLINE = "deadline"
@@ -27,10 +27,10 @@ _MOST_NAME = 256  # characters; ROS itself ends at 255
 
 
 def parameter_name(topic: str, setting: str) -> str:
-    """Full parameter name of one setting of the publisher on ``topic``.
+    """Return the full parameter name of one setting of the publisher on ``topic``.
 
-    Depth and deadline use ROS 2's standard QoS-override names (design.ros2.org, "QoS Overrides by Parameters"),
-    so that a user finds them where they already look; rate and floor are ours.
+    Depth and deadline have ROS 2's standard names (design.ros2.org, "QoS Overrides by Parameters"); rate and floor have
+    arpd's own.
     """
     if setting in {DEPTH, DEADLINE}:
         return f"qos_overrides.{topic}.publisher.{setting}"
@@ -38,15 +38,15 @@ def parameter_name(topic: str, setting: str) -> str:
 
 
 def reader_parameter_name(topic: str, setting: str) -> str:
-    """Full parameter name of depth or deadline of the reader of ``topic``, by the same standard."""
+    """Return the full parameter name of depth or deadline of the reader of ``topic``, by the same standard."""
     return f"qos_overrides.{topic}.subscription.{setting}"
 
 
 def is_internal(topic: str) -> bool:
-    """Whether a topic belongs to ROS or arpd itself and is no robot traffic."""
+    """Return whether a topic belongs to ROS or arpd itself, and not to the robot."""
     return topic in {"/rosout", "/parameter_events"} or topic.startswith("/arpd/")
 
 
 def is_full_name(name: str) -> bool:
-    """Whether this is a fully qualified name of a node or a topic, as ROS allows it."""
+    """Return whether ROS allows this as the fully qualified name of a node or a topic."""
     return len(name) <= _MOST_NAME and _FULL_NAME.fullmatch(name) is not None

@@ -1,4 +1,4 @@
-"""What AdaptivePublishers of one node share: the pacing thread, the parameters, the gate and the announcement."""
+"""The shared half of one node's AdaptivePublishers: pacing thread, parameters, gate and announcement."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ if TYPE_CHECKING:
 
     from arpd.model.endpoints import PublisherState, WriterQos
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
-_ATTRIBUTE = "_arpd_tuning"
+InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
+_ATTRIBUTE = "_arpd_publishers"
 _ANNOUNCE_S = 1.0
-_GATE_LEASE_S = 5.0  # a gate nobody repeats for this long is a gate of a daemon that is gone
+_GATE_LEASE_S = 5.0  # a gate that is not repeated for this long opens: its daemon is gone
 _RETRY_S = 0.1
-QUICK_S = 0.005  # what a write may take where nothing blocks it; 20 MB took 5 to 9 ms on loopback
-_BLOCKED_S = 0.05  # longer than a scheduler takes; two such waits are more than a reader at 200 Hz bridges
-_SHUN = 20.0  # times as long as the write: a caller who must not block is blocked for a twentieth of the time at most
-_COMPLAIN_S = 5.0
+QUICK_S = 0.005  # longest write that nothing blocks; 20 MB took 5 to 9 ms on loopback
+_BLOCKED_S = 0.05  # a scheduler takes less; the history of a reader at 200 Hz does not bridge two such waits
+_SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
+_WARN_EVERY_S = 5.0
 _SETTINGS = {
     DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
     DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
     RATE: ("rate_hz", "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
-    MIN_RATE: ("min_rate_hz", "floor in Hz below which the gate does not push the rate"),
+    MIN_RATE: ("min_rate_hz", "floor in Hz; the gate does not lower the rate below it"),
 }
 
 
 class Paced(Protocol):
-    """A publisher as its node's shared half sees it: an AdaptivePublisher."""
+    """An AdaptivePublisher as `NodePublishers` sees it."""
 
     @property
     def topic_name(self) -> str:
@@ -69,31 +69,30 @@ class Paced(Protocol):
 
     @property
     def plan(self) -> TopicPlan:
-        """Settings asked for last."""
+        """Settings requested last."""
 
     @property
     def baseline(self) -> WriterQos:
-        """QoS the application asked for."""
+        """QoS of the application."""
 
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""
 
     def service(self, now_s: float) -> float:
-        """Write what is due; return when to come again (s)."""
+        """Write the samples that are due; return when to call again (s)."""
 
     def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate; None = nobody tells a gate."""
+        """Scale the paced rate; None = no daemon sends a gate."""
 
     def state(self, *, generation: int, lease_s: float) -> PublisherState:
-        """Return what to announce."""
+        """Return the state to announce."""
 
 
 class NodePublishers:
-    """The shared half of all AdaptivePublishers in one node; made by the first of them.
+    """Paces, tunes and announces all AdaptivePublishers of one node; the first of them makes it.
 
-    One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and
-    the gate arrive through the executor, as everything in ROS does, and it is there too that a plan ends whose daemon
-    is silent for longer than it granted: like that no answer of the daemon's can come in between.
+    One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and the
+    gate arrive through the executor. The lease ends there too, so no parameter call can interfere.
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -103,8 +102,8 @@ class NodePublishers:
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._wakeups: Wakeups[Paced] = Wakeups()
         self._suspect_until_s = -math.inf
-        self.finished_s = clock()  # when the pacing thread last finished a round
-        self.quick_from_s = -math.inf  # from then on, whoever offers a sample may write it
+        self.finished_s = clock()  # when the pacing thread last finished a turn
+        self.quick_from_s = -math.inf  # from then on a thread that offers a sample may write it
         self._stopping = False
         self._grant = Grant(
             node,
@@ -128,15 +127,15 @@ class NodePublishers:
 
     @classmethod
     def of(cls, node: Node) -> NodePublishers:
-        """Return the node's tuning, made on first use and kept on the node itself."""
-        tuning = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(tuning, NodePublishers):
-            tuning = cls(node)
-            setattr(node, _ATTRIBUTE, tuning)
-        return tuning
+        """Return the node's own, made on first use and stored on the node."""
+        shared = getattr(node, _ATTRIBUTE, None)
+        if not isinstance(shared, NodePublishers):
+            shared = cls(node)
+            setattr(node, _ATTRIBUTE, shared)
+        return shared
 
     def adopt(self, publisher: Paced) -> None:
-        """Declare the publisher's parameters and start to pace it."""
+        """Declare the publisher's parameters and begin to pace it."""
         topic = publisher.topic_name
         if topic in self._publishers:
             raise ValueError(
@@ -149,7 +148,7 @@ class NodePublishers:
             value = getattr(publisher.plan, field)
             self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
         self._publishers = {**self._publishers, topic: publisher}
-        # Overrides given at the start (--ros-args -p qos_overrides…) are settings like any others.
+        # Overrides given at the start (--ros-args -p qos_overrides…) are in force from the beginning.
         plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
         if plan != publisher.plan:
             publisher.retune(plan)
@@ -165,19 +164,19 @@ class NodePublishers:
                 self._node.undeclare_parameter(name)
 
     def wake(self, publisher: Paced) -> None:
-        """Let the pacing thread visit a publisher at once."""
+        """Let the pacing thread serve a publisher at once."""
         self._wakeups.wake(publisher)
 
     def shun_writing(self, took_s: float) -> None:
-        """Have callers who must not block hand over for a while: writes take long, and all share the link's queue."""
+        """Leave writes of `offer` to the pacing thread for a while: writes block, and all share the link's queue."""
         now_s = self._clock()
-        # A short one alone may be the scheduler's doing; a full link blocks the next one, too.
+        # One short wait may come from the scheduler; a full link blocks the next write too.
         if took_s > _BLOCKED_S or now_s < self._suspect_until_s:
             self.quick_from_s = max(self.quick_from_s, now_s + _SHUN * took_s)
         self._suspect_until_s = now_s + _SHUN * took_s
 
     def stop(self) -> None:
-        """End the pacing thread; its publishers stay as they are."""
+        """End the pacing thread; the publishers stay as they are."""
         self._stopping = True
         self._wakeups.end()
         if threading.current_thread() is not self._thread:
@@ -194,11 +193,11 @@ class NodePublishers:
                     self._expire_gate(now_s)
                     self._announce()
             except InvalidHandle:
-                return  # the application destroyed the node: nothing is left to pace
+                return  # the application destroyed the node
             self._wakeups.wait(min(announce_s, self._wakeups.next_s()) - self._clock())
 
     def _service(self, now_s: float) -> None:
-        """Serve every publisher that is due, whatever happens to another."""
+        """Serve every publisher that is due; one that raises does not stop the others."""
         for publisher in self._wakeups.take_due(now_s):
             if self._publishers.get(publisher.topic_name) is not publisher:
                 continue  # destroyed meanwhile
@@ -208,7 +207,9 @@ class NodePublishers:
                 raise
             except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
                 self._node.get_logger().error(
-                    f"{publisher.topic_name}: {error}", throttle_duration_sec=_COMPLAIN_S, skip_first=False
+                    f"{publisher.topic_name}: pacing or a swap failed: {error}; arpd tries again",
+                    throttle_duration_sec=_WARN_EVERY_S,
+                    skip_first=False,
                 )
                 due_s = now_s + _RETRY_S
             self._wakeups.set(publisher, due_s)
@@ -233,13 +234,13 @@ class NodePublishers:
                 publisher.set_gate(None)
 
     def _expire_plan(self) -> None:
-        """Return every publisher to its application's QoS when the daemon is silent for longer than it granted."""
+        """Return every publisher to its application's QoS when the lease has run out."""
         grant = self._grant
         if grant.generation == 0 or not grant.lease.is_over(self._clock()):
             return
         self._node.get_logger().warning(
-            f"nothing heard of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
-            throttle_duration_sec=_COMPLAIN_S,
+            f"no sign of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
+            throttle_duration_sec=_WARN_EVERY_S,
         )
         parameters = [Parameter(GENERATION_PARAMETER, value=0)]
         for topic, publisher in self._publishers.items():
@@ -249,15 +250,15 @@ class NodePublishers:
                 Parameter(parameter_name(topic, setting), value=getattr(plan, field))
                 for setting, (field, _) in _SETTINGS.items()
             ]
-        generation, grant.generation = grant.generation, 0  # whoever plans next may start anywhere
+        generation, grant.generation = grant.generation, 0  # the next daemon may begin with any generation
         try:
             result = self._node.set_parameters_atomically(parameters)
         except ParameterNotDeclaredException:
             result = SetParametersResult(successful=False, reason="one of them was just destroyed")
         if not result.successful:
-            grant.generation = generation  # and the next second tries again
+            grant.generation = generation  # so that the next call tries again
             self._node.get_logger().error(
-                f"the publishers keep their plan: {result.reason}", throttle_duration_sec=_COMPLAIN_S
+                f"the publishers keep their plan for now: {result.reason}", throttle_duration_sec=_WARN_EVERY_S
             )
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
@@ -274,7 +275,7 @@ class NodePublishers:
             self._publishers[topic].retune(plan)
 
     def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
-        """Turn changed parameters into whole plans per topic; refuse nonsense with a reason."""
+        """Return the plan of each topic with changed parameters; raise ValueError with a reason for a bad value."""
         changes: dict[str, dict[str, Any]] = {}
         for parameter in parameters:
             if parameter.name in self._parameters:
@@ -290,7 +291,7 @@ class NodePublishers:
 
 
 def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: int = 0) -> int | float:
-    """Return a setting that may be; of the declared type, for rclpy refuses any other before it asks."""
+    """Return a valid setting; rclpy has already refused values of another type."""
     if field == "depth":
         return checked_depth(parameter, most_depth)
     if field == "deadline_ns":
@@ -302,10 +303,10 @@ T = TypeVar("T")
 
 
 class Wakeups(Generic[T]):
-    """Due times of those who gave one, and a queue of those who want to be visited at once.
+    """Due times of the publishers, and a queue of those that are due at once.
 
-    Only `wake` and `end` may be called from other threads. Whoever is woken is due at once, and stays so until it is
-    visited: a wake during the visit itself means another one.
+    Only `wake` and `end` may be called from other threads. A publisher that is woken is due until it is taken; one that
+    is woken while it is served is due again.
     """
 
     def __init__(self) -> None:
@@ -313,15 +314,15 @@ class Wakeups(Generic[T]):
         self._woken: SimpleQueue[T | None] = SimpleQueue()
 
     def wake(self, one: T) -> None:
-        """Ask for a visit at once."""
+        """Make one due at once."""
         self._woken.put(one)
 
     def end(self) -> None:
-        """Let `wait` return, for nobody's sake."""
+        """Let `wait` return without waking any."""
         self._woken.put(None)
 
     def wait(self, for_s: float) -> None:
-        """Wait until somebody is woken, or the time is over."""
+        """Wait until one is woken, or the time is over."""
         try:
             woken = self._woken.get(timeout=max(0.0, for_s))
             while True:
@@ -332,17 +333,17 @@ class Wakeups(Generic[T]):
             return
 
     def take_due(self, now_s: float) -> list[T]:
-        """Return who is due; each is forgotten until it is woken, or given a time again."""
+        """Return those that are due, and forget them until they are woken or given a time again."""
         due = [one for one, due_s in self._due_s.items() if due_s <= now_s]
         for one in due:
             del self._due_s[one]
         return due
 
     def set(self, one: T, due_s: float) -> None:
-        """Set when to visit one who was just taken, ``inf`` = not before it is woken (s)."""
+        """Set when one that was just taken is due again, ``inf`` = not before it is woken (s)."""
         if due_s < math.inf:
             self._due_s[one] = due_s
 
     def next_s(self) -> float:
-        """When the next one is due, ``inf`` = nobody (s)."""
+        """Return when the next one is due, ``inf`` = none is (s)."""
         return min(self._due_s.values(), default=math.inf)

@@ -1,4 +1,4 @@
-"""What AdaptiveSubscriptions of one node share: the plan's generation, its lease and the announcement."""
+"""The shared half of one node's AdaptiveSubscriptions: the plan's generation, its lease, and the announcement."""
 
 from __future__ import annotations
 
@@ -28,45 +28,42 @@ if TYPE_CHECKING:
 
     from arpd.model.endpoints import ReaderState
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or writer raises
+InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
 
-_ATTRIBUTE = "_arpd_listening"
+_ATTRIBUTE = "_arpd_subscriptions"
 _ANNOUNCE_S = 1.0
-_CALM = 3  # announcements without a change after which one of so many is enough: most readers live across the link
-_COMPLAIN_S = 5.0
+_CALM = 3  # without news only every third announcement is sent, because most readers live across the link
+_WARN_EVERY_S = 5.0
 
 
 class Announced(Protocol):
-    """A subscription as its node's shared half sees it: an AdaptiveSubscription."""
+    """An AdaptiveSubscription as `NodeSubscriptions` sees it."""
 
     @property
     def topic_name(self) -> str:
         """Fully qualified topic name."""
 
-    def announced(self, *, generation: int, lease_s: float) -> ReaderState:
-        """Return what to announce."""
+    def state(self, *, generation: int, lease_s: float) -> ReaderState:
+        """Return the state to announce."""
 
     def return_to_baseline(self) -> str | None:
-        """Go back to the application's QoS; return why that is refused, None if it is not."""
+        """Request the application's QoS; return why that is refused, None if it is not."""
 
 
 class NodeSubscriptions:
-    """The shared half of all AdaptiveSubscriptions in one node; made by the first of them, and kept on the node.
-
-    It does all its work in the node's executor, which the subscriptions need anyway.
-    """
+    """Tunes and announces all AdaptiveSubscriptions of one node, in its executor; the first of them makes it."""
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
         self._subscriptions: dict[str, Announced] = {}
         self._gate: Any = None
-        self._unchanged = 0  # looks since something was new
+        self._unchanged = 0  # timer calls since the last news
         self._grant = Grant(
             node,
             generation_name=READERS_GENERATION_PARAMETER,
             lease_name=READERS_LEASE_PARAMETER,
-            plan="plan last asked of the readers",
+            plan="plan last requested of the readers",
             whose="readers",
             clock=clock,
         )
@@ -75,18 +72,18 @@ class NodeSubscriptions:
         self._announcer = node.create_publisher(
             DiagnosticArray, READERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
         )
-        # Groups of its own: what the application's callbacks take is not time the daemon should have to guess.
+        # A group of its own, so that the application's callbacks do not delay it.
         self._group = MutuallyExclusiveCallbackGroup()
         node.create_timer(_ANNOUNCE_S, self._serve, self._group, Clock(clock_type=ClockType.STEADY_TIME))
 
     @classmethod
     def of(cls, node: Node) -> NodeSubscriptions:
-        """Return the node's listening, made on first use."""
-        listening = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(listening, NodeSubscriptions):
-            listening = cls(node)
-            setattr(node, _ATTRIBUTE, listening)
-        return listening
+        """Return the node's own, made on first use and stored on the node."""
+        shared = getattr(node, _ATTRIBUTE, None)
+        if not isinstance(shared, NodeSubscriptions):
+            shared = cls(node)
+            setattr(node, _ATTRIBUTE, shared)
+        return shared
 
     def adopt(self, subscription: Announced) -> None:
         """Announce a subscription from now on."""
@@ -100,7 +97,7 @@ class NodeSubscriptions:
         }
 
     def note_news(self) -> None:
-        """Announce at every look for a while: something of a subscription is new."""
+        """Announce every second for a while, because a subscription changed."""
         self._unchanged = 0
 
     def _serve(self) -> None:
@@ -109,7 +106,7 @@ class NodeSubscriptions:
         if not self._subscriptions or (self._unchanged > _CALM and self._unchanged % _CALM):
             return
         states = [
-            subscription.announced(generation=self._grant.generation, lease_s=self._grant.lease.granted_s)
+            subscription.state(generation=self._grant.generation, lease_s=self._grant.lease.granted_s)
             for subscription in self._subscriptions.values()
         ]
         message = DiagnosticArray()
@@ -119,22 +116,22 @@ class NodeSubscriptions:
             self._announcer.publish(message)
 
     def _expire_plan(self) -> None:
-        """Return every reader to its application's QoS when the daemon is silent for longer than it granted.
+        """Return every reader to its application's QoS when the lease has run out.
 
-        A reader is refused that for as long as a writer would lose it; each second asks again.
+        While a writer would lose the reader that is refused, and requested again every second.
         """
         if not self._grant.lease.is_over(self._clock()):
             return
         if self._grant.generation:
             self._node.get_logger().warning(
-                f"nothing heard of arpd for {self._grant.lease.granted_s:g} s: the readers return to their own QoS"
+                f"no sign of arpd for {self._grant.lease.granted_s:g} s: the readers return to their own QoS"
             )
-            self._grant.generation = 0  # whoever plans next may start anywhere
+            self._grant.generation = 0  # the next daemon may begin with any generation
             self._node.set_parameters([Parameter(READERS_GENERATION_PARAMETER, value=0)])
         for subscription in self._subscriptions.values():
             if (refusal := subscription.return_to_baseline()) is not None:
                 self._node.get_logger().info(
-                    f"{subscription.topic_name} keeps its plan: {refusal}", throttle_duration_sec=_COMPLAIN_S
+                    f"{subscription.topic_name} keeps its plan for now: {refusal}", throttle_duration_sec=_WARN_EVERY_S
                 )
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
@@ -147,10 +144,10 @@ class NodeSubscriptions:
     def _apply(self, parameters: Sequence[Any]) -> None:
         self.note_news()
         self._grant.take(parameters)
-        self._listen_for_the_daemon()
+        self._follow_gate()
 
-    def _listen_for_the_daemon(self) -> None:
-        """Hear the gate while there is a lease; without one it would cross the link for nothing."""
+    def _follow_gate(self) -> None:
+        """Subscribe to the gate, as a sign of the daemon, while there is a lease; otherwise spare the link."""
         if self._grant.lease.granted_s > 0 and self._gate is None:
             newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
             self._gate = self._node.create_subscription(

@@ -1,4 +1,4 @@
-"""Applying transitions: one atomic parameter call per node, retried with back-off, never waiting for a slow node."""
+"""Parameter calls that apply transitions: one atomic call per node, repeated with back-off, without waiting."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _TIMEOUT_S = 2.0
-_FIRST_BACKOFF_S = 1.5  # one announcement must have had the time to confirm
+_FIRST_BACKOFF_S = 1.5  # longer than one announcement takes
 _MAX_BACKOFF_S = 12.0
-_MOST_NODES = 500  # clients kept; the one that was asked least lately goes
-_MOST_REASON = 300  # characters of what a node says
-_ACCEPTED_S = 6.0  # what was accepted needs a swap of three to four seconds, and then an announcement
+_MOST_NODES = 500  # clients kept; the one used longest ago goes
+_MOST_REASON = 300  # characters of a node's answer
+_ACCEPTED_S = 6.0  # an accepted call leads to a swap of three to four seconds, and then an announcement
 
 
 @dataclass(slots=True)
@@ -46,19 +46,19 @@ class _Node:
     sent_at_s: float = 0.0
     next_at_s: float = 0.0
     backoff_s: float = _FIRST_BACKOFF_S
-    told: dict[str, TopicPlan | ReaderPlan] = field(default_factory=dict)  # by topic, under this generation
+    sent: dict[str, TopicPlan | ReaderPlan] = field(default_factory=dict)  # by topic, under this generation
 
 
 class ParameterApplier:
-    """Sends transitions and remembers what is under way, per node.
+    """Sends transitions and remembers the calls under way, per node.
 
-    A transition is repeated by the caller at every tick until the node announces its settings; this class decides
-    when to send it again. What a node was not told yet is sent at once, what it did not confirm after a growing
-    back-off. A node's publishers and its readers are told apart, so that what one side refuses never holds the other's.
+    The caller repeats a transition at every tick until the node announces its settings; this class decides when to send
+    it again. A new row is sent at once, an unconfirmed one after a growing back-off. A node's publishers and readers
+    have separate calls, so a refusal of one kind does not hold the other.
 
     Parameters
     ----------
-    node : rclpy node the clients live in; its executor runs the answers' callbacks
+    node : rclpy node of the clients; its executor runs the callbacks of the answers
     """
 
     def __init__(self, node: Any) -> None:
@@ -76,15 +76,15 @@ class ParameterApplier:
         for transition in transitions:
             key = transition.node, bool(transition.readers)
             node = self._nodes.pop(key, None) or self._new(transition.node)
-            self._nodes[key] = node  # the one asked last at the end
+            self._nodes[key] = node  # the one used last at the end
             rows: dict[str, TopicPlan | ReaderPlan] = {**transition.topics, **transition.readers}
             is_newer = transition.generation > node.generation
-            if is_newer or any(node.told.get(topic) != row for topic, row in rows.items()):
-                # Whatever an older call may still answer, the newest plan goes out now.
+            if is_newer or any(node.sent.get(topic) != row for topic, row in rows.items()):
+                # The newest plan goes out now, and the answer of an older call does not matter.
                 self._forget(node)
                 node.generation = transition.generation
                 node.next_at_s, node.backoff_s = now_s, _FIRST_BACKOFF_S
-                node.told = rows if is_newer else {**node.told, **rows}
+                node.sent = rows if is_newer else {**node.sent, **rows}
             self._expire(transition.node, node, now_s)
             if node.future is None and now_s >= node.next_at_s:
                 node.sent_at_s, node.next_at_s = now_s, now_s + node.backoff_s

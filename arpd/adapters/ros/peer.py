@@ -1,4 +1,4 @@
-"""`arpd peer`: the receiver on the CEDDP, reporting what reached it as often as it is asked."""
+"""`arpd peer`: answers probes on the CEDDP, and reports what arrives there."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_LONGEST_S = 59.0  # that a report covers
-_MOST_PROBES_HZ = 1000.0  # packets; a daemon sends ten pings, and trains of 24, a dozen of them a second at most
-_QUIET_S = 5.0  # a daemon sends several probes in this time, whatever the link does
+_LONGEST_S = 59.0  # covered by one report
+_MOST_PROBES_HZ = 1000.0  # packets; a daemon sends ten pings and at most a dozen trains of 24 a second
+_QUIET_S = 5.0  # a daemon sends several probes in this time, in an outage too
 
 
 class Peer:
-    """The peer's node: probes in, reports out.
+    """Receives probes, and sends reports.
 
-    An interface that is gone counts nothing, and delays and trains are reported all the same: they came by some way.
+    While the interface is gone a report has no byte counts; delays and trains that arrived another way are reported.
 
     Parameters
     ----------
     node : rclpy node; a single thread spins it
-    reader : the link interface of this host
-    name : what the peer calls itself
+    reader : reads the link interface of this host
+    name : name of the peer in its reports
     clock : monotonic clock (s)
     """
 
@@ -75,7 +75,7 @@ class Peer:
             refuse=lambda: log.debug("ignored a message that is longer than any probe"),
             calm_hz=_MOST_PROBES_HZ,
         )
-        # Steady time: when this host's clock is set back, reports go on.
+        # Steady time, so that reports continue when this host's clock is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(BUSY_S, self._look, clock=steady)
         self._armed_s = math.inf
@@ -103,7 +103,7 @@ class Peer:
             self._arm(self._schedule.due_s)
 
     def _arm(self, when_s: float) -> None:
-        """Look at that moment, at once if it has passed."""
+        """Call `_look` at that time, or now if it has passed."""
         self._armed_s = when_s
         if (wait_s := when_s - self._clock()) <= 0:
             self._look()
@@ -112,7 +112,7 @@ class Peer:
         self._timer.reset()
 
     def _look(self) -> None:
-        """Report if that is due; look again when it will be."""
+        """Send a report if one is due, and arm the next call."""
         schedule, before = self._schedule, self._counters
         after = self._reader.read() or before
         grown = after.rx_bytes - before.rx_bytes if after and before else 0
@@ -148,13 +148,13 @@ class Peer:
 
 
 class ProbeStatus:
-    """What `systemctl status` shows of a peer: whether a daemon's probes arrive, and since when.
+    """Status line of a peer for `systemctl status`: whether a daemon's probes arrive, and since when.
 
     Parameters
     ----------
-    task : what the peer does, in words
-    tell : told the line at the start and whenever it changes
-    wall_clock : the time of day, in words
+    task : task of the peer, in words
+    tell : called with the line at the start and whenever it changes
+    wall_clock : returns the time of day, in words
     """
 
     def __init__(
@@ -167,22 +167,22 @@ class ProbeStatus:
         self._task = task
         self._tell = tell
         self._wall_clock = wall_clock
-        self._arrive = False
+        self._has_probes = False
         tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
 
     def update(self, *, probed_s: float, now_s: float) -> None:
-        """Compare with when the last probe arrived (s)."""
-        if (arrive := now_s - probed_s < _QUIET_S) == self._arrive:
+        """Update the line from the time of the last probe (s)."""
+        if (has_probes := now_s - probed_s < _QUIET_S) == self._has_probes:
             return
-        self._arrive = arrive
-        self._tell(f"{self._task}; {'probes arrive' if arrive else 'no probes'} since {self._wall_clock()}")
+        self._has_probes = has_probes
+        self._tell(f"{self._task}; {'probes arrive' if has_probes else 'no probes'} since {self._wall_clock()}")
 
 
 def default_name(interface: str) -> str:
-    """Name this host so that no other peer has the same: host name and the end of the interface's Ethernet address.
+    """Return a name that no other peer has: the host name, and the end of the interface's Ethernet address.
 
-    Robots' computers are cloned with their host name and machine id; the address differs, and it stays the same when
-    the peer is restarted, so that the daemon knows it again.
+    Cloned computers have the same host name and machine id, but different addresses. The name is the same after a
+    restart of the peer, so the daemon recognises it.
     """
     return "-".join(part for part in (platform.node(), hardware_address(interface)[-4:]) if part) or "peer"
 
@@ -193,19 +193,19 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
     Parameters
     ----------
     interface : link interface on this host, or ``auto``
-    name : what the peer calls itself in reports; by default the host name and the end of the interface's address
+    name : name of the peer in its reports; `default_name` when None
 
     Raises
     ------
     LinkError
-        If another process would be heard over the link, and this one is not.
+        If only a new process can use the link's address.
     """
     configure_logging(log_level, name="arpd-peer")
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
     reader = InterfaceReader(interface)
-    reader.read()  # finds what ``auto`` stands for
+    reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
     addresses = Addresses(lambda: reader.name)
     with control_node("arpd_peer") as node:

@@ -1,4 +1,4 @@
-"""Wire format of probes and of the peer's receiver reports: small, versioned, checked on arrival."""
+"""Wire format of probes and of peers' reports: small, versioned, checked on arrival."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.model.probing import PeerReport, Train
 
 _PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
-# Version, number of delays and of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
+# Version, number of delays, number of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
 _REPORT = struct.Struct("<BBBBfIII")
-_PACKETS = struct.Struct("<I")  # of probes before the last one; since version 3
+_PACKETS = struct.Struct("<I")  # packets of the probes before the last one; since version 3
 _DELAY = struct.Struct("<d")
 _TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
 _PROBE_VERSION = 1
@@ -22,8 +22,8 @@ _REPORT_VERSION = 3
 _REPORT_WITHOUT_PACKETS = 2  # the version before
 _MOST = 32  # delays or trains in one report
 _MOST_NAME = 64  # bytes
-_MOST_INTERVAL_S = 60.0  # longer is no interval that one report covers
-_MOST_DELAY_S = 1e10  # two clocks are no further apart, be one of them at the beginning of time
+_MOST_INTERVAL_S = 60.0  # no report covers a longer one
+_MOST_DELAY_S = 1e10  # two clocks differ by less, even when one of them was never set
 _MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its benchmark a hundred
 _MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
 MOST_REPORT_BYTES = 1024  # of a serialized report
@@ -36,8 +36,8 @@ class ProbeHeader:
 
     Parameters
     ----------
-    train, index, packets : its number, the packet's place in it, and how many there are
-    quiet_s : how long reports may be apart (s)
+    train, index, packets : number of the train, place of the packet in it, and number of its packets
+    quiet_s : longest time between two reports that the daemon wants (s)
     """
 
     train: int
@@ -54,19 +54,19 @@ def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
 
 
 def decode_probe(data: bytes) -> ProbeHeader:
-    """Read a probe packet from the bytes of its message; raises ValueError if it is none of ours."""
+    """Decode a probe packet from the bytes of its message; raise ValueError if it is none."""
     if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
         raise ValueError("not a probe of this version")
     _, quiet, index, packets, train = _PROBE.unpack_from(data)
     if not index < packets <= _MOST_PACKETS:
-        raise ValueError(f"probe {index} of a train of {packets}; at most {_MOST_PACKETS} are one")
+        raise ValueError(f"probe {index} of a train of {packets}; at most {_MOST_PACKETS} are allowed")
     return ProbeHeader(train=train, index=index, packets=packets, quiet_s=quiet / 100)
 
 
 def encode_report(report: PeerReport) -> Any:
-    """Make the message of one receiver report: 32 bytes and the name, with one delay; 14 more with a train."""
+    """Make the message of one report: 32 bytes and the name, with one delay; 14 more with a train."""
     delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
-    # Cut like this, a name of more bytes keeps its whole characters.
+    # A name that is too long is cut between two characters.
     name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
     head = _REPORT.pack(
         _REPORT_VERSION,
@@ -88,17 +88,17 @@ def encode_report(report: PeerReport) -> Any:
 
 
 def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | None = None) -> PeerReport:
-    """Read a receiver report from the bytes of its message, of this version or of the one before.
+    """Decode a report of this version or the one before from the bytes of its message.
 
     Parameters
     ----------
-    received_at_s : daemon's monotonic clock (s)
+    received_at_s : the daemon's monotonic clock (s)
     return_delay_s : received minus sent, by the time stamps of its MessageInfo, from two different clocks (s)
 
     Raises
     ------
     ValueError
-        If it is malformed or says something impossible.
+        If it is malformed, or its values are impossible.
     """
     if not data or data[0] not in (_REPORT_WITHOUT_PACKETS, _REPORT_VERSION):
         raise ValueError("not a peer report of a version known here")
@@ -117,7 +117,7 @@ def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | 
         for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
     )
     peer = data[name_at:delays_at].decode(errors="replace")
-    # Written so that what is no number fails, too.
+    # Written so that NaN fails too.
     is_possible = (
         0 < interval_s < _MOST_INTERVAL_S
         and all(abs(delay) < _MOST_DELAY_S for delay in delays)

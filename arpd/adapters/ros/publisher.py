@@ -42,32 +42,32 @@ if TYPE_CHECKING:
     from arpd.apply.endpoint.writer_swap import SwapTiming
     from arpd.model.plan import TopicPlan
 
-_LATCHED = "is TRANSIENT_LOCAL: a new writer would not hold what late joiners need; swap_transient_local=True lets it"
+_LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
 _FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
 
 
 class AdaptivePublisher:
     """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
 
-    Until somebody sets its parameters it behaves as the plain publisher would: unpaced, with the QoS asked for. It may
-    be used from any thread, under any executor; time is a monotonic clock's, with ``use_sim_time`` or without.
+    Until its parameters are set it behaves as a plain publisher: unpaced, with the application's QoS. It works from any
+    thread and under any executor. It uses a monotonic clock, with ``use_sim_time`` too.
 
     Parameters
     ----------
     node : node it lives in; its executor must spin for parameters and the gate to work
     msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
-    event_callbacks : as in `Node.create_publisher`; they hear of the writer in force only, never of the one a swap
-        prepares or retires, and counts in the events begin anew with every swap
-    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need no mention, and stay writable
-    overflow : what gives way when samples come faster than the paced rate
-    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first gets the samples the old
-        one held, for readers to come; readers that are there see those twice. False = pace such a topic only
+    event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
+        swap prepares or retires; the counts in the events start again with every swap
+    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named, and stay writable
+    overflow : which samples are dropped when they come faster than the paced rate
+    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
+        old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
     swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
 
     Notes
     -----
-    ``publisher_class`` of `Node.create_publisher` has no equivalent: a swap would lose what another class keeps in it,
-    as a lifecycle publisher keeps whether it is active.
+    ``publisher_class`` of `Node.create_publisher` is not supported: a swap would lose the state of such an object, for
+    example whether a lifecycle publisher is active.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class AdaptivePublisher:
     ) -> None:
         self.msg_type = msg_type
         self.topic = topic
-        # A copy: what the application does with its profile afterwards must not show in the next writer.
+        # A copy, so that later changes of the application's profile do not reach the next writer.
         self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
         self._node = node
         self._callback_group = callback_group
@@ -100,11 +100,11 @@ class AdaptivePublisher:
         self._swap_transient_local = swap_transient_local
         self._rmw = current_rmw()
         self._overrides = without_ours(qos_overriding_options)
-        # The lock guards the flow's state for moments only; who writes, or swaps writers, holds ``_writing`` around it.
+        # A thread holds the lock for short looks at the flow only; to write, or to swap, it first takes ``_writing``.
         self._lock = threading.RLock()
         self._writing = threading.RLock()
         self._clock = clock
-        self._visit_s = math.inf  # the pacing thread comes no later than this
+        self._wakeup_s = math.inf  # the pacing thread serves this publisher by then
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._flow = Flow(
             create=self._create_writer,
@@ -114,11 +114,11 @@ class AdaptivePublisher:
             on_swap=self._on_swap,
             timing=swap_timing,
         )
-        self._overrides = None  # they are part of the profile by now, and rclpy declares each only once
+        self._overrides = None  # now part of the profile; rclpy declares each only once
         if self._is_latched and swap_transient_local:
             self._flow.keep_history()
         self._refusal = self._clamp = NO_REFUSAL
-        self._refusals = 0  # readers that refused, as far as the application was warned
+        self._refusals = 0  # readers that refused and that a warning named
         self._resolved = str(self._writer.publisher.topic_name)
         self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
@@ -129,7 +129,7 @@ class AdaptivePublisher:
             self._flow.close()  # a refused publisher must not leave a live writer behind
             raise
 
-    # -- what rclpy.publisher.Publisher offers
+    # -- the interface of rclpy.publisher.Publisher
 
     @property
     def topic_name(self) -> str:
@@ -138,7 +138,7 @@ class AdaptivePublisher:
 
     @property
     def handle(self) -> Any:
-        """Handle of the writer in force; a swap replaces it, so do not keep it."""
+        """Handle of the writer in force; a swap replaces it, so do not store it."""
         return self._writer.publisher.handle
 
     @property
@@ -152,9 +152,9 @@ class AdaptivePublisher:
         return str(self._writer.publisher.logger_name)
 
     def publish(self, msg: Any) -> None:
-        """Publish a message, now or when pacing lets it.
+        """Publish a message, now or when pacing allows it.
 
-        The message is serialized at once: changing it afterwards changes nothing that was published.
+        The message is serialized at once, so later changes to it have no effect.
 
         Parameters
         ----------
@@ -172,10 +172,10 @@ class AdaptivePublisher:
             self._drain()
 
     def offer(self, msg: Any) -> None:
-        """Publish without waiting for another write, and without writing where writers block at present.
+        """Publish without waiting for another write; while writers block, leave the write to the pacing thread.
 
-        For a caller that serves many topics, as the relay does: while the link's queue is full, a writer blocks, and
-        what comes meanwhile is conflated here instead of growing old, or getting lost, further up.
+        For a caller that serves many topics, such as the relay. A writer blocks while the link's queue is full. Samples
+        that come meanwhile are conflated here, before they grow old or are lost upstream.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ class AdaptivePublisher:
             finally:
                 self._writing.release()
         else:
-            with self._lock:  # not for every sample: to hand it to the pacing thread costs more than the sample itself
+            with self._lock:  # not the usual way: waking the pacing thread costs more than the sample itself
                 self._flow.offer(sample)
             self._leave_rest()
 
@@ -208,72 +208,72 @@ class AdaptivePublisher:
             self._writer.publisher.assert_liveliness()
 
     def wait_for_all_acked(self, timeout: Any = None) -> bool:
-        """Wait until the writer in force is fully acknowledged, as rclpy does; paced samples are not yet written."""
+        """Wait until the writer in force is fully acknowledged, as rclpy does; samples that wait do not count."""
         return self._writer.wait_for_all_acked(timeout)
 
     def destroy(self) -> None:
-        """Destroy the publisher and everything a swap may have in flight."""
+        """Destroy the publisher and all its writers."""
         self._shared.release(self)
         with self._writing, self._lock:
             self._flow.close()
 
-    # -- what makes it adaptive
+    # -- re-tuning
 
     @property
     def plan(self) -> TopicPlan:
-        """Settings last asked for."""
+        """Settings requested last."""
         return self._flow.plan
 
     @property
     def baseline(self) -> WriterQos:
-        """QoS the application asked for at creation."""
+        """QoS of the application at creation."""
         return self._baseline
 
     def retune(self, plan: TopicPlan) -> None:
-        """Take new settings: pacing changes now, depth and deadline by a swap behind the scenes.
+        """Take new settings: pacing changes now, depth and deadline by a swap.
 
         Parameters
         ----------
-        plan : settings to run with; an offered deadline longer than a reader requests is clamped to that request,
-            because the reader would silently disconnect (docs/design.md, DDS facts)
+        plan : new settings; a deadline longer than a reader requests is clamped to that request, because the reader
+            would silently disconnect (docs/design.md, DDS facts)
         """
         requested_ns = self._requests.tightest_ns()
         is_clamped = not keeps_its_readers(plan, requested_ns)
-        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to the {requested_ns} ns a reader requests")
-        depth = self._baseline.depth if self._keeps_all else plan.depth  # another would be a new writer for nothing
+        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to {requested_ns} ns, the shortest a reader requests")
+        depth = self._baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
         qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
         with self._lock:
             self._clamp = clamp if is_clamped else NO_REFUSAL
             is_fixed = self._is_latched and not self._swap_transient_local
             if qos == self._flow.qos:
-                self._refusal = NO_REFUSAL  # nothing is refused any more
+                self._refusal = NO_REFUSAL
             elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
                 self._refusal, qos = refusal, self._flow.qos
             self._flow.retune(plan, qos=qos)
         self._shared.wake(self)
 
     def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is heard, and the gate open."""
+        """Scale the paced rate, not below its floor; None = no daemon is there, and the gate is open."""
         with self._lock:
             self._flow.set_gate(gate)
-        self._leave_rest()  # it may now leave sooner
+        self._leave_rest()  # samples may now leave sooner
 
     def service(self, now_s: float) -> float:
-        """Do what is due, a step of the swap or samples whose time has come; return when to be called again (s)."""
+        """Take a step of the swap and write the samples that are due; return when to call again (s)."""
         if not self._writing.acquire(blocking=False):
-            return now_s + 0.001  # the application is inside publish(); never queue the others behind it
+            return now_s + 0.001  # the application is inside publish(); do not let the other topics wait for it
         try:
             with self._lock:
                 self._flow.step(now_s)
             self._drain()
             with self._lock:
-                self._visit_s = self._flow.due_s(now_s)
-                return self._visit_s
+                self._wakeup_s = self._flow.due_s(now_s)
+                return self._wakeup_s
         finally:
             self._writing.release()
 
     def state(self, *, generation: int, lease_s: float = 0.0) -> PublisherState:
-        """Picture of what is in force, for the announcement; called about once a second."""
+        """Return the settings in force, for the announcement; called about once a second."""
         with self._lock:
             flow, refusal = self._flow.state(), self._refusal if self._refusal.words else self._clamp
             self._warn_of_refusals()
@@ -300,18 +300,18 @@ class AdaptivePublisher:
         raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
 
     def _warn_of_refusals(self) -> None:
-        """Say what rclpy's default callback says when a reader refuses the offered QoS."""
+        """Warn as rclpy's default callback does when a reader refuses the offered QoS."""
         if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
-            return  # the application listens itself; a look here would take the event from it
+            return  # the application has its own callback; reading the count would take the event from it
         if (refusals := self._writer.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
-                f"{self._resolved}: a subscription requests incompatible QoS and gets nothing; "
+                f"{self._resolved}: a subscription requests incompatible QoS and receives nothing; "
                 f"last incompatible policy: {self._writer.refused_policy}"
             )
 
     def _drain(self) -> None:
-        """Write all that may leave; the caller holds ``_writing``, so that samples keep their order."""
+        """Write all samples that may leave; the caller holds ``_writing``, so that they keep their order."""
         before_s = self._clock()
         is_waiting = True
         try:
@@ -324,20 +324,20 @@ class AdaptivePublisher:
                 if sample is None:
                     break
                 self._flow.write(sample)
-                is_waiting = self._flow.is_waiting  # what is offered after this look, another thread sees to
-        finally:  # whatever a write raised, what waits behind it is not forgotten
+                is_waiting = self._flow.is_waiting  # a thread that offers a sample later serves it itself
+        finally:  # also when a write raised: the samples behind it must still leave
             if is_waiting:
                 self._leave_rest()
             if (took_s := self._clock() - before_s) > QUICK_S:
                 self._shared.shun_writing(took_s)
 
     def _leave_rest(self) -> None:
-        """Let the pacing thread come for what still waits, unless it comes in time anyway."""
+        """Wake the pacing thread for the samples that wait, unless it comes in time anyway."""
         with self._lock:
             due_s = self._flow.due_s(self._clock())
-            if due_s >= self._visit_s:
+            if due_s >= self._wakeup_s:
                 return
-            self._visit_s = due_s
+            self._wakeup_s = due_s
         self._shared.wake(self)
 
     @property
@@ -377,17 +377,17 @@ class AdaptivePublisher:
 
     def _is_current(self, writer: RosWriter) -> bool:
         flow = getattr(self, "_flow", None)
-        return flow is None or flow.writer is writer  # while the flow is being made there is only the first
+        return flow is None or flow.writer is writer  # inside Flow's constructor there is only the first writer
 
     def _lost_to(self, qos: WriterQos) -> list[str]:
-        """Name the readers that the writer in force serves and one with these settings would not."""
+        """Name the readers that the writer in force serves and a writer with this QoS would not."""
         return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
-            words = f"swap of {self._resolved}: {self._reason(result, qos)}"
+            words = f"writer swap of {self._resolved} failed: {self._reason(result, qos)}; the old writer stays"
             self._refusal = Refusal(RefusalReason(result.value), words)
             self._node.get_logger().warning(words)
 

@@ -1,4 +1,4 @@
-"""How messages from the network come in: as they are, in bounded size, and so that a flood does not keep us busy."""
+"""Messages from the network as bytes, of bounded size, and without letting a flood take the processor."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
 _MOST_AT_ONCE = 1000
-_CALM_HZ = 200.0  # messages that need no pause; a hundred nodes and two peers say as many
+_CALM_HZ = 200.0  # messages of a hundred nodes and two peers; more is a flood
 _FLOOD_S = 3.0
-_PAUSE_S, _WORK_S = 0.02, 0.005  # in a flood, by turns
+_PAUSE_S, _WORK_S = 0.02, 0.005  # alternate in a flood
 _ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 
 
 class Pause:
-    """Gives the rest of the process its time while there is a flood, on however many topics.
+    """Leaves time to the other threads during a flood; all subscriptions of an executor share one.
 
     Parameters
     ----------
@@ -47,27 +47,26 @@ class Pause:
         self._ended_s = -math.inf
 
     def take(self) -> None:
-        """Wait, unless somebody has just waited."""
+        """Wait, unless another subscription has just waited."""
         if self._clock() - self._ended_s >= _WORK_S:
             self._sleep(_PAUSE_S)
             self._ended_s = self._clock()
 
 
 class RawSubscription:
-    """Receives one topic serialized, so that what is refused is never decoded.
+    """Receives one topic serialized, so that refused messages are never decoded.
 
-    An executor takes up to a millisecond for each message, so that 500 a second would leave it time for nothing else.
-    So whatever waits is taken together, 10 us each, and while there is a flood the executor rests most of the time.
+    An executor takes up to a millisecond per message, so 500 a second would leave it no time for anything else. This
+    class takes all waiting messages together, at 10 us each, and in a flood the executor rests most of the time.
 
     Parameters
     ----------
-    node : rclpy node; somebody else spins it
-    msg_type, topic, qos : what is received
+    node : rclpy node; its owner spins it
     most_bytes : size above which a message is refused
     take : called with every message, serialized, and its MessageInfo
-    refuse : called instead for one that is too long
-    pause : taken in a flood; shared by the intakes of one executor
-    calm_hz : messages a second, and at once, that are no flood
+    refuse : called instead when a message is too long
+    pause : taken in a flood; shared by the raw subscriptions of one executor
+    calm_hz : most messages a second, and at once, that are no flood
     clock : monotonic clock (s)
     """
 
@@ -100,14 +99,14 @@ class RawSubscription:
 
     @property
     def is_flooded(self) -> bool:
-        """Whether more arrives, or did just now, than honest ones say: some of theirs may be lost."""
+        """True during a flood and shortly after: some honest messages may be lost."""
         return self._clock() < self._flooded_until_s
 
     def _on_message(self, data: bytes, info: Any) -> None:
         waiting: tuple[bytes, Any] | None = data, info
         taken, now_s = 0, self._clock()
         while waiting is not None:
-            self._look_at(*waiting)
+            self._receive(*waiting)
             taken += 1
             if not self._calm.take(now_s):
                 self._flooded_until_s = now_s + _FLOOD_S
@@ -117,15 +116,15 @@ class RawSubscription:
 
     def _waiting(self) -> tuple[bytes, Any] | None:
         if self._subscription is None:
-            return None  # the first message was quicker than the constructor
+            return None  # the first message arrived before the constructor was done
         try:
             with self._subscription.handle:
-                taken = self._subscription.handle.take_message(self._msg_type, True)  # noqa: FBT003 - whether it stays serialized
+                taken = self._subscription.handle.take_message(self._msg_type, True)  # noqa: FBT003 - rclpy's "raw"
         except InvalidHandle:
             return None
         return None if taken is None else (taken[0], taken[1])
 
-    def _look_at(self, data: bytes, info: Any) -> None:
+    def _receive(self, data: bytes, info: Any) -> None:
         if len(data) > self._most_bytes:
             self._refuse()
         else:
@@ -133,14 +132,14 @@ class RawSubscription:
 
 
 def peek(data: bytes) -> tuple[str, int]:
-    """Return the name of the first status in a serialized DiagnosticArray, and how many it has.
+    """Return the name of the first status in a serialized DiagnosticArray, and the number of statuses.
 
-    That takes 3 µs, and decoding a message of ten statuses a hundred times that.
+    It takes 3 µs; decoding a message of ten statuses takes a hundred times that.
 
     Raises
     ------
     ValueError
-        If it is none, or an empty one.
+        If the bytes are no DiagnosticArray, or an empty one.
     """
     try:
         order = _ORDER[data[1]]
@@ -156,12 +155,12 @@ def peek(data: bytes) -> tuple[str, int]:
 
 
 def octets(data: bytes) -> bytes:
-    """Return what a serialized UInt8MultiArray holds, as long as it has no dimensions; arpd's have none.
+    """Return the content of a serialized UInt8MultiArray without dimensions; arpd's have none.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If the bytes are no such array.
     """
     try:
         dimensions, _offset, size = struct.unpack_from(_ORDER[data[1]] + "III", data, 4)
@@ -200,14 +199,14 @@ class RefusedMessages:
             return MappingProxyType(self._refusals.counts)
 
     def note(self, kind: MessageKind, reason: MessageRefusal, words: str, *, source: str = "") -> None:
-        """Count a refusal, and say it if it is news.
+        """Count a refusal, and log it once a minute per source.
 
         Parameters
         ----------
-        words : what was refused, and why
-        source : who said it, empty = not known
+        words : the refused message and the reason
+        source : its sender, empty = not known
         """
         with self._lock:
             is_news = self._refusals.note(kind, reason, source, self._clock())
         if is_news:
-            log.warning("ignored, and said once a minute: %s", words)
+            log.warning("ignored (logged once a minute): %s", words)

@@ -1,4 +1,4 @@
-"""`arpd relay`: carries topics of nodes whose code is not yours through AdaptivePublishers."""
+"""`arpd relay`: republishes topics of nodes whose code is not yours through AdaptivePublishers."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _DISCOVER_S = 0.5
-_EVERY_LOOK = 10  # one in so many looks at a topic is a whole one, whatever its endpoints' number says
-_KEEP_LOOKS = 20  # 10 s: a source that restarts is heard at once, and no circle is kept up by one that never comes
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # how the graph names a node it has not heard of yet
-_RECEIVE_DEPTH = 100  # on-host, so this only bridges the relay's own scheduling
+_EVERY_LOOK = 10  # every tenth look at a topic reads its endpoints, even when their number is unchanged
+_KEEP_LOOKS = 20  # 10 s: enough for a source to restart, and an end for a loop whose source never comes
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
+_RECEIVE_DEPTH = 100  # within the host, so this only bridges the relay's own scheduling
 
 
 class UnknownTypeError(Exception):
@@ -61,15 +61,15 @@ def message_class(type_name: str) -> Any:
 class Relay:
     """Subscribes raw to each configured topic and republishes it, unchanged, under the prefix.
 
-    The graph decides, at every look anew: a topic is carried once somebody publishes it, its reader follows the weakest
-    writer, and a topic that returns with another type is carried as that. What cannot be carried is named, and the
-    other topics go on. Most looks at a topic that is settled only count its endpoints.
+    It looks at the graph again and again. A topic is carried once it has a publisher; its reader follows the weakest
+    writer; a topic that returns with another type is carried with that type. A topic that cannot be carried is named,
+    and the others go on. Most looks at a settled topic only count its endpoints.
 
     Parameters
     ----------
     node : rclpy node it lives in
     settings : topics and prefix
-    on_change : told in words what is relayed, at the start and whenever it changes
+    on_change : called with the status line at the start and whenever it changes
     """
 
     def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
@@ -82,10 +82,10 @@ class Relay:
         self._refused: dict[str, str] = {}
         self._failed: dict[str, str] = {}  # topic → type that could not be carried
         self._looks = 0
-        self._silent = dict.fromkeys(settings.topics, 0)  # topic → looks since somebody published it
-        self._once: set[str] = set()  # topics that were carried at some time
+        self._silent = dict.fromkeys(settings.topics, 0)  # topic → looks since it had a publisher
+        self._once: set[str] = set()  # topics that were carried before
         self._inputs = {topic: node.resolve_topic_name(topic) for topic in settings.topics}  # counting does not remap
-        self._outputs: dict[str, str] = {}  # topic → what it is carried to
+        self._outputs: dict[str, str] = {}  # topic → name it is republished under
         for topic in settings.topics:
             output = str(node.resolve_topic_name(settings.prefix + topic))
             if refusal := own_output(topic, prefix=settings.prefix, output=output):
@@ -94,19 +94,19 @@ class Relay:
                 self._outputs[topic] = output
         self._status = self.status_line()
         on_change(self._status)
-        # Steady time: a simulation that stands still must not stop the relay from following the graph.
+        # Steady time, so that a paused simulation does not stop the relay from following the graph.
         node.create_timer(_DISCOVER_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def status_line(self) -> str:
-        """One line a human can read, for ``systemctl status``."""
+        """Return one line for ``systemctl status``."""
         topics = self._settings.topics
         flowing = sum(topic not in self._silent for topic in self._carried)
         line = f"relaying {flowing} of {len(topics)} topics"
         silent = [topic for topic in topics if topic in self._silent and topic not in self._refused]
         if new := [topic for topic in silent if topic not in self._once]:
-            line += f"; nobody publishes {', '.join(new)} yet"
+            line += f"; not published yet: {', '.join(new)}"
         if gone := [topic for topic in silent if topic in self._once]:
-            line += f"; nobody publishes {', '.join(gone)} any more"
+            line += f"; no longer published: {', '.join(gone)}"
         for topic, reason in sorted(self._refused.items()):
             line += f"; refused {topic}: {reason}"
         for topic, carried in sorted(self._carried.items()):
@@ -116,16 +116,16 @@ class Relay:
 
     def _discover(self) -> None:
         self._looks += 1
-        for place, (topic, output) in enumerate(self._outputs.items()):
-            # To read all endpoints of 100 topics twice a second would cost what relaying 100 messages costs.
-            if (self._looks + place) % _EVERY_LOOK == 0 or not self._is_settled(topic):
+        for number, (topic, output) in enumerate(self._outputs.items()):
+            # Reading all endpoints of 100 topics twice a second would cost as much as relaying 100 messages.
+            if (self._looks + number) % _EVERY_LOOK == 0 or not self._is_settled(topic):
                 self._look(topic, output)
         if (status := self.status_line()) != self._status:
             self._status = status
             self._on_change(status)
 
     def _is_settled(self, topic: str) -> bool:
-        """Whether the topic is carried as its last whole look wanted it, and has as many endpoints as then."""
+        """Return whether the topic is carried as chosen, and has as many endpoints as when they were last read."""
         carried = self._carried.get(topic)
         return (
             carried is not None
@@ -135,14 +135,14 @@ class Relay:
         )
 
     def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int]:
-        """Count the topic's writers, and the readers of what it is carried to."""
-        with self._node.handle:  # Node.count_publishers would check a name that was checked at the start
+        """Count the topic's writers, and the readers of its output."""
+        with self._node.handle:  # Node.count_publishers would check the name again
             sources = self._node.handle.get_count_publishers(self._inputs[topic])
         return sources, 0 if carried is None else carried.publisher.get_subscription_count()
 
     def _look(self, topic: str, output: str) -> None:
         carried = self._carried.get(topic)
-        endpoints = self._endpoints(topic, carried)  # first: what comes from here on is another number at the next look
+        endpoints = self._endpoints(topic, carried)  # first: endpoints that come later change the next count
         sources = [_source(info) for info in self._node.get_publishers_info_by_topic(topic)]
         readers = {node_name_of(info) for info in self._node.get_subscriptions_info_by_topic(output)}
         unknown = {name for name in (*readers, *(source.node for source in sources)) if _UNKNOWN in name}
@@ -166,7 +166,7 @@ class Relay:
             carried.settled_with = endpoints if carried.is_followed and not unknown else None
 
     def _rest(self, topic: str) -> None:
-        """Let a topic that nobody publishes wait for its source, and end it when that does not return."""
+        """Keep a topic without a publisher for a while, in case its source returns, then drop it."""
         self._silent[topic] = self._silent.get(topic, 0) + 1
         self._refused.pop(topic, None)
         self._failed.pop(topic, None)
@@ -174,12 +174,12 @@ class Relay:
             self._drop(topic)
 
     def _follow(self, topic: str, route: Route) -> None:
-        """Carry the topic by this route, whatever it was carried by before."""
+        """Carry the topic by this route, regardless of its previous one."""
         carried = self._carried.get(topic)
         if carried is not None and carried.route.type_name != route.type_name:
             log.info("%s returned as %s; it was %s", topic, route.type_name, carried.route.type_name)
             self._drop(topic)
-            # The next look carries it. With the new writer at once, 4 of 27 runs left a far reader unmatched for good.
+            # The next look carries it. With a new writer at once, a far reader never matched in 4 of 27 runs.
             return
         try:
             if carried is None:
@@ -189,17 +189,17 @@ class Relay:
             else:
                 carried.follow(route)
         except UnknownTypeError as error:
-            self._failed[topic] = route.type_name  # importing is not tried again before the type changes
+            self._failed[topic] = route.type_name  # not imported again before the type changes
             self._refuse(topic, str(error))
         except (RuntimeError, ValueError) as error:
-            self._refuse(topic, f"the middleware says: {error}")  # and the next look tries again
+            self._refuse(topic, f"the middleware says: {error}")  # the next look tries again
         else:
             self._refused.pop(topic, None)
             self._failed.pop(topic, None)
 
     def _refuse(self, topic: str, reason: str) -> None:
         if self._refused.get(topic) != reason:
-            log.error("cannot relay %s: %s; the other topics go on", topic, reason)
+            log.error("cannot relay %s: %s; the other topics are not affected", topic, reason)
         self._refused[topic] = reason
 
     def _drop(self, topic: str) -> None:
@@ -233,28 +233,28 @@ class Relay:
                 raw=True,
             )
         except Exception:
-            publisher.destroy()  # half a route would announce a topic that never carries anything
+            publisher.destroy()  # without its reader it would announce a topic that never has samples
             raise
         return _Carried(route=route, publisher=publisher, subscription=subscription)
 
 
 @dataclass(slots=True)
 class _Carried:
-    """One topic under way: the reader it comes in by and the writer it leaves by."""
+    """A topic that is relayed: its subscription and its publisher."""
 
     route: Route
     publisher: AdaptivePublisher
     subscription: AdaptiveSubscription
-    settled_with: tuple[int, int] | None = None  # the endpoints there were when nothing was left to do
+    settled_with: tuple[int, int] | None = None  # number of endpoints when nothing was left to do
 
     @property
     def is_followed(self) -> bool:
-        """Whether nothing is left to do for the route: its reader is in force, and nobody is ignored."""
+        """True when the reader has the QoS of the route, and no writer is ignored."""
         return self._wanted(self.route) == self.subscription.qos and not self.route.ignored
 
     def follow(self, route: Route) -> None:
-        """Let the reader follow the weakest writer, losing and doubling nothing."""
-        # Compared with what is in force, not with what was asked for: a handover that failed is tried again.
+        """Let the reader follow the weakest writer, without losing or doubling a sample."""
+        # Compared with the QoS in force, not with the requested one, so that a failed swap is tried again.
         qos = self._wanted(route)
         if qos != self.subscription.qos:
             self.subscription.renew(qos)
@@ -292,8 +292,8 @@ def _source(info: Any) -> TopicWriter:
 def best_executor(context: Any = None) -> Any:
     """Return the executor with the lowest cost per message that works here.
 
-    EventsExecutor costs a sixth of SingleThreadedExecutor's CPU per message, but it is experimental: it must deliver
-    a message to itself before it is trusted.
+    EventsExecutor takes a sixth of SingleThreadedExecutor's CPU time per message. It is experimental, so it must first
+    deliver a message here.
     """
     import rclpy  # noqa: PLC0415 - ROS is checked in ros_node
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
@@ -326,7 +326,7 @@ def best_executor(context: Any = None) -> Any:
 
 
 def default_node_name(host: str) -> str:
-    """Return a node name of this host's own: two relays of one name would receive each other's parameters."""
+    """Return a node name with this host's name: two relays of one name would receive each other's parameters."""
     return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
 
 
@@ -341,7 +341,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     Raises
     ------
     LinkError
-        If another process would be heard over the link, and this one is not.
+        If only a new process can use the link's address.
     """
     configure_logging(log_level, name="arpd-relay")
     settings = load_settings(config_path, interfaces=None)
@@ -356,8 +356,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
         Relay(node, settings.relay, on_change=notifier.status)
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415 - ROS is checked in ros_node
 
-        tuning = NodePublishers.of(node)
-        heartbeat = Watchdog(notifier, parts=[lambda: tuning.finished_s])
+        publishers = NodePublishers.of(node)
+        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s])
         notifier.ready()
         serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
         notifier.stopping()

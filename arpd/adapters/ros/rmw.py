@@ -1,4 +1,4 @@
-"""Which middleware ROS runs on here, and what arpd may do with it."""
+"""The middleware that ROS runs on here, and the actions arpd may take on it."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from arpd.model.endpoints import Refusal, RefusalReason
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-# Both are Fast DDS: its profile shortens heartbeats, its GUIDs tell hosts apart, its readers number samples.
+# Both are Fast DDS: its profile shortens heartbeats, its GUIDs name hosts, and its readers number samples.
 _FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rmw:
-    """A middleware and what was measured of it.
+    """A middleware, with its measured abilities.
 
     Parameters
     ----------
     name : its identifier, as in RMW_IMPLEMENTATION
-    can_swap : whether writers and readers may be replaced live: acknowledgements come fast enough to wait for them,
-        and samples carry the sequence number that tells doubles apart
-    tells_hosts : whether an endpoint's GID carries its host in bytes 2-3 . Not under DDS Security: there
-        Fast DDS puts a hash of the certificate's subject, the enclave, into bytes 0-5
+    can_swap : whether writers and readers may be replaced live: acknowledgements come quickly, and samples have
+        sequence numbers that show duplicates
+    tells_hosts : whether bytes 2 and 3 of an endpoint's GID name its host. Under DDS Security they do not: bytes 0 to 5
+        are a hash of the certificate's subject, the enclave
     """
 
     name: str
@@ -34,24 +34,24 @@ class Rmw:
 
     @property
     def refusal(self) -> str:
-        """Why depth and deadline stay as they are, empty when they need not."""
+        """Reason why depth and deadline are never changed; empty if they are."""
         if self.can_swap:
             return ""
         return f"{self.name} is paced and gated only: QoS swaps were measured on Fast DDS alone"
 
 
 def rmw_of(name: str) -> Rmw:
-    """Return what is known of a middleware, by its identifier; nothing is assumed of one that was never measured."""
+    """Return a middleware by its identifier; one that was never measured has no abilities."""
     is_fast_dds = name in _FAST_DDS
     return Rmw(name=name, can_swap=is_fast_dds, tells_hosts=is_fast_dds)
 
 
 def lasting_refusal(rmw: Rmw, *, latched: str) -> Refusal | None:
-    """Return why an endpoint is never replaced, None if it is.
+    """Return the reason why an endpoint is never replaced, None if it may be.
 
     Parameters
     ----------
-    latched : what is wrong with replacing a TRANSIENT_LOCAL endpoint, in words; empty if it is none
+    latched : reason against replacing a TRANSIENT_LOCAL endpoint, in words; empty if it is none
     """
     if rmw.refusal:
         return Refusal(RefusalReason.MIDDLEWARE, rmw.refusal)
@@ -69,8 +69,8 @@ def current_rmw(identifier: Callable[[], str] = _identifier, *, environ: Mapping
 
     Parameters
     ----------
-    identifier : asks ROS for its name
-    environ : where ROS 2 reads whether SROS 2 is on
+    identifier : returns its name
+    environ : environment in which ROS 2 finds whether SROS 2 is on
     """
     rmw = rmw_of(identifier())
     return replace(rmw, tells_hosts=rmw.tells_hosts and environ.get("ROS_SECURITY_ENABLE") != "true")

@@ -1,4 +1,4 @@
-"""Starting and spinning rclpy in arpd's own processes."""
+"""Start and spin rclpy in arpd's own processes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 
 
 def prepare_environment() -> None:
-    """Give Fast DDS our default profile (short heartbeats), unless the user has one of their own."""
+    """Give Fast DDS arpd's default profile (short heartbeats), unless the user has chosen one."""
     if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(FASTDDS_PROFILE)
 
 
 @contextmanager
 def ros_node(name: str) -> Iterator[Any]:
-    """Run rclpy with one node, without its signal handlers: the process has its own.
+    """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def ros_node(name: str) -> Iterator[Any]:
 
 @contextmanager
 def control_node(name: str) -> Iterator[Any]:
-    """Run a node as `ros_node` does, for traffic that never waits for the link (`arpd.adapters.ros.runtime`)."""
+    """Run a node as `ros_node` does, with writes that never wait for the link (`send_without_waiting`)."""
     send_without_waiting()
     with ros_node(name) as node:
         yield node
@@ -99,7 +99,7 @@ def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[]
 
     Parameters
     ----------
-    on_turn : called after every turn that did not fail, several times a second also when nothing happens
+    on_turn : called after every turn without a failure, at least several times a second
     """
     # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
     while not stopping.is_set():
@@ -109,7 +109,7 @@ def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[]
         except Exception:
             if stopping.is_set():
                 return
-            log.exception("a callback failed; the node goes on")
+            log.exception("a callback failed; the node continues")
 
 
 def serve_until(
@@ -120,12 +120,12 @@ def serve_until(
     addresses: Addresses,
     on_turn: Callable[[], None] = lambda: None,
 ) -> None:
-    """Spin a service in this thread until ``stopping`` is set: watched, and no longer than it can be heard.
+    """Spin a service in this thread, with a watchdog, until ``stopping`` is set.
 
     Raises
     ------
     LinkError
-        If another process would be heard over the link, and this one is not.
+        If only a new process can use the link's address.
     """
 
     def look() -> None:
@@ -140,7 +140,7 @@ def serve_until(
 
 
 def stop_on_signals(stopping: threading.Event) -> None:
-    """Let SIGINT and SIGTERM set ``stopping``; nothing else happens in the handler. SIGHUP is nothing to die of."""
+    """Let SIGINT and SIGTERM set ``stopping``, and ignore SIGHUP."""
 
     def handle(_signum: int, _frame: Any) -> None:
         stopping.set()
@@ -154,16 +154,16 @@ _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 
 
 def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Let Fast DDS drop what the socket does not take, in this process, unless its options are chosen already.
+    """Let Fast DDS drop samples that the socket does not take, in this process, unless its options are set already.
 
-    Fast DDS writes to a blocking socket. While a link stands still and keeps its carrier, first its queue fills and
-    then the socket's buffer, and the next write to a far reader waits for as long as that lasts: in one of `arpd run`,
-    the tick does, and the publishers on this host hear no gate just then. Measured on such a link, with 40 kB/s of
-    probes, the ticks ended after 3 s and went on with the link; without waiting, a write took 0.2 ms and the gate
-    arrived all the time, through shared memory. (Where UDP is all there is, one socket serves near and far readers: the
-    daemon lives, and the gate arrives again with the link.) What is dropped is best effort, or is repeated.
+    Fast DDS writes to a blocking socket. When a link stops but keeps its carrier, its queue fills, then the socket's
+    buffer, and the next write to a far reader blocks until the link recovers. In `arpd run` that write blocks the tick,
+    and the publishers on this host receive no gate. Measured on such a link with 40 kB/s of probes: the ticks stopped
+    after 3 s and continued with the link. Without waiting, a write took 0.2 ms, and the gate kept arriving through
+    shared memory. (With UDP alone one socket serves near and far readers: the ticks continue, and the gate arrives
+    again with the link.) The dropped samples are best effort, or are repeated.
 
-    Not for those who carry data: that their writes wait is how they know that the link is full.
+    Processes that carry data do not use this: a write that blocks tells them that the link is full.
     """
     chosen = environment.get(_VARIABLE) or "DEFAULT"
     if "?" not in chosen:

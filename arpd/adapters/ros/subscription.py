@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from copy import copy
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -21,7 +21,7 @@ from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_de
 from arpd.adapters.ros.graph import deadline_ns_of, node_name_of
 from arpd.adapters.ros.names import reader_parameter_name
 from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
-from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, SubscriptionState, arguments_of, key_of
+from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, arguments_of, key_of
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.apply.endpoint.meters import DeadlineCount
 from arpd.apply.endpoint.reader_swap import ReaderSwap
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from arpd.adapters.ros.rmw import Rmw
 
-_POLL_S = 0.02  # how often a handover looks at its readers
+_POLL_S = 0.02  # between two steps of a reader swap
 _WITH_INFO = inspect.signature(lambda _message, _info: None)
 _SETTINGS = {
     "depth": ("depth", "KEEP_LAST depth, 1..5000 samples"),
@@ -47,14 +47,14 @@ class AdaptiveSubscription:
     """A subscription that can be re-tuned live; same attributes as `rclpy.subscription.Subscription`.
 
     Its settings are the writable parameters ``qos_overrides.<topic>.subscription.depth`` and ``….deadline`` (ns). Its
-    node announces it on ``/arpd/subscriptions``, and where `arpd run` has a plan for the topic it sets
-    them: as deep as the writer, and, if the application requests a deadline at all, one that the writer keeps.
+    node announces it on ``/arpd/subscriptions``. Where `arpd run` has a plan for the topic, it sets them: the depth of
+    the writer, and, if the application requests a deadline at all, one that the writer keeps.
 
     Parameters
     ----------
     node : node it lives in; its executor must spin
-    msg_type, topic, callback, qos_profile, callback_group, event_callbacks, raw : as in `Node.create_subscription`;
-        a callback that takes MessageInfo works on EventsExecutor too, where rclpy 7.1 alone raises SystemError
+    msg_type, topic, callback, qos_profile, callback_group, event_callbacks, raw : as in `Node.create_subscription`. A
+        callback that takes MessageInfo works on EventsExecutor too, where rclpy 7.1 by itself raises SystemError
 
     Raises
     ------
@@ -83,7 +83,7 @@ class AdaptiveSubscription:
         self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else qos_profile
         self._node = node
         self._rmw = rmw or current_rmw()
-        # Default callbacks would add a waitable to the executor at every handover only to log a warning.
+        # Default callbacks would add a waitable to the executor at every swap, only to log a warning.
         self._event_callbacks = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
         self._clock = clock
         self._lock = threading.Lock()
@@ -114,11 +114,11 @@ class AdaptiveSubscription:
         self._shared = NodeSubscriptions.of(node)
         self._shared.adopt(self)
 
-    # -- what rclpy.subscription.Subscription offers
+    # -- the interface of rclpy.subscription.Subscription
 
     @property
     def callback(self) -> Callable[..., Any]:
-        """What receives the messages, with or without MessageInfo."""
+        """Function called with each message, with or without MessageInfo."""
         return self._callback
 
     @callback.setter
@@ -133,7 +133,7 @@ class AdaptiveSubscription:
 
     @property
     def handle(self) -> Any:
-        """Handle of the reader in force; a handover replaces it, so do not keep it."""
+        """Handle of the reader in force; a swap replaces it, so do not store it."""
         return self._reader.subscription.handle
 
     @property
@@ -152,7 +152,7 @@ class AdaptiveSubscription:
             return self._reader.matched()
 
     def destroy(self) -> None:
-        """Destroy the subscription and everything a handover may have in flight."""
+        """Destroy the subscription and all its readers."""
         self._shared.release(self)
         self._node.remove_on_set_parameters_callback(self._validate)
         self._node.remove_post_set_parameters_callback(self._apply)
@@ -162,7 +162,7 @@ class AdaptiveSubscription:
             assert self._swap is not None
             self._swap.close()
 
-    # -- what makes it adaptive
+    # -- re-tuning
 
     @property
     def qos(self) -> ReaderQos:
@@ -176,43 +176,35 @@ class AdaptiveSubscription:
             assert self._swap is not None
             self._swap.request(qos)
             if self._swap.is_busy and self._timer is None:
-                # Steady time, so that a paused simulation does not stop a handover; the callbacks' own group, so that
-                # what the switch delivers never overtakes what they are delivering.
+                # Steady time, so that a paused simulation does not stop a swap. The callbacks' own group, so that the
+                # samples of the switch never overtake those that a callback is delivering.
                 self._timer = self._node.create_timer(
                     _POLL_S, self._deliverer(self._step), self.callback_group, Clock(clock_type=ClockType.STEADY_TIME)
                 )
 
-    def state(self) -> SubscriptionState:
-        """Picture of what is in force."""
+    def state(self, *, generation: int = 0, lease_s: float = 0.0) -> ReaderState:
+        """Return the settings in force, for the announcement."""
         with self._lock:
             qos, refusal = self.qos, self._lasting_refusal(self.qos) or self._refusal
-            return SubscriptionState(
+            return ReaderState(
+                node=self._node.get_fully_qualified_name(),
+                topic=self._resolved,
                 depth=qos.depth,
                 deadline_ns=qos.deadline_ns,
-                swaps_by_result=dict(self._results),
-                deadlines_missed=self._deadlines.missed,
+                baseline_depth=self._baseline.depth,
+                baseline_deadline_ns=self._baseline.deadline_ns,
+                generation=generation,
+                lease_s=lease_s,
+                keeps_all=self._keeps_all,
                 refusal=refusal.words,
                 refusal_reason=refusal.reason,
+                swaps_by_result=dict(self._results),
+                deadlines_missed=self._deadlines.missed,
             )
 
-    def announced(self, *, generation: int, lease_s: float) -> ReaderState:
-        """Picture of what is in force, for the announcement."""
-        state = self.state()
-        return ReaderState(
-            node=self._node.get_fully_qualified_name(),
-            topic=self._resolved,
-            baseline_depth=self._baseline.depth,
-            baseline_deadline_ns=self._baseline.deadline_ns,
-            generation=generation,
-            lease_s=lease_s,
-            keeps_all=self._keeps_all,
-            **{field.name: getattr(state, field.name) for field in fields(state)},
-        )
-
     def return_to_baseline(self) -> str | None:
-        """Ask for the application's own QoS; return why that is refused for now, None if it is not."""
-        values = (getattr(self._baseline, field) for field in self._parameters.values())
-        wanted = [Parameter(name, value=value) for name, value in zip(self._parameters, values, strict=True)]
+        """Request the application's own QoS; return why that is refused for now, None if it is not."""
+        wanted = [Parameter(name, value=getattr(self._baseline, field)) for name, field in self._parameters.items()]
         if all(self._node.get_parameter(each.name).value == each.value for each in wanted):
             return None
         result = self._node.set_parameters_atomically(wanted)
@@ -240,7 +232,7 @@ class AdaptiveSubscription:
             self._tap(reader),
             profile,
             callback_group=self.callback_group,
-            event_callbacks=reader.listening_to(self._event_callbacks),
+            event_callbacks=reader.counting(self._event_callbacks),
             raw=self.raw,
         )
         return reader
@@ -252,7 +244,7 @@ class AdaptiveSubscription:
         def direct(*taken: Any) -> None:
             if self._swap is None or self._swap.is_tracking:
                 sifted(*taken)
-            else:  # nearly always, so this is what a sample costs
+            else:  # the usual case, kept short
                 self._callback(*(taken if len(taken) == 2 else taken[0])[: self._arguments])
 
         tap: Any = sifted if inspect.iscoroutinefunction(sifted) else direct
@@ -260,7 +252,7 @@ class AdaptiveSubscription:
         return tap  # type: ignore[no-any-return]
 
     def _deliverer(self, samples: Callable[..., Sequence[Sample]]) -> Callable[..., Any]:
-        """Return what gives the application the samples a function returns; a coroutine if its callback is one."""
+        """Return a function that delivers the samples another one returns; a coroutine if the callback is one."""
 
         def deliver(*taken: Any) -> None:
             for sample in samples(*taken):
@@ -273,13 +265,13 @@ class AdaptiveSubscription:
         return deliver_async if inspect.iscoroutinefunction(self._callback) else deliver
 
     def _sift(self, reader: RosReader, taken: tuple[Any, ...]) -> Sequence[Sample]:
-        # EventsExecutor of rclpy 7.1 passes message and info as one tuple where the others pass two arguments.
+        # EventsExecutor of rclpy 7.1 passes message and info as one tuple, the other executors as two arguments.
         sample: Sample = taken if len(taken) == 2 else taken[0]
-        handover = self._swap
-        if handover is None or not handover.is_tracking:
+        swap = self._swap
+        if swap is None or not swap.is_tracking:
             return (sample,)
         with self._lock:
-            return handover.accept(reader, key_of(sample), sample, now_s=self._clock())
+            return swap.accept(reader, key_of(sample), sample, now_s=self._clock())
 
     def _step(self) -> Sequence[Sample]:
         with self._lock:
@@ -298,7 +290,7 @@ class AdaptiveSubscription:
     # -- parameters
 
     def _declare(self) -> ReaderQos:
-        """Declare the parameters; return what the overrides given at the start make of the baseline."""
+        """Declare the parameters; return the QoS with the overrides given at the start."""
         if any(self._node.has_parameter(name) for name in self._parameters):
             raise ValueError(
                 f"{self._node.get_fully_qualified_name()} already has an AdaptiveSubscription on {self._resolved}; "
@@ -329,7 +321,7 @@ class AdaptiveSubscription:
 
     def _apply(self, parameters: Sequence[Any]) -> None:
         if any(parameter.name in self._parameters for parameter in parameters):
-            # All of them: what an earlier call asked for may still be under way.
+            # All of them: an earlier request may still be under way.
             self.renew(self._wanted(self.qos, [self._node.get_parameter(name) for name in self._parameters]))
 
     def _wanted(self, qos: ReaderQos, parameters: Sequence[Any]) -> ReaderQos:
@@ -348,17 +340,17 @@ class AdaptiveSubscription:
         return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
 
     def _lasting_refusal(self, qos: ReaderQos) -> Refusal | None:
-        """Return why such a reader can never be handed over, None if it can."""
+        """Return why such a reader is never replaced, None if it may be."""
         is_latched = qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-        words = f"{self._resolved} is TRANSIENT_LOCAL: a new reader would receive the writers' history once more"
+        words = f"{self._resolved} is TRANSIENT_LOCAL: a new reader would receive the writers' history again"
         return lasting_refusal(self._rmw, latched=words if is_latched else "")
 
     def _check(self, wanted: ReaderQos) -> None:
-        """Refuse what would lose samples or writers."""
+        """Refuse QoS that would lose samples or writers."""
         if refusal := self._lasting_refusal(wanted):
             raise ValueError(refusal.words)
         if wanted.depth != self.qos.depth and self._keeps_all:
-            raise ValueError(f"{self._resolved} is KEEP_ALL: it has no depth")
+            raise ValueError(f"{self._resolved} is KEEP_ALL: it has no depth to set")
         lost = sorted(
             f"{node_name_of(writer)} offers {f'{offered} ns' if offered else 'none'}"
             for writer in self._node.get_publishers_info_by_topic(self._resolved)
@@ -368,18 +360,19 @@ class AdaptiveSubscription:
         if lost:
             raise ValueError(
                 f"a deadline of {wanted.deadline_ns} ns would lose publishers of {self._resolved} "
-                f"({', '.join(lost)}); tighten them first"
+                f"({', '.join(lost)}); shorten their deadlines first"
             )
 
     def _on_result(self, result: ReaderSwapResult) -> None:
         self._results[result] += 1
         self._shared.note_news()
         self._refusal = NO_REFUSAL
+        failed = f"reader swap of {self._resolved} failed"
         if result is ReaderSwapResult.UNMATCHED:
-            words = f"handover of {self._resolved}: not all publishers matched the new reader in time"
-            self._refusal = Refusal(RefusalReason.UNMATCHED, words)
+            words = "not all publishers matched the new reader in time"
+            self._refusal = Refusal(RefusalReason.UNMATCHED, f"{failed}: {words}; the old reader stays")
         elif result is ReaderSwapResult.FAILED:
-            words = f"handover of {self._resolved}: the new reader was refused, or ran ahead of the old one"
-            self._refusal = Refusal(RefusalReason.FAILED, words)
+            words = "the middleware refused the new reader, or it ran too far ahead of the old one"
+            self._refusal = Refusal(RefusalReason.FAILED, f"{failed}: {words}; the old reader stays")
         if self._refusal.words:
             self._node.get_logger().warning(self._refusal.words)

@@ -1,4 +1,4 @@
-"""The daemon's ROS side: what it observes and how it acts, behind one node."""
+"""The daemon's ROS side: it observes and acts through one node."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S = 1.0
 _STALE_S = 3.5  # three announcements missed: the publisher is gone
-_READER_STALE_S = 10.0  # the same of a reader, which repeats itself every three seconds
-_PEER_FORGOTTEN_S = 60.0  # long enough for a scrape or two to see its age grow
-_MOST_REPORTS = 200  # that wait for a tick
+_READER_STALE_S = 10.0  # the same for a reader, which announces itself every three seconds
+_PEER_FORGOTTEN_S = 60.0  # a scrape or two must see its age grow
+_MOST_REPORTS = 200  # waiting for a tick
 _WHY = {
     MessageRefusal.UNANSWERED: "they answer no probe of this daemon",
     MessageRefusal.RATE: "there are more of them than any peer sends",
@@ -53,16 +53,16 @@ _WHY = {
 
 
 class RosControl:
-    """Observes the link, the graph and the publishers; carries out gate, plan and probes.
+    """Observes the link, the graph and the endpoints; carries out gate, plan and probes.
 
     Parameters
     ----------
-    node : rclpy node; somebody else spins it
+    node : rclpy node; its owner spins it
     interface : the robot's link interface
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     rmw : the middleware; this process's own when None
-    randomness : where the numbers of probes begin
+    randomness : gives the first number of a probe
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class RosControl:
         self._rmw = rmw or current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
-        # At debug level: the decision log tells it.
+        # At debug level, because the decision log says it too.
         self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
         self._radio = Radio()
         self._memory = MemoryReader()
@@ -105,25 +105,12 @@ class RosControl:
             UInt8MultiArray, PROBE_TOPIC, best_effort, event_callbacks=no_publisher_events()
         )
         pause = Pause()
-        self._announced = Announcements(
-            node,
-            PUBLISHERS_TOPIC,
-            MessageKind.PUBLISHERS,
-            from_status,
-            stale_s=_STALE_S,
-            refused=self._refused,
-            pause=pause,
-            clock=clock,
+        shared: dict[str, Any] = {"refused": self._refused, "pause": pause, "clock": clock}
+        self._publishers: Announcements[PublisherState] = Announcements(
+            node, PUBLISHERS_TOPIC, MessageKind.PUBLISHERS, from_status, stale_s=_STALE_S, **shared
         )
-        self._readers = Announcements(
-            node,
-            READERS_TOPIC,
-            MessageKind.READERS,
-            reader_from_status,
-            stale_s=_READER_STALE_S,
-            refused=self._refused,
-            pause=pause,
-            clock=clock,
+        self._readers: Announcements[ReaderState] = Announcements(
+            node, READERS_TOPIC, MessageKind.READERS, reader_from_status, stale_s=_READER_STALE_S, **shared
         )
         self._report_subscription = RawSubscription(
             node,
@@ -136,8 +123,8 @@ class RosControl:
             pause=pause,
         )
         self._applier = ParameterApplier(node)
-        self._daemons = Daemons(node, refused=self._refused, pause=pause, clock=clock)
-        # Neither is done in the tick, which is short, nor in the executor, where reports wait.
+        self._daemons = Daemons(node, **shared)
+        # In a thread: the tick must stay short, and reports wait in the executor.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
     def reconfigure(self, graph: GraphSettings) -> None:
@@ -160,7 +147,7 @@ class RosControl:
         for reader in readers:
             if reader.is_driven:
                 driven.setdefault(reader.topic, set()).add(reader.node)
-        publishers = self._announced.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
+        publishers = self._publishers.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
         pinned = self._graph_settings
         directions = [crossing.direction for crossing in crossings.values()]
         sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
@@ -180,21 +167,21 @@ class RosControl:
             active_daemon=self._daemons.active_daemon(),
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
-            taken=Taken(refused=self._refused.counts, pending=self._announced.pending + self._readers.pending),
+            taken=Taken(refused=self._refused.counts, pending=self._publishers.pending + self._readers.pending),
         )
 
     # -- act
 
     def set_gate(self, gate: float) -> None:
-        """Tell every publisher the gate; said at every tick, so that a lost message matters for one tick only."""
+        """Send the gate to every publisher; repeated at every tick, so a lost message matters for one tick only."""
         self._gate_publisher.publish(Float64(data=gate))
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Set parameters on the nodes of a plan; returns at once."""
+        """Set the parameters of a plan on its nodes; returns at once."""
         self._applier.apply(transitions, now_s=now_s)
 
     def probe(self, request: ProbeRequest) -> None:
-        """Put one train (or ping) on the link, back to back."""
+        """Send one train, or a ping, back to back."""
         with self._lock:
             number = self._peer_admission.number(request.number)
         packets = [
@@ -242,11 +229,11 @@ class RosControl:
         self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
-        graph = read_graph(self._node, self._rmw, first=self._announced.topics | self._readers.topics)
+        graph = read_graph(self._node, self._rmw, first=self._publishers.topics | self._readers.topics)
         self._crossings, self._peers = graph.crossings, graph.peers
         with self._lock:
             self._peer_admission.see(graph.peers)
-        self._announced.see(graph.announcers, graph.shows_writer)
+        self._publishers.see(graph.announcers, graph.shows_writer)
         self._readers.see(graph.reader_announcers, graph.shows_reader)
 
     def _read_radio(self) -> None:
@@ -258,11 +245,11 @@ class RosControl:
 def _known_of_publisher(
     state: PublisherState, *, crossings: Mapping[str, Crossing], driven: Mapping[str, Collection[str]]
 ) -> Mapping[str, Any]:
-    """Return what the graph knows of a publisher.
+    """Return the fields of a publisher that the graph shows.
 
     Parameters
     ----------
-    crossings : what crosses the link, by topic
+    crossings : topics of the graph
     driven : nodes whose readers arpd drives, by topic
     """
     if (crossing := crossings.get(state.topic)) is None:
@@ -275,45 +262,45 @@ def _known_of_publisher(
 
 
 def _known_of_reader(state: ReaderState, *, crossings: Mapping[str, Crossing]) -> Mapping[str, Any]:
-    """Do the same for a reader."""
+    """Return the fields of a reader that the graph shows."""
     if (crossing := crossings.get(state.topic)) is None:
         return {}
     return {"requests_ns": crossing.requests_of(state.node), "offers_ns": crossing.offers_ns}
 
 
-_HASTY_ROUNDS = 30  # at the start everything is news
+_FAST_TURNS = 30  # at the start the graph changes quickly
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node raises
 
 
 class PeriodicThread:
-    """Does all of its work, waits, and does it again, until the node is destroyed or its context ends.
+    """Does its tasks again and again, until the node is destroyed or its context ends.
 
-    A thread, and not a timer in a MultiThreadedExecutor: that one asks again and again whether a task that it gave to
-    another thread has begun (rclpy 7.1.6, ``Executor._wait_for_ready_callbacks``), and while it asks, it holds the
-    interpreter for 5 ms. Measured: a whole core at 200 events a second.
+    It is a thread and not a timer in a MultiThreadedExecutor. That executor keeps asking whether a task that it gave to
+    another thread has begun (rclpy 7.1.6, ``Executor._wait_for_ready_callbacks``), and holds the interpreter for 5 ms
+    meanwhile. Measured: a whole core at 200 events a second.
 
     Parameters
     ----------
-    node : rclpy node that the work asks
-    work : what to do; where one part fails, the others are done all the same
-    every_s : how long to wait between two rounds (s); at first a fifth of that
+    node : rclpy node that the tasks use
+    tasks : called one after the other; a task that raises is logged, and the others go on
+    every_s : time between two turns, at first a fifth of it (s)
     """
 
-    def __init__(self, node: Any, *work: Callable[[], None], every_s: float) -> None:
+    def __init__(self, node: Any, *tasks: Callable[[], None], every_s: float) -> None:
         self._node = node
-        self._work = work
+        self._tasks = tasks
         self._every_s = every_s
-        threading.Thread(target=self._run, name="arpd-rounds", daemon=True).start()
+        threading.Thread(target=self._run, name="arpd-periodic", daemon=True).start()
 
     def _run(self) -> None:
-        for pause_s in chain(repeat(self._every_s / 5, _HASTY_ROUNDS), repeat(self._every_s)):
+        for pause_s in chain(repeat(self._every_s / 5, _FAST_TURNS), repeat(self._every_s)):
             if not self._node.context.ok():
                 return
-            for do in self._work:
+            for task in self._tasks:
                 try:
-                    do()
+                    task()
                 except InvalidHandle:
                     return
                 except Exception:
-                    log.exception("a part of a round failed; the others go on")
+                    log.exception("a periodic task failed; it runs again, and the others go on")
             time.sleep(pause_s)

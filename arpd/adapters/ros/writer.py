@@ -21,15 +21,15 @@ _FOREVER = Duration(seconds=-1)  # rclpy's default
 
 
 class RosWriter:
-    """A writer that stands in for the publisher the application sees.
+    """One of the writers behind an AdaptivePublisher.
 
     Parameters
     ----------
     create : makes the rclpy publisher, given its ``event_callbacks``
-    event_callbacks : the application's own; they hear this writer only while it is the one samples leave by, so that
-        the application never learns that there are two for a while
-    is_current : whether samples leave by the given writer
-    disconnected : readers a writer of these settings would lose, by name
+    event_callbacks : the application's own; called only while samples leave by this writer, so that the application
+        does not notice when there are two
+    is_current : returns whether samples leave by the given writer
+    disconnected : names the readers that a writer with this QoS would lose
     """
 
     def __init__(
@@ -45,22 +45,22 @@ class RosWriter:
         self._is_current = is_current
         self._disconnected = disconnected
         self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
-        self.refused_policy = ""  # what the reader that refused last did not accept
+        self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
         handle = self.publisher.handle
         with handle:
-            handle.publish_raw(sample)  # rclpy's own publish would ask again what the sample is
+            handle.publish_raw(sample)  # rclpy's publish would check the sample's type again
 
     def matched(self) -> int:
         """Count the matched readers."""
         return int(self.publisher.get_subscription_count())
 
     def is_acknowledged(self) -> bool:
-        """Whether every sample written was acknowledged."""
-        # A zero timeout only looks; anything longer would block the pacing thread (docs/design.md, DDS facts).
+        """Return whether every sample written was acknowledged."""
+        # A longer timeout would block the pacing thread (docs/design.md, DDS facts).
         return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
 
     def wait_for_all_acked(self, timeout: Duration | None) -> bool:
@@ -68,19 +68,19 @@ class RosWriter:
         return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
 
     def disconnects_readers(self) -> bool:
-        """Whether readers the writer in force serves have refused this one."""
+        """Return whether readers that the writer in force serves have refused this one."""
         return self.refusals() > 0 and bool(self._disconnected())
 
     def refusals(self) -> int:
-        """Count the readers that refused this writer's QoS since it was made, be they served by another or not."""
+        """Count the readers that refused this writer's QoS since it was made, also those that another writer serves."""
         status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
         if status is None:
-            return 0  # then a reader that does not match shows when matching times out
+            return 0  # not counted here: such a reader shows when matching times out
         self.refused_policy = str(qos_policy_name_from_kind(status.last_policy_kind))
         return int(status.total_count)
 
     def deadlines_missed(self) -> int:
-        """Count the offered deadlines missed since it was made; by a destroyed one, as far as known."""
+        """Count the offered deadlines missed since it was made; a destroyed writer keeps its last known count."""
         return self._deadlines.count(self.publisher)
 
     def destroy(self) -> None:
@@ -88,19 +88,19 @@ class RosWriter:
         self._node.destroy_publisher(self.publisher)
 
     def _filtered(self, callbacks: PublisherEventCallbacks | None) -> PublisherEventCallbacks:
-        """Return the application's callbacks, each of them deaf unless this writer is current."""
-        # No default callbacks: each is a waitable for the executor to visit in every round, only to log a warning.
+        """Return the application's callbacks, each silent unless this writer is current."""
+        # No default callbacks: the executor would check each of them in every turn, only to log a warning.
         filtered = PublisherEventCallbacks(use_default_callbacks=False)
         for event in _EVENTS:
             callback = getattr(callbacks, event, None)
             if callback is not None:
-                heard = self._deadlines.told_by if event == "deadline" else passing_on
-                setattr(filtered, event, heard(callback, if_=lambda _event: self._is_current(self)))
+                wrap = self._deadlines.counting if event == "deadline" else passing_on
+                setattr(filtered, event, wrap(callback, if_=lambda _event: self._is_current(self)))
         return filtered
 
 
 def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
-    """Return the options without the two policies whose parameters stay writable here."""
+    """Return the options without depth and deadline, whose parameters stay writable here."""
     if options is None:
         return None
     kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]

@@ -1,4 +1,4 @@
-"""The wire format of probes and reports: what goes in comes out, and what is no report is refused."""
+"""Probes and reports survive their wire format, and other bytes are refused."""
 
 import math
 import random
@@ -25,17 +25,17 @@ REPORT = PeerReport(
 )
 
 
-def told(message, *, received_at_s=0.0):
+def decode(message, *, received_at_s=0.0):
     return decode_report(bytes(message.data), received_at_s=received_at_s)
 
 
 def test_a_report_comes_back_as_it_was():
     """Counters, delays, trains with their departures, and the name of the peer."""
-    assert told(encode_report(REPORT), received_at_s=12.5) == REPORT
+    assert decode(encode_report(REPORT), received_at_s=12.5) == REPORT
 
 
 def test_a_report_of_the_version_before_is_understood():
-    """A peer that was not updated with the daemon says all but how many probe packets it has."""
+    """An older peer's report has everything except the count of probe packets."""
     message = bytes(encode_report(REPORT).data)
     older = b"\x02" + message[1:20] + message[24:]
     assert decode_report(older, received_at_s=12.5) == replace(REPORT, probe_packets=None)
@@ -45,14 +45,14 @@ def test_a_report_of_the_version_before_is_understood():
 
 
 def test_a_count_of_packets_goes_round():
-    """It is counted modulo 2^32, as long as the peer runs."""
-    assert told(encode_report(replace(REPORT, probe_packets=2**32 + 5))).probe_packets == 5
+    """Packets are counted modulo 2^32."""
+    assert decode(encode_report(replace(REPORT, probe_packets=2**32 + 5))).probe_packets == 5
 
 
 def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
     """Clocks half a century apart leave a delay as precise as any."""
     reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
-    early, late = (told(encode_report(report)).delays_s[0] for report in reports)
+    early, late = (decode(encode_report(report)).delays_s[0] for report in reports)
     assert late - early == pytest.approx(1e-5, abs=1e-6)
 
 
@@ -65,16 +65,16 @@ def test_a_report_is_as_short_as_its_name(name, size):
 
 
 def test_a_long_name_is_cut_between_characters():
-    """64 bytes of a name are kept, and no half of a letter."""
-    decoded = told(encode_report(replace(REPORT, peer="x" + "é" * 40)))
+    """A name is cut to 64 bytes, between two characters."""
+    decoded = decode(encode_report(replace(REPORT, peer="x" + "é" * 40)))
     assert decoded.peer == "x" + "é" * 31
 
 
 def test_more_than_a_report_holds_is_cut_to_the_newest():
-    """Of a hundred delays and trains the last 32 are sent; counts beyond 32 bits read the most there is."""
+    """Of a hundred delays and trains the last 32 are sent; counts beyond 32 bits are clipped."""
     delays = tuple(float(i) for i in range(100))
     report = replace(REPORT, delays_s=delays, trains=REPORT.trains * 100, rx_bytes=10**12)
-    decoded = told(encode_report(report))
+    decoded = decode(encode_report(report))
     assert decoded.delays_s == delays[-32:]
     assert (len(decoded.trains), decoded.rx_bytes) == (32, 2**32 - 1)
 
@@ -83,15 +83,15 @@ def test_a_train_of_nothing_is_left_out():
     """A train without time, bytes or packets has no rate."""
     (whole,) = REPORT.trains
     empty = (replace(whole, duration_s=0.0), replace(whole, payload_bytes=0), replace(whole, packets=0))
-    assert told(encode_report(replace(REPORT, trains=(*empty, whole)))).trains == (whole,)
+    assert decode(encode_report(replace(REPORT, trains=(*empty, whole)))).trains == (whole,)
 
 
 def test_a_report_of_another_version_is_refused():
-    """Version 1 had no departures; it is not guessed at."""
+    """Version 1, which had no departures, is refused."""
     message = encode_report(REPORT)
     message.data[0] = 1
     with pytest.raises(ValueError, match="version"):
-        told(message)
+        decode(message)
 
 
 @pytest.mark.parametrize(
@@ -112,13 +112,13 @@ def test_a_report_of_another_version_is_refused():
     ],
 )
 def test_impossible_numbers_are_refused(broken):
-    """What no peer can have measured is not taken for a measurement."""
+    """Values that no peer can have measured are refused."""
     with pytest.raises(ValueError, match="impossible"):
-        told(encode_report(replace(REPORT, **broken)))
+        decode(encode_report(replace(REPORT, **broken)))
 
 
 def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
-    """Whatever bytes arrive, there is a report or a ValueError, and nothing else."""
+    """Any bytes give a report with finite numbers, or a ValueError."""
     chance = random.Random(5)
     whole = bytes(encode_report(REPORT).data)
     for _ in range(2000):
@@ -135,7 +135,7 @@ def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
 
 
 def test_a_probe_says_its_place():
-    """A probe's header comes back, and its payload has the size asked for."""
+    """A probe's header comes back, and its payload has the requested size."""
     header = ProbeHeader(train=2**32 + 7, index=3, packets=12)
     message = encode_probe(header, payload_bytes=1300)
     assert len(message.data) == 1300
@@ -153,6 +153,6 @@ def test_a_probe_says_its_place():
     ],
 )
 def test_what_is_no_probe_is_refused(data):
-    """Too short, of another version, or outside of its own train."""
+    """A probe that is too short, of another version, or outside its own train is refused."""
     with pytest.raises(ValueError, match="probe"):
         decode_probe(data)

@@ -1,4 +1,4 @@
-"""What arpd does with a middleware, by its name."""
+"""Abilities of a middleware, by its name."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def test_fast_dds_is_swapped(name):
 
 
 def test_under_sros2_guids_tell_no_hosts():
-    """With security on Fast DDS swaps as ever, but its GUIDs name the enclave where the host was."""
+    """With security on Fast DDS still swaps, but its GUIDs have the enclave in place of the host."""
     rmw = current_rmw(identifier=lambda: "rmw_fastrtps_cpp", environ={"ROS_SECURITY_ENABLE": "true"})
     assert (rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (True, False, "")
 
@@ -41,35 +41,35 @@ def endpoint(process, deadline_ns=0):
 
 
 def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
-    """Where hosts are unknown, a reader in another process counts as one copy across the link, and as sensing."""
-    told = crossing_without_hosts(
+    """Where hosts are unknown, a reader in another process counts as sensing, with one copy."""
+    crossing = crossing_without_hosts(
         writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)]
     )
-    assert told == Crossing(
+    assert crossing == Crossing(
         direction=Direction.SENSING,
         remote_readers=1,
         requests=(("", 0), ("", 5 * MS), ("", 9 * MS)),
         offers_ns=(0,),
         writers=frozenset({""}),
     )
-    assert told.tightest_request_ns() == 5 * MS
+    assert crossing.tightest_request_ns() == 5 * MS
 
 
 @pytest.mark.parametrize(("writers", "readers"), [((b"a",), (b"a",)), ((b"a",), ()), ((), (b"b",))])
 def test_without_hosts_one_process_is_local(writers, readers):
     """A topic within one process, or with one side only, does not cross."""
-    told = crossing_without_hosts(writers=map(endpoint, writers), readers=map(endpoint, readers))
-    assert (told.direction, told.remote_readers, told.tightest_request_ns()) == (Direction.LOCAL, 0, 0)
+    crossing = crossing_without_hosts(writers=map(endpoint, writers), readers=map(endpoint, readers))
+    assert (crossing.direction, crossing.remote_readers, crossing.tightest_request_ns()) == (Direction.LOCAL, 0, 0)
 
 
 def test_the_readers_that_arpd_drives_bind_nobody():
-    """The tightest request leaves out the nodes named, and a node's own requests can be asked for."""
+    """The tightest request leaves out the named nodes, and `requests_of` returns those of one node."""
     readers = [
         Endpoint(host=b"", participant=b"b", deadline_ns=ns, node=node) for node, ns in (("/a", 5 * MS), ("/b", 7 * MS))
     ]
-    told = crossing_without_hosts(writers=[endpoint(b"a")], readers=readers)
-    assert (told.tightest_request_ns(), told.tightest_request_ns(besides={"/a"})) == (5 * MS, 7 * MS)
-    assert (told.requests_of("/b"), told.requests_of("/c")) == ((7 * MS,), ())
+    crossing = crossing_without_hosts(writers=[endpoint(b"a")], readers=readers)
+    assert (crossing.tightest_request_ns(), crossing.tightest_request_ns(besides={"/a"})) == (5 * MS, 7 * MS)
+    assert (crossing.requests_of("/b"), crossing.requests_of("/c")) == ((7 * MS,), ())
 
 
 def exposition(snapshot):
@@ -79,7 +79,7 @@ def exposition(snapshot):
 
 
 def test_status_and_metrics_say_that_swaps_are_off(sample_snapshot):
-    """An unsupported middleware shows, with the reason, wherever an operator looks."""
+    """Status and metrics name an unsupported middleware, the status with the reason."""
     sample = sample_snapshot
     rmw = rmw_of("rmw_cyclonedds_cpp")
     snapshot = replace(sample, observation=replace(sample.observation, rmw=rmw.name, rmw_refusal=rmw.refusal))
@@ -88,7 +88,7 @@ def test_status_and_metrics_say_that_swaps_are_off(sample_snapshot):
 
 
 def test_a_world_without_ros_names_no_middleware(sample_snapshot):
-    """A simulated world has no middleware, and says so."""
+    """A simulated world shows no middleware."""
     sample = sample_snapshot
     snapshot = replace(sample, observation=replace(sample.observation, rmw=""))
     assert status_document(snapshot)["rmw"] is None

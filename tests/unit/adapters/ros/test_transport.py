@@ -1,4 +1,4 @@
-"""How the control traffic's processes are told not to wait for the link."""
+"""The Fast DDS option by which control traffic does not wait for the link."""
 
 import pytest
 
@@ -15,6 +15,6 @@ from arpd.adapters.ros.runtime import send_without_waiting
     ],
 )
 def test_the_transports_chosen_stay_and_only_an_option_is_added(before, after):
-    """Which transports are used is the user's matter, and so are options where there are any."""
+    """The user's transports stay, and so do the user's options if there are any."""
     send_without_waiting(before)
     assert before == {"FASTDDS_BUILTIN_TRANSPORTS": after}
