@@ -1,4 +1,4 @@
-"""Worlds of their own for the scenarios: real rclpy over UDP on this host."""
+"""A separate world for each scenario: real rclpy over UDP on this host."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,9 +11,9 @@ from tests.chaos.world import World, this_host_only
 
 @pytest.fixture(scope="module")
 def played(request, tmp_path_factory):
-    """Play the module's ``SCENARIOS``, three at a time because they mostly wait; return what each came to.
+    """Run the module's ``SCENARIOS``, three at a time because they mostly wait; return their outcomes.
 
-    A scenario serves many tests: starting processes and waiting for timeouts is what costs time, not looking.
+    A scenario serves many tests, because most of its time goes into starting processes and waiting for timeouts.
     """
     with this_host_only(), ThreadPoolExecutor(max_workers=3) as stages:
 

@@ -1,8 +1,8 @@
-"""The processes of a chaos test: arpd as it is, but a swap can be told where to stop, so that a kill comes just then.
+"""The processes of a chaos test: arpd as it is, but a swap can be stopped in any state, so that a kill meets it there.
 
 Usage: nodes.py talker NAME TOPIC… | nodes.py listener NAME TOPIC… | nodes.py relay CONFIG | nodes.py daemon CONFIG
 
-Each hears commands on stdin and answers on stdout, a line of JSON each (`scripts.bench.child`).
+Each takes commands on stdin and answers on stdout, in lines of JSON (`scripts.bench.child`).
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from scripts.bench.child import commands, number_of, sample_of, say
 
 RATE_HZ = 20.0
 BASELINE_DEPTH = 60
-DEPTH = 200  # what is asked for: at this rate, a swap may hold samples for 10 s before they are too many for the queue
-DRAINING = "draining"  # an old writer that is not yet retired; no state of the swap, which may do anything meanwhile
+DEPTH = 200  # the requested depth: at this rate the queue holds the samples of 10 s
+DRAINING = "draining"  # an old writer is not destroyed yet; the swap itself may be in any state
 WHERE = (*(str(state) for state in SwapState if state is not SwapState.IDLE), DRAINING)
-TOPICS = {where: f"/chaos/{where}" for where in WHERE}  # so that one process can be killed in every state at once
+TOPICS = {where: f"/chaos/{where}" for where in WHERE}  # one process is killed in all states at once
 PAYLOAD_BYTES = 40
 
 
 class Stops:
-    """Stops swaps where they are told to, until they are released; samples go on as the state they are in lets them.
+    """Stops swaps in given states until they are released; samples go on as the state allows.
 
-    A stopped swap takes no step and its clock stands still, so that no timeout of its ends because of the stop.
+    A stopped swap takes no step and its clock stops, so that the stop causes no timeout.
     """
 
     def __init__(self):
@@ -82,7 +82,7 @@ class Stops:
                 say(stopped=topic)
 
     def _is_hidden(self, writer):
-        """Whether an acknowledgement shall not be seen: the swap is led to its stop, through no state in passing."""
+        """Return whether to hide an acknowledgement, so that the swap comes to its stop and passes no other state."""
         if (at := getattr(self._looking, "at", None)) is None:
             return False
         swap, state, where = at
@@ -91,9 +91,9 @@ class Stops:
 
 
 def obey(roles):
-    """Carry out the parent's commands until it is gone: ``{"do": name, …}``."""
-    told = commands()
-    while (order := told.get()) is not None:
+    """Carry out the parent's commands, ``{"do": name, …}``, until it is gone."""
+    orders = commands()
+    while (order := orders.get()) is not None:
         say(answer=roles[order.pop("do")](**order))
 
 
@@ -126,14 +126,14 @@ class Talker:
         self._publishers = {
             topic: AdaptivePublisher(node, String, topic, BASELINE_DEPTH, overflow=Overflow.QUEUE) for topic in topics
         }
-        self._first = {topic: {} for topic in topics}  # readers matched → first number that was published to so many
+        self._first = {topic: {} for topic in topics}  # matched readers → first number published to so many
         self._next = 0
         self._lock = threading.Lock()
         self._is_publishing = False
         threading.Thread(target=self._talk, daemon=True).start()
 
     def publish(self, *, is_on, number=None):
-        """Go on or pause; return how many numbers were published so far."""
+        """Go on or pause; return the number of samples published so far."""
         with self._lock:
             self._is_publishing = is_on
             self._next = self._next if number is None else number
@@ -143,7 +143,7 @@ class Talker:
         return {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
 
     def first(self):
-        """First number published on each topic once it had so many readers, by their count."""
+        """Return the first number published on each topic, by the count of readers."""
         return {topic: {str(count): number for count, number in of.items()} for topic, of in self._first.items()}
 
     def _talk(self):
@@ -195,7 +195,7 @@ def relay(config):
 
 
 def daemon(config):
-    """Run the daemon; who lives in another process counts as across the link, because all of them are on one host."""
+    """Run the daemon; on this one host a node in another process counts as across the link."""
     from arpd.cli.main import main
 
     rmw_of = rmw.rmw_of

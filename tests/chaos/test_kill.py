@@ -1,4 +1,4 @@
-"""Kill -9 of everybody who takes part in a swap, in every state of it."""
+"""Kill -9 of every participant of a writer swap, in every state of it."""
 
 from types import SimpleNamespace
 
@@ -23,7 +23,7 @@ def qos(state):
 
 
 def kill_reader(world):
-    """Kill a subscriber while the publisher swaps; another one stays, and the dead one is started again."""
+    """Kill a subscriber while the publisher swaps, and start it again; another one stays."""
     survivor = Log(world, "survivor")
     victim = world.start("listener", "victim", *TOPICS.values())
     talker = world.talker(readers=2, stops=TOPICS)
@@ -44,7 +44,7 @@ def kill_reader(world):
 
 @every_state
 def test_a_killed_reader_leaves_one_writer_of_stated_qos(played, where):
-    """After its reader died the swap comes into force, or is refused with a reason; one writer is left either way."""
+    """After a reader died the swap succeeds or is refused with a reason, and one writer is left."""
     now = played(kill_reader).now[TOPICS[where]]
     print(where, dict(now.last.swaps_by_result), now.last.refusal)
     assert ended(now.last) == 1, now.last
@@ -54,7 +54,7 @@ def test_a_killed_reader_leaves_one_writer_of_stated_qos(played, where):
 
 @every_state
 def test_a_killed_reader_costs_the_other_one_nothing(played, where):
-    """The surviving reader has every sample once and in order, as many as were announced as published."""
+    """The surviving reader has every published sample once and in order."""
     topic = TOPICS[where]
     last = played(kill_reader).now[topic].last
     assert played(kill_reader).survivor[topic] == list(range(played(kill_reader).sent))
@@ -63,14 +63,14 @@ def test_a_killed_reader_costs_the_other_one_nothing(played, where):
 
 @every_state
 def test_a_reader_started_again_receives(played, where):
-    """From the first sample it has, the restarted reader has all of them."""
+    """The restarted reader has all samples from its first one on."""
     received = played(kill_reader).restarted[TOPICS[where]]
     assert is_gapless(received)
     assert received[-1] == played(kill_reader).sent - 1
 
 
 def assert_planned(now):
-    """Assert that a publisher came from its own QoS to the plan, and that nothing of a former life is left."""
+    """Assert that a restarted publisher swapped from its own QoS to the plan, and has one writer."""
     assert (now.last.baseline_depth, now.last.baseline_deadline_ns) == BASELINE
     assert ended(now.last) >= 1
     assert now.last.generation >= 1
@@ -79,7 +79,7 @@ def assert_planned(now):
 
 
 def kill_node(world):
-    """Kill the publishers' node while a daemon's first plan comes into force, and start it again."""
+    """Kill the publishers' node during the swap to a daemon's first plan, and start it again."""
     reader = Log(world, "reader")
     world.daemon()
     talker = world.talker(has_short_lease=True, stops=TOPICS)
@@ -96,7 +96,7 @@ def kill_node(world):
 
 @every_state
 def test_a_killed_node_takes_only_what_it_held_with_it(played, where):
-    """What it announced as published has arrived, once and in order; what is lost is what it announced as queued."""
+    """Samples announced as published have arrived once and in order, and only those announced as queued are lost."""
     last = played(kill_node).before[TOPICS[where]].last
     received = [number for number in played(kill_node).received[TOPICS[where]] if number < AGAIN]
     assert received == list(range(last.published))
@@ -106,20 +106,20 @@ def test_a_killed_node_takes_only_what_it_held_with_it(played, where):
 
 @every_state
 def test_a_node_started_again_begins_with_its_own_qos_and_gets_the_plan_back(played, where):
-    """It swaps from its application's QoS to the daemon's plan; one writer is left in the graph."""
+    """The restarted node swaps from its application's QoS to the daemon's plan, and has one writer."""
     assert_planned(played(kill_node).now[TOPICS[where]])
 
 
 @every_state
 def test_a_node_started_again_loses_nothing(played, where):
-    """From its first sample on, the restarted node's samples arrive once and in order, through the swap to the plan."""
+    """The restarted node's samples arrive once and in order, through the swap to the plan."""
     received = [number for number in played(kill_node).received[TOPICS[where]] if number >= AGAIN]
     assert received == list(range(AGAIN, played(kill_node).end))
     assert played(kill_node).now[TOPICS[where]].last.published == played(kill_node).end - AGAIN
 
 
 def kill_relay(world):
-    """Kill the relay while a daemon's first plan comes into force; its source publishes on, and it is started again."""
+    """Kill the relay during the swap to a daemon's first plan, and start it again; its source goes on."""
     far, near = Log(world, "far", LINK.values()), Log(world, "near")
     source = Source(world, "source", TOPICS.values())
     world.daemon()
@@ -146,7 +146,7 @@ def kill_relay(world):
 
 @every_state
 def test_a_killed_relay_takes_only_what_it_held_with_it(played, where):
-    """From its first sample on all arrive, once and in order; what is lost is what it announced as queued."""
+    """Samples arrive once and in order from the first on, and only those announced as queued are lost."""
     last = played(kill_relay).before[LINK[where]].last
     received = [number for number in played(kill_relay).far[LINK[where]] if number < played(kill_relay).paused]
     assert received == list(range(received[0], played(kill_relay).paused - last.queued))
@@ -156,7 +156,7 @@ def test_a_killed_relay_takes_only_what_it_held_with_it(played, where):
 
 @every_state
 def test_a_relay_started_again_carries_on(played, where):
-    """It swaps from its configured QoS to the daemon's plan; from its first sample on it carries every one."""
+    """The restarted relay swaps to the daemon's plan, and carries every sample from its first one on."""
     topic = LINK[where]
     now = played(kill_relay).now[topic]
     assert_planned(now)
@@ -172,7 +172,7 @@ def test_a_killed_relay_does_not_touch_its_source(played, where):
 
 
 def kill_daemon(world):
-    """Kill a daemon whose plan comes into force, then its successor in the same place, then start a third one."""
+    """Kill a daemon and then its successor during the swaps to their plans, then start a third one."""
     reader = Log(world, "reader")
     daemon = world.daemon()
     talker = world.talker(stops=TOPICS)
@@ -201,7 +201,7 @@ def kill_daemon(world):
 @every_state
 @pytest.mark.parametrize(("death", "depth"), [(0, DEPTH), (1, OTHER_DEPTH)])
 def test_a_swap_outlives_the_daemon_that_asked_for_it(played, where, death, depth):
-    """The swap comes into force with nobody there to ask for it again, and one writer is left."""
+    """The swap succeeds without a daemon, and one writer is left."""
     now = played(kill_daemon).deaths[death][TOPICS[where]]
     assert (now.last.depth, now.last.refusal, ended(now.last)) == (depth, "", death + 1)
     assert now.writers == [now.last.deadline_ns] != [0]
@@ -209,7 +209,7 @@ def test_a_swap_outlives_the_daemon_that_asked_for_it(played, where, death, dept
 
 @every_state
 def test_a_plan_with_a_lease_ends_with_its_daemon(played, where):
-    """With ``on_lost: baseline`` the publisher returns to its own QoS, and waits for whoever plans next."""
+    """With ``on_lost: baseline`` the publisher returns to its own QoS and to generation 0."""
     now = played(kill_daemon).deserted[TOPICS[where]]
     assert (qos(now.last), now.last.generation) == (BASELINE, 0)
     assert now.writers == [0]
@@ -217,7 +217,7 @@ def test_a_plan_with_a_lease_ends_with_its_daemon(played, where):
 
 @every_state
 def test_a_daemon_started_again_takes_over(played, where):
-    """Without a lease the plan stays until the next daemon's; generations only rise, until a lease is over."""
+    """Without a lease the plan stays until the next daemon's, and generations rise until a lease is over."""
     first = played(kill_daemon).deaths[0][TOPICS[where]].last
     announced = played(kill_daemon).announced[TOPICS[where]]
     generations = [state.generation for state in announced]
@@ -231,7 +231,7 @@ def test_a_daemon_started_again_takes_over(played, where):
 
 @every_state
 def test_daemons_that_die_cost_no_sample(played, where):
-    """Through all of it every sample arrives once and in order, as many as were announced as published."""
+    """Every published sample arrives once and in order."""
     last = played(kill_daemon).now[TOPICS[where]].last
     assert played(kill_daemon).received[TOPICS[where]] == list(range(played(kill_daemon).sent))
     assert (last.published, last.withheld) == (played(kill_daemon).sent, 0)

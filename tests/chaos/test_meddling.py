@@ -1,4 +1,4 @@
-"""What others do while a swap is under way, in every state of it: join, set parameters by hand, plan as well."""
+"""Events during a writer swap, in every state of it: readers join, a person sets parameters, a second daemon plans."""
 
 import re
 import time
@@ -19,7 +19,7 @@ every_state = pytest.mark.parametrize("where", WHERE)
 
 
 def join(world):
-    """One subscriber joins while every swap is stopped, another one just when they go on."""
+    """One subscriber joins while every swap is stopped, another one as they go on."""
     there = Log(world, "there")
     talker = world.talker(stops=TOPICS)
     world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
@@ -50,7 +50,7 @@ def join(world):
 @every_state
 @pytest.mark.parametrize("name", ["early", "late"])
 def test_who_joins_during_a_swap_gets_everything_from_then_on(played, where, name):
-    """A joining reader has every sample published since it matched, once and in order, and is not left behind."""
+    """A joining reader has every sample published since it matched, once and in order."""
     joined = getattr(played(join), name)
     numbers = joined.numbers[TOPICS[where]]
     assert is_gapless(numbers)
@@ -60,18 +60,18 @@ def test_who_joins_during_a_swap_gets_everything_from_then_on(played, where, nam
 
 @every_state
 def test_who_joins_during_a_swap_harms_nobody(played, where):
-    """The swap comes into force or is refused with a reason; who was there loses, doubles and reorders nothing."""
-    came = played(join)
-    now = came.now[TOPICS[where]]
+    """The swap succeeds or is refused with a reason, and the first reader loses, doubles and reorders nothing."""
+    outcome = played(join)
+    now = outcome.now[TOPICS[where]]
     stated = (BASELINE_DEPTH, 0) if now.last.refusal else (DEPTH, DEADLINE_NS)
     assert (now.last.depth, now.last.deadline_ns, ended(now.last)) == (*stated, 1)
     assert now.writers == [now.last.deadline_ns]
-    assert came.there[TOPICS[where]] == list(range(came.sent))
-    assert (now.last.published, now.last.withheld) == (came.sent, 0)
+    assert outcome.there[TOPICS[where]] == list(range(outcome.sent))
+    assert (now.last.published, now.last.withheld) == (outcome.sent, 0)
 
 
 def set_by_hand(world):
-    """Parameters are set one by one while every swap is stopped."""
+    """Set parameters one by one while every swap is stopped."""
     reader = Log(world, "reader")
     talker = world.talker(stops=TOPICS)
     world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
@@ -87,7 +87,7 @@ def set_by_hand(world):
 
 @every_state
 def test_what_was_set_last_during_a_swap_is_in_force(played, where):
-    """The last value of each parameter wins, the ones before cost no swap, and one writer is left."""
+    """The last value of each parameter is in force, earlier ones cost no swap, and one writer is left."""
     now = played(set_by_hand).now[TOPICS[where]]
     assert (now.last.depth, now.last.deadline_ns, now.last.refusal) == (250, 700_000_000, "")
     assert now.writers == [700_000_000]
@@ -96,15 +96,15 @@ def test_what_was_set_last_during_a_swap_is_in_force(played, where):
 
 @every_state
 def test_setting_parameters_during_a_swap_loses_nothing(played, where):
-    """Every sample arrives once and in order, as many as were announced as published."""
-    came = played(set_by_hand)
-    last = came.now[TOPICS[where]].last
-    assert came.received[TOPICS[where]] == list(range(came.sent))
-    assert (last.published, last.withheld) == (came.sent, 0)
+    """Every published sample arrives once and in order."""
+    outcome = played(set_by_hand)
+    last = outcome.now[TOPICS[where]].last
+    assert outcome.received[TOPICS[where]] == list(range(outcome.sent))
+    assert (last.published, last.withheld) == (outcome.sent, 0)
 
 
 def fight(world, *, is_at_once):
-    """Let two daemons plan for one publisher; then stop the one whose plan is in force."""
+    """Let two daemons plan for one publisher, then stop the one whose plan is in force."""
     reader = Log(world, "reader", [FOUGHT])
     daemons = {depth: world.daemon(depth=depth) for depth in ([DEPTH, RIVAL_DEPTH] if is_at_once else [DEPTH])}
     insist(lambda: all(status(daemon) for daemon in daemons.values()), "the daemons are there")
@@ -119,7 +119,7 @@ def fight(world, *, is_at_once):
     winner = world.last(FOUGHT).depth
     (loser,) = set(daemons) - {winner}
     daemons[winner].terminate()
-    time.sleep(2.0)  # what it did last is announced
+    time.sleep(2.0)  # until its last action is announced
     wait(lambda: world.shows(FOUGHT, depth=loser), 20.0)
     sent = talker.tell("publish", is_on=False)
     insist(lambda: world.shows(FOUGHT, offered=sent, queued=0), "the queue is empty")
@@ -137,7 +137,7 @@ def fight_at_once(world):
 
 
 def fight_later(world):
-    """Start the second daemon when the first one's plan is in force."""
+    """Start the second daemon once the first one's plan is in force."""
     return fight(world, is_at_once=False)
 
 
@@ -146,35 +146,29 @@ each_fight = pytest.mark.parametrize("fought", [fight_at_once, fight_later])
 
 @each_fight
 def test_two_daemons_cost_no_sample(played, fought):
-    """However often they swap, every sample arrives once and in order, as many as were announced as published."""
-    came = played(fought)
-    assert came.received == list(range(came.sent))
-    assert (came.last.published, came.last.withheld) == (came.sent, 0)
-
-
-@each_fight
-def test_two_daemons_swap_at_a_bounded_rate(played, fought):
-    """Each of them sends its plan again at growing intervals only, so a fight costs few swaps."""
-    assert 1 <= ended(played(fought).fought) <= 10
+    """Every published sample arrives once and in order."""
+    outcome = played(fought)
+    assert outcome.received == list(range(outcome.sent))
+    assert (outcome.last.published, outcome.last.withheld) == (outcome.sent, 0)
 
 
 @each_fight
 def test_two_daemons_come_to_rest(played, fought):
-    """One of the two plans stays in force: at most each daemon's own plan costs a swap, and one in return."""
-    assert ended(played(fought).fought) <= 3, played(fought).fought
+    """One of the two plans stays in force: each daemon's plan costs at most one swap, and one back."""
+    assert 1 <= ended(played(fought).fought) <= 3, played(fought).fought
 
 
 @each_fight
-def test_two_daemons_are_told_of(played, fought):
-    """At least one of the two logs that another daemon plans for the same publishers."""
+def test_two_daemons_are_logged(played, fought):
+    """At least one of the two logs that another daemon is there."""
     assert any(re.search(r"(another|second|two|other) (arpd|daemon)", log) for log in played(fought).logs)
 
 
 @each_fight
 def test_of_two_daemons_the_one_that_stays_takes_over(played, fought):
-    """When the one whose plan is in force stops, the other's plan comes into force."""
-    came = played(fought)
-    assert came.last.depth == came.loser, (BASELINE_DEPTH, came.last)
+    """When the active daemon stops, the other one's plan comes into force."""
+    outcome = played(fought)
+    assert outcome.last.depth == outcome.loser, (BASELINE_DEPTH, outcome.last)
 
 
 SCENARIOS = (fight_at_once, fight_later, join, set_by_hand)

@@ -1,4 +1,4 @@
-"""The test's side of a chaos test: it starts processes, kills them, and sees what any other process would see."""
+"""The test's side of a chaos test: it starts and kills processes, and observes them as any other process can."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from scripts.bench.child import number_of, sample_of
 from tests.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 
 REPO = Path(__file__).resolve().parents[2]
-START_S = 40.0  # generous: the machine is shared and noisy
-_DOMAINS = set(range(50, 100))  # those below are of tests/ros, which may run beside
+START_S = 40.0  # long, because the machine is shared and noisy
+_DOMAINS = set(range(50, 100))  # tests/ros uses those below, and may run at the same time
 SHORT_LEASE = """
     <participant profile_name="mortal" is_default_profile="true">
       <rtps><builtin><discovery_config>
@@ -49,7 +49,7 @@ SHORT_LEASE = """
 
 @contextmanager
 def this_host_only():
-    """Keep what is started to UDP on this host, with arpd's profile."""
+    """Limit ROS to UDP on this host, with arpd's profile."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -58,7 +58,7 @@ def this_host_only():
 
 
 def wait(condition, timeout_s=START_S):
-    """Wait until a condition holds; return whether it did."""
+    """Wait for a condition; return whether it holds."""
     until_s = time.monotonic() + timeout_s
     while time.monotonic() < until_s:
         if condition():
@@ -68,7 +68,7 @@ def wait(condition, timeout_s=START_S):
 
 
 def insist(condition, what, timeout_s=START_S):
-    """Wait for what the test is built on."""
+    """Wait for a condition that the test relies on."""
     assert wait(condition, timeout_s), f"did not happen in time: {what}"
 
 
@@ -92,17 +92,17 @@ class Process:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def tell(self, do, **arguments):
-        """Give a command, wait for its answer."""
+        """Send a command, and wait for its answer."""
         print(json.dumps({"do": do, **arguments}), file=self._popen.stdin, flush=True)
         return self._answers.get(timeout=START_S)
 
     def stop(self, topics):
-        """Let the next swap of each topic stop where the topic says; ``stopped`` tells when it has."""
+        """Stop the next swap of each topic in the topic's state; ``stopped`` has the topics where it did."""
         self.stopped.clear()
         self.tell("stop", at={topic: where for where, topic in topics.items()})
 
     def terminate(self):
-        """Stop it as systemd does, and wait until it has done what it does then."""
+        """Stop it as systemd does, and wait for its end."""
         self._popen.terminate()
         self._popen.wait(timeout=START_S)
 
@@ -112,21 +112,21 @@ class Process:
         self._popen.wait()
 
     def log(self):
-        """Return what it wrote to stderr so far."""
+        """Return its stderr so far."""
         return self._log.read_text()
 
     def _listen(self):
         for line in self._popen.stdout:
             if line.startswith("{"):
-                said = json.loads(line)
-                if "stopped" in said:
-                    self.stopped.add(said["stopped"])
+                answer = json.loads(line)
+                if "stopped" in answer:
+                    self.stopped.add(answer["stopped"])
                 else:
-                    self._answers.put(said["answer"])
+                    self._answers.put(answer["answer"])
 
 
 class World:
-    """A domain of its own, with processes in it and an observer who is none of them."""
+    """A separate ROS domain, its processes, and an observer."""
 
     def __init__(self, workdir):
         self._workdir = workdir
@@ -145,7 +145,7 @@ class World:
         self._stack.close()
 
     def node(self, name):
-        """Return a node in a participant of its own, as every process has one."""
+        """Return a node in its own participant, as in its own process."""
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=self._domain)
         self._stack.callback(rclpy.try_shutdown, context=context)
@@ -161,7 +161,7 @@ class World:
 
         Parameters
         ----------
-        has_short_lease : others take it for dead 3 s after its end, not 20 s
+        has_short_lease : DDS removes it 3 s after its end, and not 20 s
         """
         profile = self._workdir / "short_lease.xml"
         profile.write_text(FASTDDS_PROFILE.read_text().replace("<profiles>", "<profiles>" + SHORT_LEASE))
@@ -179,11 +179,11 @@ class World:
         return process
 
     def talker(self, *topics, readers=1, number=0, stops=None, **options):
-        """Start the talker and let it publish, from ``number`` on, once every topic has its readers.
+        """Start the talker, and let it publish from ``number`` on once every topic has its readers.
 
         Parameters
         ----------
-        stops : topic by where its next swap shall stop
+        stops : topic by the state in which its next swap stops
         """
         talker = self.start("talker", "talker", *(topics or TOPICS.values()), **options)
         talker.stop(stops or {})
@@ -192,12 +192,12 @@ class World:
         return talker
 
     def daemon(self, **config):
-        """Start `arpd run`; planned are a depth of ``depth`` on every topic and a finite deadline."""
+        """Start `arpd run`; it plans ``depth`` and a finite deadline for every topic."""
         depth = config.pop("depth", DEPTH)
         config = {
             "link": {"interface": "lo", "capacity": "10gbit"},
             "http": {"port": free_port()},
-            "governor": {"hold": "1h"},  # one plan each: the test's own jitter is no change of demand
+            "governor": {"hold": "1h"},  # one plan only: the test's jitter must not cause another
             "defaults": {"min_depth": depth, "max_depth": depth, "latency_budget": "none"},
             **config,
         }
@@ -214,18 +214,18 @@ class World:
         path.write_text(json.dumps({"relay": {"topics": topics}}))
         return path
 
-    # -- what anybody can see and do
+    # -- the view and the actions of any process
 
     def announced(self, topic):
-        """Return all that was announced of a topic's publisher, oldest first."""
+        """Return all announcements of a topic's publisher, oldest first."""
         return tuple(self._announcements[topic])
 
     def last(self, topic):
-        """Return what was announced last, None before the first time."""
+        """Return the last announcement, None before the first."""
         return self._announcements[topic][-1] if self._announcements[topic] else None
 
     def has_settled(self, topics, *, swaps, **values):
-        """Whether each topic announces these values after so many swaps, and its only writer has its deadline."""
+        """Return whether each topic announces these values after so many swaps, with one writer of its deadline."""
         return all(
             self.shows(topic, **values)
             and ended(self.last(topic)) >= swaps
@@ -234,21 +234,21 @@ class World:
         )
 
     def rests(self, topic):
-        """Whether nothing was offered and nothing has left the queue between the last two announcements."""
+        """Return whether no sample was offered or published between the last two announcements."""
         last = self.announced(topic)[-2:]
         return len(last) == 2 and len({(state.offered, state.published) for state in last}) == 1
 
     def shows(self, topic, **values):
-        """Whether the topic's publisher last announced these values."""
+        """Return whether the publisher's last announcement has these values."""
         last = self.last(topic)
         return last is not None and all(getattr(last, key) == value for key, value in values.items())
 
     def writers(self, topic):
-        """Deadlines of all writers the graph knows on a topic (ns)."""
+        """Return the deadlines of all writers of a topic in the graph (ns)."""
         return [deadline_ns_of(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def picture(self):
-        """Return what everybody sees now, by topic: what was announced, and the graph's writers."""
+        """Return the last announcement and the graph's writers, by topic."""
         return {
             topic: SimpleNamespace(last=self.last(topic), writers=self.writers(topic))
             for topic in tuple(self._announcements)
@@ -284,7 +284,7 @@ class World:
 
 
 class Log:
-    """What arrives on each topic, in order, in a participant of its own."""
+    """Numbers that arrive on each topic, in order, in a separate participant."""
 
     def __init__(self, world, name, topics=()):
         self.numbers = {topic: [] for topic in (topics or TOPICS.values())}
@@ -296,7 +296,7 @@ class Log:
 
 
 class Source:
-    """A node that knows nothing of arpd and publishes the same numbers on every topic."""
+    """A node without arpd that publishes the same numbers on every topic."""
 
     def __init__(self, world, name, topics):
         node = world.node(name)
@@ -314,7 +314,7 @@ class Source:
                 self.sent += 1
 
     def pause(self):
-        """Stop publishing; return how many numbers there were so far."""
+        """Stop publishing; return the number of samples so far."""
         with self._lock:
             self.is_publishing = False
             return self.sent
@@ -328,11 +328,11 @@ def _parameter(topic, setting, value):
 
 
 def settle(world, talker, *logs, first=0):
-    """Stop publishing and wait until the logs have all there is; return how many numbers there were, from 0 on."""
+    """Stop publishing, and wait until the logs have every sample; return the number of samples, from 0 on."""
     sent = talker.tell("publish", is_on=False)
     insist(lambda: all(world.shows(t, offered=sent - first, queued=0) for t in TOPICS.values()), "the queues are empty")
     wait(lambda: all(log.numbers[t][-1:] == [sent - 1] for log in logs for t in TOPICS.values()), 10.0)
-    time.sleep(0.3)  # for a double to show
+    time.sleep(0.3)  # for a duplicate to show
     return sent
 
 
@@ -346,17 +346,17 @@ def status(daemon):
 
 
 def ended(state):
-    """Count the swaps that ended; ``undelivered`` stands beside a swap's own result."""
+    """Count the swaps that ended; ``undelivered`` comes beside a swap's own result."""
     return sum(count for result, count in state.swaps_by_result.items() if result != "undelivered")
 
 
 def is_gapless(numbers):
-    """Whether these are consecutive numbers, each once and in order."""
+    """Return whether these are consecutive numbers, each once and in order."""
     return bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 def free_domain():
-    """Return a domain that nobody on this host uses, nor another world: its first participant's port is free."""
+    """Return a domain that no process on this host uses: the port of its first participant is free."""
     for domain in random.sample(sorted(_DOMAINS), len(_DOMAINS)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
