@@ -307,17 +307,19 @@ def looks(ros, monkeypatch):
     node.destroy_node()
 
 
+def is_settled(relay):
+    """Let the relay look; return whether /a is settled."""
+    relay._discover()
+    return relay._is_settled("/a")
+
+
 def test_a_settled_topic_is_only_counted(elsewhere, looks, eventually):
     """Endpoints of a settled topic are read when their number changes, and at every tenth look."""
     relay, whole = looks
     talker = elsewhere("talker")
     talker.create_publisher(String, "/a", 10)
 
-    def is_settled():
-        relay._discover()
-        return relay._is_settled("/a")
-
-    eventually(is_settled)
+    eventually(lambda: is_settled(relay))
     whole.clear()
     for _ in range(2 * relay_module._EVERY_LOOK):
         relay._discover()
@@ -335,11 +337,7 @@ def test_a_source_replaced_between_two_looks_is_heard(elsewhere, looks, eventual
     talker = elsewhere("talker")
     first = talker.create_publisher(String, "/a", 10)
 
-    def is_settled():
-        relay._discover()
-        return relay._is_settled("/a")
-
-    eventually(is_settled)
+    eventually(lambda: is_settled(relay))
     talker.create_publisher(String, "/a", BEST_EFFORT)
     eventually(lambda: not relay._is_settled("/a"))
     talker.destroy_publisher(first)

@@ -56,6 +56,12 @@ class Endpoint:
             self.state = replace(self.state, depth=self.wanted.depth, deadline_ns=self.wanted.deadline_ns)
             self.wanted = None
 
+    def answer(self):
+        """Take every parameter call, and bring the last one into force."""
+        while self.inbox:
+            self.receive()
+        self.swap()
+
     def announce(self):
         self.announced = self.state
 
@@ -104,9 +110,7 @@ class World:
             if not self.steps.transitions:
                 return
             for each in among or self.endpoints:
-                while each.inbox:
-                    each.receive()
-                each.swap()
+                each.answer()
                 each.announce()
         raise AssertionError("it never settles")
 
@@ -194,8 +198,7 @@ def test_relaxing_moves_readers_first_and_the_rate_at_once():
     assert to_writer.topics[TOPIC] == replace(row(SHORT, depth=10), rate_hz=5.0)
     assert to_reader.readers[TOPIC] == ReaderPlan(depth=20, deadline_ns=750 * MS)
     for each in world.endpoints:
-        each.receive()
-        each.swap()
+        each.answer()
     world.writers[0].announce()
     world.tick()
     assert sent(world) == ["readers"]
@@ -213,8 +216,7 @@ def test_tightening_moves_writers_first():
     world.tick()
     assert sent(world) == ["writers", "writers"]
     for each in world.writers:
-        each.receive()
-        each.swap()
+        each.answer()
     world.writers[0].announce()
     world.tick()
     assert sent(world) == ["writers"]
@@ -233,9 +235,7 @@ def test_a_reader_that_does_not_answer_holds_nobody_back_for_ever():
     world.tick(PATIENCE_S + 0.1)
     for _ in range(3):
         for each in willing:
-            while each.inbox:
-                each.receive()
-            each.swap()
+            each.answer()
             each.announce()
         world.tick()
     assert world.writers[0].state.deadline_ns == 100 * MS
