@@ -5,16 +5,25 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from typing import TYPE_CHECKING
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import add_address, address
-from arpd.model.errors import UsageError
+from arpd.model.errors import ArpdError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from arpd.cli.client import DaemonAddress
+    from arpd.cli.terminal import Terminal
 
 _LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
 _PIPE_COLUMNS, _PIPE_LINES = 120, 1000
+_HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
+_PATIENCE_S = 3.0
 
 
 def add_top(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,9 +33,9 @@ def add_top(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         help="watch what the daemon sees and does, live",
         description="""\
 Show a running daemon live: whether the link is the limit and whether arpd copes, capacity, queue and gate with their
-last ten minutes, the plan and why it is the one, the topics (first those that are refused something, then those that
-give up most), and the last lines of the decision log. What the terminal has no room for is summed up.
-q or Ctrl-C ends it. A daemon that goes away is waited for.""",
+last ten minutes, the plan and its reason, the topics (first refusals, then those that give up most), and the last lines
+of the decision log. Topics that do not fit the terminal are counted.
+q or Ctrl-C ends it. It waits for a daemon that goes away.""",
         epilog="""\
 examples:
   arpd top
@@ -54,10 +63,7 @@ def _top(options: argparse.Namespace) -> int:
         return 0
     if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
         raise UsageError("arpd top needs a terminal; --once prints one frame anywhere")
-
-    from arpd.cli.live import watch
-
-    watch(daemon, interval_s=options.interval)
+    _watch(daemon, interval_s=options.interval)
     return 0
 
 
@@ -78,3 +84,98 @@ def _print_once(daemon: DaemonAddress) -> None:
     console = Console(width=width, height=height, highlight=False)
     view = View(width=width, height=height, url=daemon.url, is_ascii=not console.encoding.startswith("utf"))
     console.print(frame(status, history, view))
+
+
+def _watch(daemon: DaemonAddress, *, interval_s: float) -> None:
+    """Show a daemon on the terminal until the user ends it.
+
+    Parameters
+    ----------
+    interval_s : pause between two questions (s)
+
+    Raises
+    ------
+    DaemonUnreachableError
+        If it does not answer at the start; later this waits for it.
+    """
+    from arpd.cli.terminal import Terminal
+
+    asking = _Asking(daemon, interval_s=interval_s)
+    with Terminal() as terminal, asking.going_on(terminal.wake):
+        while True:
+            is_silent = _draw(terminal, asking.seen, daemon.url, patience_s=3 * interval_s + _PATIENCE_S)
+            # The age on the screen counts up, with or without news.
+            if terminal.wait(1.0 if is_silent else 2.0):
+                return
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Seen:
+    """The daemon's last answers.
+
+    Parameters
+    ----------
+    answered_s : monotonic clock when it answered last (s)
+    why_silent : why the last try failed, empty when it did not
+    """
+
+    status: dict[str, Any]
+    history: dict[str, Any] | None
+    answered_s: float
+    why_silent: str = ""
+
+
+class _Asking:
+    """Asks a daemon again and again in a thread, so that one that hangs does not hold up the screen.
+
+    The constructor waits for the first answer: without one there is nothing to show.
+
+    Parameters
+    ----------
+    daemon : the daemon to ask
+    interval_s : pause between two questions (s)
+    """
+
+    def __init__(self, daemon: DaemonAddress, *, interval_s: float) -> None:
+        self._daemon = daemon
+        self._interval_s = interval_s
+        self._ended = threading.Event()
+        self._history_s = time.monotonic()
+        self.seen = _Seen(status=daemon.status(), history=daemon.history(), answered_s=time.monotonic())
+
+    @contextmanager
+    def going_on(self, on_seen: Callable[[], None]) -> Iterator[None]:
+        """Go on asking until the end of the block; call ``on_seen`` in that thread after each answer."""
+        # A daemon thread: the end of the block does not wait for a question under way.
+        threading.Thread(target=self._ask, args=(on_seen,), name="asking", daemon=True).start()
+        try:
+            yield
+        finally:
+            self._ended.set()
+
+    def _ask(self, on_seen: Callable[[], None]) -> None:
+        while not self._ended.wait(self._interval_s):
+            self.seen = self._next(self.seen)
+            on_seen()
+
+    def _next(self, seen: _Seen) -> _Seen:
+        try:
+            status, history = self._daemon.status(), seen.history
+            now_s = time.monotonic()
+            if seen.why_silent or now_s - self._history_s >= _HISTORY_EVERY_S:
+                history, self._history_s = self._daemon.history(), now_s
+        except ArpdError as error:
+            return replace(seen, why_silent=str(error))
+        return _Seen(status=status, history=history, answered_s=now_s)
+
+
+def _draw(terminal: Terminal, seen: _Seen, url: str, *, patience_s: float) -> bool:
+    """Draw a frame; return whether the daemon is silent."""
+    from arpd.cli.frame import View, frame
+
+    width, height = terminal.size()
+    silent_s = time.monotonic() - seen.answered_s
+    why = seen.why_silent or ("it takes long to answer" if silent_s > patience_s else "")
+    view = View(width=width, height=height, url=url, silent_s=silent_s, why_silent=why, is_ascii=terminal.is_ascii)
+    terminal.draw(frame(seen.status, seen.history, view))
+    return bool(why)
