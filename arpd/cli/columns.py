@@ -1,4 +1,4 @@
-"""Cells, columns and numbers of the tables that commands print."""
+"""Lines and columns that commands print: aligned, fitted to a terminal, cut, wrapped."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import number, rows, text
-from arpd.model.quantities import format_duration, format_rate, printable
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_LONGEST_NAME = 32  # what a line of 120 columns leaves for it
-_WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8  # what is worth a column of lesser use, and what stays readable
+_LONGEST_NAME = 32  # fits a line of 120 columns
+# A first column up to _WHOLE_NAME wide is worth more than a column of rank 5; the others keep it and the last readable.
+_WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8
 
 
 def aligned(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
-    """Put cells into columns: the first and the last ``words`` to the left, numbers to the right."""
+    """Put cells into columns: the first and the last ``words`` flush left, numbers flush right."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     numbers = len(widths) - words
     lines = []
@@ -31,37 +32,20 @@ def aligned(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
 
 
 def short_name(name: str) -> str:
-    """Cut a long name short at its front; its end tells topics apart."""
+    """Cut the front off a long name; its end tells topics apart."""
     shown = printable(name, longest=250)
     return shown if len(shown) <= _LONGEST_NAME else f"…{shown[1 - _LONGEST_NAME :]}"
 
 
-def figures(value: float, *, digits: int = 4) -> str:
-    """Write a number with so many figures, and no exponent where people expect none."""
-    if 10.0 ** (digits - 1) <= value < 1e6:
-        return f"{value:.0f}"
-    return f"{value:.{digits}g}"
-
-
-def rate(bytes_per_second: float | None) -> str:
-    """Write a rate, a dash where there is none."""
-    return "-" if bytes_per_second is None else format_rate(bytes_per_second)
-
-
-def duration(seconds: float | None) -> str:
-    """Write a duration, a dash where there is none."""
-    return "-" if seconds is None else format_duration(seconds)
-
-
 def fitted(rows: Sequence[Sequence[str]], *, ranks: Sequence[int], width: int) -> list[str]:
-    """Lay rows out under their first so that none is wider than ``width``; all columns but first and last are numbers.
+    """Put rows into columns, none wider than ``width``; all columns but the first and the last hold numbers.
 
-    What does not fit is given up in this order: columns of rank 5 and more, the front of the first (the end tells
-    topics apart), further columns, those that rank highest first, the end of the last.
+    Where they are too wide it drops columns of rank 5 and more, then cuts the front of the first column (the end tells
+    topics apart), then drops further columns, the highest rank first, then cuts the end of the last column.
 
     Parameters
     ----------
-    ranks : one per column; 0 is never given up
+    ranks : one per column; 0 is never dropped
     """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     kept = list(range(len(widths)))
@@ -94,7 +78,7 @@ def cut(text: str, longest: int) -> str:
 
 
 def wrapped(text: str, width: int, *, indent: int, most: int = 2) -> list[str]:
-    """Break a text into lines, the second and later ones indented; what ``most`` do not hold ends in an ellipsis."""
+    """Break a text into ``most`` lines, the second and later ones indented; an ellipsis stands for the rest."""
     return textwrap.wrap(
         text,
         max(width, 3 * indent, 20),
@@ -116,14 +100,14 @@ def last_events(status: dict[str, Any], most: int, *, width: int) -> list[str]:
 
 
 def clock(event: dict[str, Any], now_s: float | None = None) -> str:
-    """Return when an event happened, by the clock on this wall."""
+    """Return the local time of an event."""
     at_s = number(event, "unix_time_seconds")
     is_recent = at_s is not None and (now_s is None or abs(now_s - at_s) < _DAY_S)
     return wall_clock(at_s, "%H:%M:%S" if is_recent else "%b %d %H:%M")
 
 
 def wall_clock(unix_time_s: float | None, pattern: str = "%H:%M:%S") -> str:
-    """Return a Unix time as local time; what no calendar has is question marks."""
+    """Return a Unix time as local time, question marks for a time outside the calendar."""
     try:
         return "??:??:??" if unix_time_s is None else time.strftime(pattern, time.localtime(unix_time_s))
     except (OverflowError, ValueError, OSError):

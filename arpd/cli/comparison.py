@@ -1,4 +1,4 @@
-"""What `arpd simulate` prints: tables for people, a document for programs."""
+"""Output of `arpd simulate`: tables for people, a document for programs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli.columns import aligned, figures, short_name
+from arpd.cli.columns import aligned, short_name
 from arpd.daemon.compare import WARM_UP_S, events, summarize
 from arpd.daemon.scenario import Moment
 from arpd.model.endpoints import Direction
-from arpd.model.quantities import format_duration, format_rate, format_size, printable
+from arpd.model.quantities import format_duration, format_number, format_rate, format_share, format_size, printable
+from arpd.report.wording import count
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,14 +32,14 @@ _MOST_EVENTS = 25
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Asked:
-    """What was asked for, understood.
+    """The request, read and checked.
 
     Parameters
     ----------
-    config : file of the configuration; None = there is none, and the settings are the demo robot's, too
+    config : file of the configuration; None = the settings are the demo robot's, too
     trace : the link, as long as the run
     duration_s : length of the run (s)
-    is_demo : whether the robot is the demo's, for lack of topics in the configuration
+    is_demo : True for the demo robot, when the configuration names no topics
     """
 
     config: Path | None
@@ -63,9 +64,9 @@ def comparison_tables(asked: Asked, comparison: Comparison) -> str:
         *_topics(
             asked,
             comparison,
-            before=("source Hz", lambda topic: figures(topic.source_rate_hz)),
+            before=("source Hz", lambda topic: format_number(topic.source_rate_hz, digits=4)),
             blocks={
-                "delivered Hz": lambda topic: figures(topic.received / asked.duration_s, digits=3),
+                "delivered Hz": lambda topic: format_number(topic.received / asked.duration_s),
                 "lost %": lambda topic: f"{100 * topic.loss_ratio:.2f}",
             },
         ),
@@ -90,7 +91,7 @@ def comparison_tables(asked: Asked, comparison: Comparison) -> str:
 
 
 def comparison_document(asked: Asked, comparison: Comparison) -> dict[str, Any]:
-    """Return everything as JSON, the course by columns; ``null`` is what does not exist, or never ended."""
+    """Return everything as JSON, the course by columns; ``null`` = it does not exist, or never ended."""
     return {
         "config": None if asked.config is None else str(asked.config),
         "trace": asked.trace.name,
@@ -160,14 +161,14 @@ def _head(asked: Asked, comparison: Comparison) -> list[str]:
     model = asked.model
     about = [f"delay {format_duration(model.delay_s)}", f"queue {format_size(model.queue_bytes)}"]
     if model.loss:
-        about.append(f"loss {model.loss:.3g}")
+        about.append(f"loss {format_share(model.loss)}")
     if model.losses:
         about.append("loss as recorded")
     if model.packet_overhead_s:
         most = f"at most {model.aggregate_packets} packets" if model.aggregate_packets > 1 else "one packet"
         about.append(f"{format_duration(model.packet_overhead_s)} per transmission of {most}")
     published = sum(topic.payload_bytes * topic.rate_hz for topic in asked.robot)
-    robot = f"{len(asked.robot)} topics that publish {format_rate(published)} of payload"
+    robot = f"{count(len(asked.robot), 'topic')} with {format_rate(published)} of payload"
     if asked.config is None:
         robot = f"the demo robot, {robot}; --config names another"
     elif asked.is_demo:
@@ -212,7 +213,7 @@ def _topics(
     before: tuple[str, Callable[[TopicResult], str]] | None,
     blocks: dict[str, Callable[[TopicResult], str]],
 ) -> list[str]:
-    """Lay out figures per topic over the whole run, one block of three ways per figure."""
+    """Lay out numbers per topic over the whole run, one block of three ways per number."""
     ways = list(comparison.ways.values())
     gap = ("  ",)
     first = () if before is None else (before[0],)
@@ -252,7 +253,7 @@ def _event_cells(event: LinkEvent) -> tuple[str, ...]:
 def _milliseconds(seconds: float | None) -> str:
     if seconds is None:
         return "-"
-    return figures(seconds * 1e3, digits=3) if math.isfinite(seconds) else "for ever"
+    return format_number(seconds * 1e3) if math.isfinite(seconds) else "never"
 
 
 def _percent(value: float | None) -> str:

@@ -1,4 +1,4 @@
-"""One frame of `arpd top`, from documents to something rich renders."""
+"""One frame of `arpd top`, drawn from the daemon's documents."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from rich.console import Group
 from rich.text import Text
 
 from arpd.cli.client import count, number, rows, series, text, texts
-from arpd.cli.columns import clock, cut, duration, rate, wall_clock, wrapped
+from arpd.cli.columns import clock, cut, wall_clock, wrapped
+from arpd.cli.status import findings, who_confirmed
 from arpd.cli.topics import topic_table
-from arpd.cli.verdict import faults, is_held_back, kept_ratio, verdict, who_confirmed
-from arpd.model.quantities import format_duration, format_rate, printable
+from arpd.model.quantities import format_duration, format_rate, format_share, printable
+from arpd.report.situation import SLOWED_BELOW
+from arpd.report.wording import NOTHING_ANNOUNCED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -28,14 +30,14 @@ _SEVERITIES = {"warning": "yellow", "error": "red"}
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class View:
-    """What a frame is drawn for.
+    """The terminal and the daemon that a frame is for.
 
     Parameters
     ----------
     width, height : of the terminal (columns, lines)
-    url : where the daemon was asked
-    silent_s, why_silent : how long it has not answered (s), and what the last try came to; empty while it answers
-    is_ascii : whether the terminal has nothing but ASCII
+    url : address of the daemon
+    silent_s, why_silent : time since its last answer (s), and why the last try failed; empty while it answers
+    is_ascii : True for a terminal with ASCII only
     """
 
     width: int
@@ -55,7 +57,7 @@ def frame(status: dict[str, Any], history: dict[str, Any] | None, view: View) ->
     history : document of ``/api/v1/history``, None where there is none
     """
     width = max(view.width, _LEAST_WIDTH)
-    lines = [_title(status, view.url, width), *_verdict(status, view, width)]
+    lines = [_title(status, view.url, width), *_findings(status, view, width)]
     if "link" in status:
         seen = len(lines)
         lines += [*_link(status, history, width, BLOCKS if not view.is_ascii else ASCII), *_plan(status, width)]
@@ -80,14 +82,14 @@ def _title(status: dict[str, Any], url: str, width: int) -> Text:
     return Text(cut(left, width - len(right) - 1).ljust(width - len(right)) + right, style="reverse")
 
 
-def _verdict(status: dict[str, Any], view: View, width: int) -> list[Text]:
-    wrong, said = faults(status), verdict(status)
-    sentences = [(fault, "bold red") for fault in wrong]
-    if said and said not in wrong:
-        sentences.insert(0, (said, _VERDICTS.get(text(status, "verdict", "severity"), "bold")))
+def _findings(status: dict[str, Any], view: View, width: int) -> list[Text]:
+    sentences = [
+        (finding.text, "bold red" if finding.is_wrong else _VERDICTS.get(finding.severity, "bold"))
+        for finding in findings(status)
+    ]
     if view.why_silent:
         of = wall_clock(number(status, "unix_time_seconds"))
-        lost = f"no answer for {view.silent_s:.0f} s, this is of {of}: {printable(view.why_silent, longest=200)}"
+        lost = f"no answer for {view.silent_s:.0f} s, this is from {of}: {printable(view.why_silent, longest=200)}"
         sentences.insert(0, (lost, "bold red"))
     return [Text(line, style=style) for said, style in sentences for line in wrapped(said, width, indent=2, most=4)]
 
@@ -95,17 +97,17 @@ def _verdict(status: dict[str, Any], view: View, width: int) -> list[Text]:
 def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, levels: str) -> list[Text]:
     link = status.get("link")
     loss, back_s = number(link, "loss_ratio"), number(link, "return_delay_seconds")
-    foreign = number(link, "foreign_bytes_per_second")
+    cross_traffic = number(link, "foreign_bytes_per_second")
     delay = [
-        duration(number(link, "queue_delay_seconds")),
-        *([] if loss is None else [f"loss {loss:.1%}"]),
+        format_duration(number(link, "queue_delay_seconds")),
+        *([] if loss is None else [f"loss {format_share(loss)}"]),
         *([] if back_s is None else [f"back in {format_duration(back_s)}"]),
     ]
-    capacity = f"{rate(number(link, 'capacity_bytes_per_second'))}  {text(link, 'kind')}, {text(link, 'state')}"
+    capacity = f"{format_rate(number(link, 'capacity_bytes_per_second'))}  {text(link, 'kind')}, {text(link, 'state')}"
     courses: list[tuple[str, str, tuple[str, ...], Callable[[Iterable[float]], float], Callable[[float], str]]] = [
         ("link", capacity, ("link", "capacity_bytes_per_second"), _mean, format_rate),
         ("queue", ", ".join(delay), ("link", "queue_delay_seconds"), max, format_duration),
-        ("gate", f"{number(status, 'gate') or 0:.2f}", ("gate",), min, "{:.2f}".format),
+        ("gate", format_share(number(status, "gate")), ("gate",), min, format_share),
     ]
     lines = []
     for label, now, keys, worst, show in courses:
@@ -120,20 +122,21 @@ def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, le
             line.append(sparkline(samples, columns, pick=worst, highest=1.0 if worst is min else None, levels=levels))
             line.append(f" {'≥' if worst is min else '≤'} {show(extreme(known))}", style="dim")
         lines.append(line)
-    traffic = f"delivering {rate(number(link, 'delivery_rate_bytes_per_second'))}"
-    if foreign:
-        traffic += f", {format_rate(foreign)} not arpd's, {rate(number(link, 'available_bytes_per_second'))} left"
+    traffic = f"delivering {format_rate(number(link, 'delivery_rate_bytes_per_second'))}"
+    if cross_traffic:
+        left = format_rate(number(link, "available_bytes_per_second"))
+        traffic += f", {format_rate(cross_traffic)} of cross traffic, {left} left"
     return [*lines, _fact("traffic", traffic, width), *_why(text(link, "evidence"), width)]
 
 
 def _plan(status: dict[str, Any], width: int) -> list[Text]:
     plan, allocation = status.get("plan"), status.get("allocation")
-    force = f"{count(plan, 'generation')} for {rate(number(status, 'level_bytes_per_second'))}: {who_confirmed(status)}"
+    level = format_rate(number(status, "level_bytes_per_second"))
     solved = f"{text(allocation, 'status')}, bound by {text(allocation, 'binding').replace('_', ' ')}"
-    took = f"{text(allocation, 'backend')}, {duration(number(allocation, 'solve_seconds'))}"
+    took = f"{text(allocation, 'backend')}, {format_duration(number(allocation, 'solve_seconds'))}"
     why = "; ".join(said for said in (text(plan, "reason"), *(f"refused {r}" for r in texts(plan, "refusals"))) if said)
     return [
-        _fact("plan", force, width),
+        _fact("plan", f"{count(plan, 'generation')} for {level}: {who_confirmed(status)}", width),
         *_why(why, width),
         _fact("program", f"{solved} ({took})", width),
     ]
@@ -159,28 +162,37 @@ def _share(room: int, topics: int, events: int) -> tuple[int, int]:
 def _topics(status: dict[str, Any], width: int, room: int) -> list[Text]:
     topics = sorted(rows(status, "topics"), key=_rank)
     if not topics:
-        return [Text(cut("no publisher announces itself; use arpd.AdaptivePublisher, or relay.topics", width))][:room]
+        return [Text(cut(NOTHING_ANNOUNCED, width))][:room]
     shown = topics if len(topics) < room else topics[: max(0, room - 2)]
     heading, *lines = (Text(line) for line in topic_table(shown, width=width))
     heading.stylize("bold underline")
     for topic, line in zip(shown, lines, strict=True):
         line.stylize(_topic_style(topic))
     if rest := topics[len(shown) :]:
-        held = sum(map(is_held_back, rest))
-        note = f"… and {len(rest)} more" + (f", {held} of them held back" if held else "")
+        slowed = sum(map(_is_slowed, rest))
+        note = f"… and {len(rest)} more" + (f", {slowed} of them slowed" if slowed else "")
         lines.append(Text(cut(note, width), style="dim"))
     return [heading, *lines][:room]
 
 
 def _rank(topic: dict[str, Any]) -> tuple[bool, float, float, str, str]:
-    """Order by what an operator looks for: refusals, then who gives up most, then who uses most of the link."""
+    """Order by what an operator looks for: refusals, then topics that give up most, then those that use most."""
     return (
         not _is_refused(topic),
-        kept_ratio(topic) if is_held_back(topic) else 1.0,
+        _kept_ratio(topic) if _is_slowed(topic) else 1.0,
         -(number(topic, "share") or 0.0),
         text(topic, "topic"),
         text(topic, "node"),
     )
+
+
+def _kept_ratio(topic: dict[str, Any]) -> float:
+    kept = number(topic, "kept_ratio")
+    return 1.0 if kept is None else kept  # an older daemon does not say
+
+
+def _is_slowed(topic: dict[str, Any]) -> bool:
+    return _kept_ratio(topic) < SLOWED_BELOW
 
 
 def _is_refused(topic: dict[str, Any]) -> bool:
@@ -190,7 +202,7 @@ def _is_refused(topic: dict[str, Any]) -> bool:
 def _topic_style(topic: dict[str, Any]) -> str:
     if _is_refused(topic):
         return "red"
-    if is_held_back(topic):
+    if _is_slowed(topic):
         return "yellow"
     return "" if topic.get("planned") else "dim"
 
@@ -225,12 +237,12 @@ def sparkline(
     highest: float | None = None,
     levels: str = BLOCKS,
 ) -> str:
-    """Draw samples in so many columns, from 0 to the highest; a blank where there was nothing.
+    """Draw samples in so many columns, from 0 to the highest; a blank where there is none.
 
     Parameters
     ----------
-    pick : which of the samples that share a column stands for them: the worst of them, such as ``max`` for a delay
-    highest : what reaches the top, None = the highest sample
+    pick : chooses one of the samples that share a column, the worst: ``max`` for a delay
+    highest : value that reaches the top, None = the highest sample
     levels : characters from the lowest to the highest
     """
     known = [sample for sample in samples if sample is not None]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.columns import aligned, figures, short_name
+from arpd.cli.columns import aligned, short_name
 from arpd.model.allocation import AllocationStatus, Binding
-from arpd.model.quantities import format_rate, format_size
+from arpd.model.quantities import format_number, format_rate, format_share, format_size
+from arpd.report.wording import count
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,20 +16,20 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
 
 _COLUMNS = 8  # capacities side by side in as wide a line
-_COLUMN = " " * 7  # as wide as the words in it
+_COLUMN = " " * 7  # as wide as its words
 _WORDS = {
     Binding.DESIRED_RATE: "desired",
     Binding.LATENCY_BUDGET: "latency",
     Binding.MAX_DEPTH: "max",
 }
-_HAS_WISH, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
+_SATISFIED, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
 _LEGEND = (
-    f"{_HAS_WISH} has all it desires    {_AT_FLOOR} at its floor    {_BELOW_FLOOR} below its floor    paused: no rate"
+    f"{_SATISFIED} has all it desires    {_AT_FLOOR} at its floor    {_BELOW_FLOOR} below its floor    paused: no rate"
 )
 
 
 def topic_table(plan: OfflinePlan, settings: Settings) -> str:
-    """Lay out what each topic asks for and is given at one capacity, and what holds it back."""
+    """Lay out what each topic asks for and gets at one capacity, and what binds it."""
     allocation, rows = plan.allocation, plan.topics
     used, budget = format_size(plan.memory_bytes), format_size(settings.program.memory_budget_bytes)
     head = [
@@ -43,16 +44,16 @@ def topic_table(plan: OfflinePlan, settings: Settings) -> str:
     )
     total = (
         *(f"total of {len(rows)}", "", "", "", ""),
-        figures(sum(row.topic.desired_rate_hz for row in rows)),
-        figures(sum(row.rate_hz for row in rows)),
-        *("", f"{plan.link_share:.1%}".rstrip("%"), ""),
+        _four(sum(row.topic.desired_rate_hz for row in rows)),
+        _four(sum(row.rate_hz for row in rows)),
+        *("", _percent(plan.link_share), ""),
         *(str(sum(row.qos.depth for row in rows)), "", ""),
     )
     return "\n".join([*head, "", *aligned([*titles, *map(_topic_cells, rows), total], words=2)])
 
 
 def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
-    """Lay out how each topic's rate moves with the capacity, as many capacities in a line as fit."""
+    """Lay out each topic's rate over the capacity, as many capacities in a line as fit."""
     low, high = (format_rate(plan.capacity_bytes_per_second) for plan in (plans[0], plans[-1]))
     lines = [f"link     {_link(f'{low} to {high}', settings, len(plans[0].topics))}"]
     for start in range(0, len(plans), _COLUMNS):
@@ -65,23 +66,23 @@ def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
 
 
 def _link(capacity: str, settings: Settings, topics: int) -> str:
-    planned = f"{100 * settings.link.headroom:.4g}%"
-    return f"{capacity}, of which {planned} may be planned for {topics} topic{'s' if topics != 1 else ''}"
+    planned = format_share(settings.link.headroom)
+    return f"{capacity}, of which {planned} may be planned for {count(topics, 'topic')}"
 
 
 def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:
     topic, allocation = row.topic, row.allocation
     return (
         short_name(topic.name),
-        f"{topic.weight:g}",
-        figures(row.traffic.payload_bytes),
-        figures(allocation.max_rate_hz),
-        figures(topic.min_rate_hz),
-        figures(topic.desired_rate_hz),
-        figures(row.rate_hz) if row.rate_hz else "paused",
-        f"{row.rate_hz / topic.desired_rate_hz:.0%}".rstrip("%") if topic.desired_rate_hz else "-",
-        f"{allocation.share:.1%}".rstrip("%"),
-        figures(row.qos.deadline_ns * 1e-6) if row.qos.deadline_ns else "none",
+        format_number(topic.weight),
+        _four(row.traffic.payload_bytes),
+        _four(allocation.max_rate_hz),
+        _four(topic.min_rate_hz),
+        _four(topic.desired_rate_hz),
+        _four(row.rate_hz) if row.rate_hz else "paused",
+        _percent(row.rate_hz / topic.desired_rate_hz) if topic.desired_rate_hz else "-",
+        _percent(allocation.share),
+        _four(row.qos.deadline_ns * 1e-6) if row.qos.deadline_ns else "none",
         str(row.qos.depth),
         _word(allocation.binding),
         _word(allocation.depth_binding),
@@ -98,10 +99,10 @@ def _sweep_block(plans: Sequence[OfflinePlan]) -> list[str]:
     ]
     for same in zip(*(plan.topics for plan in plans), strict=True):
         topic = same[0].topic
-        wishes = (f"{topic.weight:g}", figures(topic.min_rate_hz), figures(topic.desired_rate_hz))
+        wishes = (format_number(topic.weight), _four(topic.min_rate_hz), _four(topic.desired_rate_hz))
         rows.append((short_name(topic.name), *wishes, *map(_sweep_cell, same)))
     rows += [
-        foot("link used, %", lambda plan: f"{plan.link_share:.1%}".replace("%", " ")),
+        foot("link used, %", lambda plan: f"{_percent(plan.link_share)} "),
         foot("bound by", lambda plan: _word(plan.allocation.binding)),
         foot("degraded", lambda plan: "yes " if plan.allocation.status is AllocationStatus.DEGRADED else "- "),
     ]
@@ -113,12 +114,12 @@ def _sweep_cell(row: PlannedTopic) -> str:
     if not row.rate_hz:
         return "paused"
     if row.has_its_wish:
-        mark = _HAS_WISH
+        mark = _SATISFIED
     elif row.is_below_floor:
         mark = _BELOW_FLOOR
     else:
         mark = _AT_FLOOR if row.is_at_floor else " "
-    return f"{figures(row.rate_hz, digits=3)}{mark}"
+    return f"{format_number(row.rate_hz)}{mark}"
 
 
 def _degraded_cells(plan: OfflinePlan) -> tuple[str, str]:
@@ -132,5 +133,12 @@ def _word(binding: Binding) -> str:
 def _short_rate(bytes_per_second: float) -> str:
     """Write a capacity for the head of a column: ``500k``, ``1.91M`` bit/s."""
     number, unit = format_rate(bytes_per_second).split()
-    shown = number.rstrip("0").rstrip(".") if "." in number else number
-    return shown + unit.removesuffix("bit/s")
+    return number + unit.removesuffix("bit/s")
+
+
+def _four(value: float) -> str:
+    return format_number(value, digits=4)
+
+
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.1f}"  # one decimal for all: the points of a column stand below each other

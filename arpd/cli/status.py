@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
-from arpd.cli.client import add_address, address, count, counts, number, rows, text, texts
-from arpd.cli.columns import cut, duration, last_events, rate, wrapped
+from arpd.cli.client import add_address, address, count, counts, find, number, rows, text, texts
+from arpd.cli.columns import cut, last_events, wrapped
 from arpd.cli.topics import reader_table, topic_table
-from arpd.cli.verdict import faults, verdict, who_confirmed
 from arpd.model.errors import ArpdError, DaemonUnreachableError
-from arpd.model.quantities import format_duration, format_size
-from arpd.report.status import API_VERSION, lease
+from arpd.model.quantities import format_duration, format_rate, format_share, format_size
+from arpd.report.events import Severity
+from arpd.report.situation import STALE_AFTER_S, stale
+from arpd.report.status import API_VERSION
+from arpd.report.wording import NOTHING_ANNOUNCED, confirmed, lease
 
 _NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
 _WITHOUT_END = 10_000
@@ -26,9 +28,9 @@ def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "status",
         help="show what the daemon sees and does",
         description="""\
-Ask a running daemon for its last tick: whether all is well, what it believes of the link, how far the gate is open,
-which plan is in force, for every publisher the rate, DEPTH and DEADLINE that it announces (`now→planned` where the two
-differ) and what became of its messages, and the last lines of the decision log. `arpd top` shows it live.""",
+Ask a running daemon for its last tick: whether all is well, the link, the gate, the plan in force, the rate, DEPTH and
+DEADLINE that each publisher announces (`now→planned` where the two differ), its dropped messages, and the last lines of
+the decision log. `arpd top` shows the same live.""",
         epilog="""\
 examples:
   arpd status
@@ -38,10 +40,10 @@ examples:
   arpd status >/dev/null || echo "look at the robot"
 
 exit codes:
-  0   the daemon governs, and all is well; a link that is too slow, and is coped with, is well
-  1   the daemon answers, and something is wrong, which a line says: it is not ready or its ticks do not finish, it
-      stands by for another daemon, the interface or the link carries nothing, the last reload was refused, not even
-      the floors and reserves fit, or a plan is not confirmed after 15 s
+  0   the daemon governs, and all is well; a slow link that arpd copes with is well
+  1   the daemon answers, and a line says what is wrong: it is not ready, no tick finishes, it stands by for another
+      daemon, the interface or the link carries nothing, it refused the last reload, not even the floors and reserves
+      fit, or a plan is not confirmed after 15 s
   2   wrong usage
   3   no daemon answers there, or none that lets you in""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -57,7 +59,7 @@ def _status(options: argparse.Namespace) -> int:
     except DaemonUnreachableError as error:
         print(f"arpd: {error}", file=sys.stderr)
         return _NOT_RUNNING
-    found = faults(status)
+    wrong = [finding.text for finding in findings(status) if finding.is_wrong]
     if "link" in status and not options.json:
         if status["api_version"] != API_VERSION:
             raise ArpdError(f"the daemon at {options.url} speaks another version of arpd; use --json")
@@ -66,16 +68,16 @@ def _status(options: argparse.Namespace) -> int:
         # A pipe has no width, unless COLUMNS gives it one.
         width, height = shutil.get_terminal_size((_WITHOUT_END, _WITHOUT_END))
         print(encodable(screen(status, width=width, height=height)))
-        return 1 if found else 0
+        return 1 if wrong else 0
     if options.json:
         print(json.dumps(status, indent=2))
-    for fault in found:
+    for fault in wrong:
         print(f"arpd: {fault}", file=sys.stderr)
-    return 1 if found else 0
+    return 1 if wrong else 0
 
 
 def encodable(shown: str) -> str:
-    """Replace what this terminal's character set lacks, such as an arrow."""
+    """Replace characters that this terminal lacks, such as an arrow."""
     encoding = sys.stdout.encoding or "utf-8"
     return shown.encode(encoding, "replace").decode(encoding)
 
@@ -86,7 +88,7 @@ def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _
     Parameters
     ----------
     width : no line is longer (columns)
-    height : what matters less is left out to stay below it, as far as the topics allow (lines)
+    height : the screen leaves out what matters less to stay below it, but never a topic (lines)
     """
     for is_airy, events in ((True, 5), (True, 3), (False, 3), (False, 2), (False, 1)):
         lines = _lines(status, width, is_airy=is_airy, events=events)
@@ -101,7 +103,7 @@ def _lines(status: dict[str, Any], width: int, *, is_airy: bool, events: int) ->
     readers = reader_table(status, width=width)
     return [
         cut(_title(status), width),
-        *_verdict(status, width),
+        *_findings(status, width),
         *gap,
         *(line for fact in _facts(status, is_airy=is_airy) for line in wrapped(fact, width, indent=_LABEL)),
         *gap,
@@ -121,25 +123,24 @@ def _title(status: dict[str, Any]) -> str:
     return f"{title}; memory {format_size(available)} of {format_size(total)} available"
 
 
-def _verdict(status: dict[str, Any], width: int) -> list[str]:
-    wrong, said = faults(status), verdict(status)
-    sentences = [said] * (bool(said) and said not in wrong) + [f"wrong: {fault}" for fault in wrong]
+def _findings(status: dict[str, Any], width: int) -> list[str]:
+    sentences = [f"wrong: {finding.text}" if finding.is_wrong else finding.text for finding in findings(status)]
     return [line for sentence in sentences for line in wrapped(sentence, width, indent=2, most=4)]
 
 
 def _facts(status: dict[str, Any], *, is_airy: bool) -> list[str]:
     plan, allocation = status.get("plan"), status.get("allocation")
     solved = f"{text(allocation, 'status')}, bound by {text(allocation, 'binding').replace('_', ' ')}"
-    backend = f"solved by {text(allocation, 'backend')} in {duration(number(allocation, 'solve_seconds'))}"
-    force = f"plan {count(plan, 'generation')} for {rate(number(status, 'level_bytes_per_second'))}"
+    backend = f"solved by {text(allocation, 'backend')} in {format_duration(number(allocation, 'solve_seconds'))}"
+    force = f"plan {count(plan, 'generation')} for {format_rate(number(status, 'level_bytes_per_second'))}"
     facts = [
         *_link(status),
-        ("gate", f"{_number(number(status, 'gate'))}, {force}: {who_confirmed(status)}"),
+        ("gate", f"{format_share(number(status, 'gate'))}, {force}: {who_confirmed(status)}"),
         ("", text(plan, "reason")),
         *(("", f"refused: {refusal}") for refusal in texts(plan, "refusals")),
         ("program", f"{solved}, {backend}"),
         ("dropped", _dropped(status)),
-        ("lease", lease(status) if is_airy and number(status, "lease", "after_seconds") else ""),
+        ("lease", lease(lease_s) if is_airy and (lease_s := number(status, "lease", "after_seconds")) else ""),
         ("rmw", "" if status.get("rmw") is None else text(status, "rmw", "refusal")),
         *(("daemons", f"in charge; another one stands by on {host}") for host in texts(status, "daemons", "others")),
     ]
@@ -148,28 +149,27 @@ def _facts(status: dict[str, Any], *, is_airy: bool) -> list[str]:
 
 def _link(status: dict[str, Any]) -> list[tuple[str, str]]:
     link = status.get("link")
-    capacity, delivered, foreign, available = (
-        number(link, f"{name}_bytes_per_second") for name in ("capacity", "delivery_rate", "foreign", "available")
+    delivered, cross_traffic, available = (
+        number(link, f"{name}_bytes_per_second") for name in ("delivery_rate", "foreign", "available")
     )
+    carries = format_rate(number(link, "capacity_bytes_per_second"))
+    of_others = f"{format_rate(cross_traffic)} of it is cross traffic, which leaves {format_rate(available)}"
     loss, back_s = number(link, "loss_ratio"), number(link, "return_delay_seconds")
     now = [
-        f"queueing {duration(number(link, 'queue_delay_seconds'))}",
-        *([] if loss is None else [f"loss {loss:.1%}"]),
+        f"queueing {format_duration(number(link, 'queue_delay_seconds'))}",
+        *([] if loss is None else [f"loss {format_share(loss)}"]),
         *([] if back_s is None else [f"return delay {format_duration(back_s)}"]),
     ]
     return [
-        ("link", f"{rate(capacity)} ({text(link, 'kind')}, {text(link, 'state')}), delivering {rate(delivered)}"),
+        ("link", f"{carries} ({text(link, 'kind')}, {text(link, 'state')}), delivering {format_rate(delivered)}"),
         ("", ", ".join(now)),
         ("", text(link, "evidence")),
-        (
-            "",
-            f"{rate(foreign)} of it is traffic that is not arpd's, which leaves {rate(available)}" if foreign else "",
-        ),
+        ("", of_others if cross_traffic else ""),
     ]
 
 
 def _dropped(status: dict[str, Any]) -> str:
-    """Say what became of the messages that were not sent, all topics together."""
+    """Say why messages of all topics together were not sent."""
     topics = rows(status, "topics")
     withheld, offered = (sum(count(topic, name) for topic in topics) for name in ("withheld", "offered"))
     if not withheld or not offered:
@@ -179,15 +179,51 @@ def _dropped(status: dict[str, Any]) -> str:
         for cause, many in counts(topic, "withheld_by_cause").items():
             by_cause[cause] = by_cause.get(cause, 0) + many
     causes = ", ".join(f"{cause} {many}" for cause, many in sorted(by_cause.items(), key=lambda item: -item[1]))
-    return f"{withheld} of {offered} messages ({withheld / offered:.0%})" + (f": {causes}" if causes else "")
+    return f"{withheld} of {offered} messages ({format_share(withheld / offered)})" + (f": {causes}" if causes else "")
 
 
 def _topics(status: dict[str, Any], width: int) -> list[str]:
     topics = rows(status, "topics")
     if not topics:
-        return ["no publisher announces itself; use arpd.AdaptivePublisher, or name topics under relay.topics"]
+        return [NOTHING_ANNOUNCED]
     return topic_table(topics, width=width)
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+class Finding(NamedTuple):
+    """A sentence of the daemon about its situation, and whether somebody should look."""
+
+    text: str
+    severity: str
+    is_wrong: bool
+
+
+def findings(status: dict[str, Any]) -> list[Finding]:
+    """Return what the daemon says of its situation: its verdict, then faults, the worst first."""
+    if not status.get("ready"):
+        return [_wrong("Not ready: it has not finished a tick, or does not govern yet.")]
+    is_older = "faults" not in status
+    found = []
+    if said := text(status, "verdict", "text"):
+        severity = text(status, "verdict", "severity")
+        is_wrong = severity == Severity.ERROR if is_older else find(status, "verdict", "wrong") is True
+        found.append(Finding(said, severity, is_wrong))
+    if is_older and (age_s := number(status, "age_seconds") or 0.0) > STALE_AFTER_S:
+        found.append(_wrong(stale(age_s).text))
+    faults = rows(status, "faults")
+    return found + [Finding(text(each, "text"), text(each, "severity"), each.get("wrong") is True) for each in faults]
+
+
+def _wrong(said: str) -> Finding:
+    return Finding(said, Severity.ERROR, is_wrong=True)
+
+
+def who_confirmed(status: dict[str, Any]) -> str:
+    """Say who announces the plan in force."""
+    plan = status.get("plan")
+    return confirmed(
+        confirmed=count(plan, "confirmed"),
+        publishers=count(plan, "publishers"),
+        paced_only=count(plan, "paced_only"),
+        readers_confirmed=count(plan, "readers_confirmed"),
+        readers=count(plan, "readers"),
+    )

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import count, counts, find, number, rows, text
 from arpd.cli.columns import cut, fitted
-from arpd.model.quantities import format_duration
-from arpd.report.status import LASTING
+from arpd.model.quantities import format_number, format_period, format_share
+from arpd.report.wording import PACED_ONLY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,23 +20,23 @@ def topic_table(topics: Sequence[dict[str, Any]], *, width: int) -> list[str]:
     columns: list[tuple[str, int, Callable[[dict[str, Any]], str]]] = [
         ("TOPIC", 0, lambda topic: text(topic, "topic", longest=_LONGEST_NAME)),
         ("NODE", 1, lambda topic: text(topic, "node", longest=_LONGEST_NAME)),
-        ("PLAN Hz", 0, lambda topic: _moving(topic, "rate_hz", _figure, missing="unpaced")),
-        ("SENT", 0, lambda topic: _figure(number(topic, "published_rate_hz"))),
-        ("SOURCE", 3, lambda topic: _figure(number(topic, "source_rate_hz"))),
-        ("DEPTH", 4, lambda topic: _moving(topic, "depth", _figure, missing="-")),
-        ("DEADLINE", 5, lambda topic: _moving(topic, "deadline_ns", _period, missing="none")),
+        ("PLAN Hz", 0, lambda topic: _moving(topic, "rate_hz", format_number, missing="unpaced")),
+        ("SENT", 0, lambda topic: format_number(number(topic, "published_rate_hz"))),
+        ("SOURCE", 3, lambda topic: format_number(number(topic, "source_rate_hz"))),
+        ("DEPTH", 4, lambda topic: _moving(topic, "depth", format_number, missing="-")),
+        ("DEADLINE", 5, lambda topic: _moving(topic, "deadline_ns", format_period, missing="none")),
         ("DROPS", 1, _dropped),
         ("CAUSES", 6, _causes),
         ("LATE", 2, _late),
         ("BOUND BY", 0, _bound_by),
     ]
-    told = [column for column in columns if column[0] not in _unknown(topics)]
-    grid = [[title for title, _, _ in told], *([cell(topic) for _, _, cell in told] for topic in topics)]
-    return fitted(grid, ranks=[rank for _, rank, _ in told], width=width)
+    shown = [column for column in columns if column[0] not in _unknown(topics)]
+    grid = [[title for title, _, _ in shown], *([cell(topic) for _, _, cell in shown] for topic in topics)]
+    return fitted(grid, ranks=[rank for _, rank, _ in shown], width=width)
 
 
 def reader_table(status: dict[str, Any], *, width: int) -> list[str]:
-    """Return a heading and a line per reader that is planned or refuses to be, and how many others there are."""
+    """Return a heading, a line per reader that is planned or refuses to be, and the number of the others."""
     known = rows(status, "readers")
     readers = [reader for reader in known if find(reader, "planned") or text(reader, "refusal")]
     others = f"readers that no plan touches: {len(known) - len(readers)}"
@@ -56,16 +56,16 @@ def _reader_cells(reader: dict[str, Any]) -> list[str]:
     node, refusal = text(reader, "node", longest=_LONGEST_NAME), text(reader, "refusal")
     return [
         text(reader, "topic", longest=_LONGEST_NAME),
-        _figure(number(now, "depth")),
-        _figure(number(planned, "depth")) if planned else "-",
-        _period(number(now, "deadline_ns")),
-        _period(number(planned, "deadline_ns")) if planned else "-",
+        format_number(number(now, "depth")),
+        format_number(number(planned, "depth")) if planned else "-",
+        format_period(number(now, "deadline_ns")),
+        format_period(number(planned, "deadline_ns")) if planned else "-",
         f"{node}: {refusal}" if refusal else node,
     ]
 
 
 def _unknown(topics: Sequence[dict[str, Any]]) -> set[str]:
-    """Return the columns that would tell nothing, or of which this daemon knows nothing."""
+    """Return the columns without content, and those that an older daemon does not know."""
     nothing = set()
     if len({text(topic, "topic", longest=_LONGEST_NAME) for topic in topics}) == len(topics):
         nothing.add("NODE")
@@ -79,7 +79,7 @@ def _unknown(topics: Sequence[dict[str, Any]]) -> set[str]:
 
 
 def _moving(topic: dict[str, Any], key: str, show: Callable[[float | None], str], *, missing: str) -> str:
-    """Show what is announced, and where it is to go when that is something else."""
+    """Show the announced value, and the planned one where the two differ."""
     now, planned = number(topic, "confirmed", key), number(topic, "planned", key)
     shown = missing if now is None else show(now)
     if not find(topic, "planned"):
@@ -89,9 +89,9 @@ def _moving(topic: dict[str, Any], key: str, show: Callable[[float | None], str]
 
 
 def _dropped(topic: dict[str, Any]) -> str:
-    """Show which part of what was offered was not sent since the publisher began."""
+    """Show the share of offered messages that the publisher has dropped since it began."""
     withheld, offered = count(topic, "withheld"), count(topic, "offered")
-    return f"{withheld / offered:.0%}" if offered else str(withheld)
+    return format_share(withheld / offered) if offered else str(withheld)
 
 
 def _causes(topic: dict[str, Any]) -> str:
@@ -104,13 +104,5 @@ def _late(row: dict[str, Any]) -> str:
 
 def _bound_by(topic: dict[str, Any]) -> str:
     if refusal := text(topic, "refusal"):
-        return f"{LASTING}{refusal}" if topic.get("refusal_lasts") else refusal
+        return f"{PACED_ONLY}: {refusal}" if topic.get("refusal_lasts") else refusal
     return text(topic, "binding").replace("_", " ") or "-"
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
-
-
-def _period(period_ns: float | None) -> str:
-    return "none" if period_ns is None else format_duration(period_ns * 1e-9)

@@ -1,16 +1,20 @@
-"""Quantities as people write them (`20mbit`, `64MiB`, `500ms`) and the base units the code uses."""
+"""Quantities as people write and read them (`20mbit`, `64MiB`, `12.5 ms`), from and to the base units of the code.
+
+``parse_*`` reads, ``spell_*`` writes what ``parse_*`` reads back exactly, ``format_*`` writes for a reader; it writes
+None as `-`, infinity as `unlimited`, NaN as `unknown`.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-# The bit units are those of tc(8), decimal. tc's own byte units (`kbps` is kilobytes there) are left out on purpose:
+# The bit units are those of tc(8), decimal. tc's byte units (`kbps` is kilobytes there) are missing on purpose:
 # everybody reads them as bits.
 _BIT_RATES = {
     unit: Fraction(scale, 8) for unit, scale in {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9}.items()
@@ -38,6 +42,8 @@ _DURATIONS = {
 # Exponents of three digits and 40 characters in all: a quantity never costs more memory than its text.
 _QUANTITY = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]{1,3})?|\.[0-9]+)\s*([A-Za-zµμ/]*)\s*", re.ASCII)
 _LONGEST = 40
+_MOST_DECIMALS = 9
+_HUGE = 1e15  # floats hold every whole number below it
 
 
 def parse_rate(text: str) -> float:
@@ -115,21 +121,55 @@ def spell_duration(seconds: float) -> str:
     return _spell(seconds, _DURATIONS)
 
 
-def format_rate(bytes_per_second: float) -> str:
-    """Write a rate (bytes/s) for a reader: `5.00 Mbit/s`."""
+def format_rate(bytes_per_second: float | None) -> str:
+    """Write a rate (bytes/s) for a reader: `4.8 Mbit/s`."""
     return _format(bytes_per_second, {"Gbit/s": 1e9 / 8, "Mbit/s": 1e6 / 8, "kbit/s": 1e3 / 8, "bit/s": 1 / 8})
 
 
-def format_size(size_bytes: float) -> str:
-    """Write a size (bytes) for a reader: `64.0 MiB`."""
+def format_size(size_bytes: float | None) -> str:
+    """Write a size (bytes) for a reader: `64 MiB`."""
     return _format(size_bytes, {"GiB": 2.0**30, "MiB": 2.0**20, "KiB": 2.0**10, "B": 1.0})
 
 
-def format_duration(seconds: float) -> str:
+def format_duration(seconds: float | None) -> str:
     """Write a duration (s) for a reader: `12.5 ms`."""
     if seconds == 0:
         return "0 s"
     return _format(seconds, {"h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
+
+
+def format_period(period_ns: float | None) -> str:
+    """Write a DEADLINE (ns) for a reader: `100 ms`; 0 and None, which stand for no deadline, are `none`."""
+    return format_duration(period_ns * 1e-9) if period_ns else "none"
+
+
+def format_share(ratio: float | None) -> str:
+    """Write a part of a whole for a reader, in two digits: `75 %`."""
+    return f"{format_number(100.0 * ratio, digits=2)} %" if _is_number(ratio) else _word_for(ratio)
+
+
+def format_number(value: float | None, *, digits: int = 3) -> str:
+    """Write a number for a reader in so many significant digits: `12.5`, `30`, `12346`.
+
+    All digits before the point stay, zeros at the end of the others go, and only beyond 1e15 there is an exponent.
+    """
+    if not _is_number(value):
+        return _word_for(value)
+    if abs(value) >= _HUGE:
+        return f"{value:.{digits}g}"
+    decimals = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
+    text = f"{value:z.{max(0, min(decimals, _MOST_DECIMALS))}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def format_cell(value: float) -> str:
+    """Write a number for a column in which points stand below each other: three digits, at most two after the point.
+
+    `number` in adapters/http/assets/fields.js does the same in the browser.
+    """
+    value *= 1 + 1e-12  # halves go up here and in the browser
+    size = abs(value)
+    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2}f}"
 
 
 def _split(text: str, what: str, example: str) -> tuple[str, str]:
@@ -148,7 +188,7 @@ def _scaled(number: str, scale: Fraction) -> float:
 
 
 def _byte_unit(unit: str) -> str:
-    """Admit `KB` for `kB`; every other case is kept, for `Mb` may mean megabits."""
+    """Accept `KB` for `kB`. Every other unit keeps its case: `Mb` may mean megabits."""
     return "kB" if unit == "KB" else unit
 
 
@@ -164,7 +204,7 @@ def _quoted(text: str) -> str:
 
 
 def _spell(value: float, units: Mapping[str, Fraction]) -> str:
-    """Take the unit with the shortest number among those that give the value back exactly."""
+    """Return the shortest text that gives the value back exactly."""
     spellings = [
         f"{number}{unit}"
         for unit, scale in units.items()
@@ -174,19 +214,25 @@ def _spell(value: float, units: Mapping[str, Fraction]) -> str:
     return min(spellings, key=len)
 
 
-def _format(value: float, units: Mapping[str, float]) -> str:
-    if not math.isfinite(value):
-        return "unlimited" if value > 0 else "unknown"
-    smallest = list(units)[-1]
-    # A hair below the unit still rounds up to it: 999.9999 kbit/s reads better as 1.00 Mbit/s.
-    unit = next((unit for unit, scale in units.items() if abs(value) >= scale * 0.99995), smallest)
-    number = value / units[unit]
-    if number == 0:
-        return f"0 {unit}"
-    return f"{number:.{max(0, 2 - max(0, math.floor(math.log10(abs(number) * 1.000001))))}f} {unit}"
+def _format(value: float | None, units: Mapping[str, float]) -> str:
+    if not _is_number(value):
+        return _word_for(value)
+    # What rounds up to a unit is written in it: 999.9 kbit/s reads better as 1 Mbit/s.
+    unit = next((unit for unit, scale in units.items() if abs(value) >= scale * 0.9995), [*units][-1])
+    return f"{format_number(value / units[unit])} {unit}"
+
+
+def _is_number(value: float | None) -> TypeGuard[float]:
+    return value is not None and math.isfinite(value)
+
+
+def _word_for(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return "unlimited" if value > 0 else "unknown"
 
 
 def printable(text: str, *, longest: int = _LONGEST) -> str:
-    """Show text from the file on one line of a terminal, cut short when long."""
+    """Return text from outside as one line that cannot steer a terminal, cut short when long."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1])
     return shown if len(shown) <= longest else f"{shown[: longest - 1]}…"

@@ -1,4 +1,4 @@
-"""The decision log: what differs between one picture of the daemon and the next, in plain sentences."""
+"""The decision log: what differs between one snapshot and the next, in plain sentences."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ from collections import deque
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.report.events import Event, EventKind, Severity
+from arpd.report.event_limits import Quota
+from arpd.report.events import Event, EventKind, Said, Severity
 from arpd.report.log_endpoints import EndpointLog
 from arpd.report.log_link import InterfaceLog, LeaderLog, LinkLog, PeerLog
 from arpd.report.log_plan import FittingLog, PlanLog, WaitingLog
+from arpd.report.situation import reload_refused
 from arpd.report.snapshot import Totals
-from arpd.report.wording import Quota, Said, count, one_line
+from arpd.report.wording import count, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from arpd.report.snapshot import Snapshot
 
-MOST_EVENTS = 200  # that are kept
-MOST_A_MINUTE = 12  # of each kind; beyond that they are counted, and a minute of them is told as one
+MOST_EVENTS = 200  # kept
+MOST_A_MINUTE = 12  # of each kind; one event then counts the rest of that minute
 _MOST_DETAIL = 200  # characters
 
 
@@ -33,12 +35,7 @@ class DecisionLog:
         self._flooding: set[EventKind] = set()
         self._before: Snapshot | None = None
         self._told = 0
-        self._charge, self._interface, self._link, self._peers = (
-            LeaderLog(),
-            InterfaceLog(),
-            LinkLog(),
-            PeerLog(),
-        )
+        self._leader, self._interface, self._link, self._peers = LeaderLog(), InterfaceLog(), LinkLog(), PeerLog()
         self._plan, self._waiting, self._fitting = PlanLog(), WaitingLog(), FittingLog()
         self._endpoints = EndpointLog()
         self._kept: tuple[Event, ...] = ()
@@ -51,14 +48,14 @@ class DecisionLog:
 
     @property
     def counts_by_kind(self) -> Mapping[str, int]:
-        """Events since the start, by kind; also those that are 0."""
+        """Events since the start, by kind; kinds without any count 0."""
         return self._counted
 
     def follow(self, snapshot: Snapshot) -> tuple[Event, ...]:
         """Take in the next snapshot and return what happened since the last one."""
         if snapshot is self._before or snapshot == self._before:
             return ()
-        said = [*self._look(snapshot), *self._left_out(snapshot.finished_at_s)]
+        said = [*self._within_quota(snapshot), *self._left_out(snapshot.finished_at_s)]
         self._before = snapshot
         if not said:
             return ()
@@ -68,8 +65,7 @@ class DecisionLog:
         self._counted = MappingProxyType(dict(self._counts))
         return events
 
-    def _look(self, snapshot: Snapshot) -> Iterator[Said]:
-        """Return what happened, as far as there is not too much of it."""
+    def _within_quota(self, snapshot: Snapshot) -> Iterator[Said]:
         for one in self._all_of(snapshot):
             if self._quotas[one.kind].take(snapshot.finished_at_s):
                 yield one
@@ -79,7 +75,7 @@ class DecisionLog:
     def _all_of(self, snapshot: Snapshot) -> Iterator[Said]:
         if self._before is None:
             yield _started(snapshot)
-        yield from self._charge.follow(snapshot)
+        yield from self._leader.follow(snapshot)
         yield from self._interface.follow(snapshot)
         yield from self._link.follow(snapshot)
         yield from self._peers.follow(snapshot)
@@ -118,13 +114,14 @@ def _started(snapshot: Snapshot) -> Said:
 
 
 def _reloads(before: Totals, now: Snapshot) -> Iterator[Said]:
-    """Tell of reloads that ended since; what changed or is wrong, key by key, stands in the log before it."""
+    """Return the reloads that ended since; the daemon's log has every key that changed or is wrong."""
     ended, ended_before = now.totals.reloads_by_result, before.reloads_by_result
     if ended == ended_before:
         return
     if ended.get("failed", 0) > ended_before.get("failed", 0):
-        text = f"reload refused, the configuration in force stays: {now.config_error}"
-        yield Said(EventKind.RELOAD_FAILED, Severity.ERROR, text, details={"config": now.config_path})
+        refused = reload_refused(now)
+        details = {"config": now.config_path}
+        yield Said(EventKind.RELOAD_FAILED, refused.condition.severity, refused.phrase, details=details)
     if ended.get("ok", 0) > ended_before.get("ok", 0):
         keys, keys_before = now.totals.changed_keys_by_effect, before.changed_keys_by_effect
         changed = keys.get("in_force", 0) - keys_before.get("in_force", 0)

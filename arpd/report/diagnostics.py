@@ -1,4 +1,4 @@
-"""How the daemon is, as ROS diagnostics tell it: four statuses with a level, a sentence and values for people."""
+"""ROS diagnostics of the daemon: four statuses, each with a level, a sentence and values."""
 
 from __future__ import annotations
 
@@ -8,29 +8,41 @@ from datetime import UTC, datetime
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from arpd.model.allocation import AllocationStatus
-from arpd.model.interface import state_of
-from arpd.model.link import LinkState
+from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.report.events import Severity
-from arpd.report.wording import digits, duration, listed, rate
+from arpd.report.situation import Condition, judge, who_confirmed
 
 if TYPE_CHECKING:
     from arpd.report.events import Event
+    from arpd.report.situation import Situation
     from arpd.report.snapshot import Snapshot
 
-_STALE_S = 3.0  # ten ticks a second
 _RECENT_S = 60.0
 _MOST_EVENTS = 10
 _MOST_TOPICS = 10
+_MOST_PEERS = 5
+_OF_LINK = {Condition.INTERFACE_ABSENT, Condition.INTERFACE_DOWN, Condition.OUTAGE, Condition.OVERFULL}
+_OF_PLAN = {
+    Condition.STANDING_BY,
+    Condition.MEASURING,
+    Condition.NOTHING_TO_GOVERN,
+    Condition.DEGRADED,
+    Condition.LIMITED,
+    Condition.UNCONFIRMED,
+}
+_OF_CONFIGURATION = {Condition.RELOAD_REFUSED, Condition.RESTART_NEEDED}
 
 
 class Level(IntEnum):
-    """How bad it is; the numbers are those of diagnostic_msgs/DiagnosticStatus."""
+    """Level of a status; the numbers are those of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
     ERROR = 2
     STALE = 3
+
+
+_LEVEL_OF = {Severity.INFO: Level.OK, Severity.WARNING: Level.WARN, Severity.ERROR: Level.ERROR}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,131 +63,103 @@ class Status:
 
 
 def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
-    """Return all statuses; they are stale while ticks fail, and before the first.
+    """Return all statuses; they are stale while no tick finishes, and before the first.
 
     Parameters
     ----------
     now_s : monotonic clock (s)
     """
     if snapshot is None:
-        return tuple(Status(name=name, level=Level.STALE, message="starting") for name in _PARTS)
-    statuses = tuple(tell(name, snapshot) for name, tell in _PARTS.items())
-    if (age_s := now_s - snapshot.finished_at_s) <= _STALE_S:
+        return tuple(Status(name=name, level=Level.STALE, message="starting") for name in _NAMES)
+    situation = judge(snapshot, now_s=now_s)
+    statuses = (
+        _judged(_LINK, situation, _OF_LINK, _link_message(snapshot), _link_values(snapshot)),
+        _judged(_PLAN, situation, _OF_PLAN, _plan_message(snapshot), _plan_values(snapshot, situation)),
+        _judged(_CONFIGURATION, situation, _OF_CONFIGURATION, _loaded(snapshot), _configuration_values(snapshot)),
+        _events(snapshot),
+    )
+    if (stale := situation.first_of({Condition.STALE})) is None:
         return statuses
-    message = f"ticks fail, the last one finished {duration(age_s)} ago"
-    return tuple(
-        Status(name=status.name, level=Level.STALE, message=message, values=status.values) for status in statuses
-    )
+    return tuple(Status(name=each.name, level=Level.STALE, message=stale.text, values=each.values) for each in statuses)
 
 
-def _link(name: str, snapshot: Snapshot) -> Status:
-    link, fault = snapshot.link, state_of(snapshot.observation.counters).fault
-    carries = rate(link.capacity_bytes_per_second)
-    if fault:
-        level, message = Level.ERROR, f"{snapshot.interface} {fault}"
-    elif link.state is LinkState.OUTAGE:
-        level, message = Level.ERROR, "the link carries nothing: floors only"
-    else:
-        is_busy = link.state in {LinkState.CONGESTED, LinkState.DRAINING}
-        level = Level.WARN if is_busy else Level.OK
-        message = f"{carries}, {link.state}" + (f", queue {duration(link.queue_delay_s)}" if is_busy else "")
-    peers = snapshot.observation.peer_ages_s
-    return Status(
-        name=name,
-        level=level,
-        message=message,
-        values=(
-            ("interface", snapshot.interface),
-            ("capacity", carries),
-            ("known from", f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind)),
-            ("known for", duration(link.age_s)),
-            ("left for topics", rate(link.available_bytes_per_second)),
-            ("other traffic", rate(link.cross_traffic_bytes_per_second)),
-            ("delivered", rate(link.delivery_rate_bytes_per_second)),
-            ("queue delay", duration(link.queue_delay_s)),
-            ("loss", "unknown" if link.loss_ratio is None else f"{digits(100 * link.loss_ratio)} %"),
-            ("way back", "unknown" if link.return_delay_s is None else duration(link.return_delay_s)),
-            ("peers", ", ".join(f"{peer} ({duration(age_s)} ago)" for peer, age_s in [*peers.items()][:5]) or "none"),
+def _judged(
+    name: str, situation: Situation, conditions: set[Condition], otherwise: str, values: tuple[tuple[str, str], ...]
+) -> Status:
+    """Return a status with the most important finding among the conditions, or another message without any."""
+    if (finding := situation.first_of(conditions)) is None:
+        return Status(name=name, level=Level.OK, message=otherwise, values=values)
+    return Status(name=name, level=_LEVEL_OF[finding.condition.severity], message=finding.text, values=values)
+
+
+def _link_message(snapshot: Snapshot) -> str:
+    return f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}"
+
+
+def _link_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
+    link, peers = snapshot.link, [*snapshot.observation.peer_ages_s.items()][:_MOST_PEERS]
+    return (
+        ("interface", snapshot.interface),
+        ("capacity", format_rate(link.capacity_bytes_per_second)),
+        ("known from", f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind)),
+        ("known for", format_duration(link.age_s)),
+        ("left for topics", format_rate(link.available_bytes_per_second)),
+        ("cross traffic", format_rate(link.cross_traffic_bytes_per_second)),
+        ("delivered", format_rate(link.delivery_rate_bytes_per_second)),
+        ("queue delay", format_duration(link.queue_delay_s)),
+        ("loss", "unknown" if link.loss_ratio is None else format_share(link.loss_ratio)),
+        ("return delay", "unknown" if link.return_delay_s is None else format_duration(link.return_delay_s)),
+        (
+            "peers",
+            ", ".join(f"{peer} ({format_duration(age_s)} ago)" for peer, age_s in peers) or "none",
         ),
     )
 
 
-def _plan(name: str, snapshot: Snapshot) -> Status:
-    decision, allocation, observation = snapshot.decision, snapshot.allocation, snapshot.observation
-    plan = decision.plan
-    if observation.active_daemon:
-        level, message = (
-            Level.WARN,
-            f"standing by: another arpd daemon, on {observation.active_daemon}, drives this robot",
-        )
-    elif plan.generation == 0:
-        level, message = Level.OK, "no plan yet" if observation.publishers else "no topic to plan for"
-    elif allocation.status is AllocationStatus.DEGRADED:
-        level, message = Level.WARN, f"not everything that was asked for fits: {allocation.degradation}"
-    else:
-        message = f"plan {plan.generation}: {snapshot.confirmed} of {snapshot.managed} publishers confirmed"
-        level = Level.OK
-    return Status(
-        name=name,
-        level=level,
-        message=message,
-        values=(
-            ("plan", str(plan.generation)),
-            ("made for", rate(plan.level_bytes_per_second)),
-            ("bound by", str(allocation.binding)),
-            ("gate", f"{decision.gate:.2f}"),
-            ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
-            ("readers confirmed", f"{snapshot.readers_confirmed} of {len(snapshot.reader_plans)}"),
-            ("waits for", ", ".join(decision.refusals) or "nothing"),
-            *_slowed(snapshot),
-        ),
+def _plan_message(snapshot: Snapshot) -> str:
+    return f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}"
+
+
+def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, str], ...]:
+    decision = snapshot.decision
+    slowed = [
+        (topic, f"{format_number(rate_hz)} of {format_number(source_hz)} Hz")
+        for _, topic, rate_hz, source_hz in situation.slowed
+    ]
+    more = len(slowed) - _MOST_TOPICS
+    return (
+        ("plan", str(decision.plan.generation)),
+        ("made for", format_rate(decision.plan.level_bytes_per_second)),
+        ("bound by", str(snapshot.allocation.binding)),
+        ("gate", format_share(decision.gate)),
+        ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
+        ("readers confirmed", f"{snapshot.readers_confirmed} of {len(snapshot.reader_plans)}"),
+        ("waits for", ", ".join(decision.refusals) or "nothing"),
+        *slowed[:_MOST_TOPICS],
+        *([("further topics slowed", str(more))] if more > 0 else []),
     )
 
 
-def _slowed(snapshot: Snapshot) -> list[tuple[str, str]]:
-    """Return the topics that may send less than their sources give, the most slowed first."""
-    planned = snapshot.decision.plan.topics
-    slowed = sorted(
-        (row.rate_hz / publisher.source_rate_hz, publisher.topic, row.rate_hz, publisher.source_rate_hz)
-        for publisher in snapshot.observation.publishers
-        if (row := planned.get(publisher.topic)) is not None and row.rate_hz < publisher.source_rate_hz
-    )
-    named = [(topic, f"{digits(given)} of {digits(wanted)} Hz") for _, topic, given, wanted in slowed[:_MOST_TOPICS]]
-    more = len(slowed) - len(named)
-    return [*named, *([("further topics slowed", str(more))] if more else [])]
+def _loaded(snapshot: Snapshot) -> str:
+    return f"in force since {_time(snapshot.config_loaded_at_s)}"
 
 
-def _configuration(name: str, snapshot: Snapshot) -> Status:
-    waiting = snapshot.keys_awaiting_restart
-    if snapshot.config_error:
-        level, message = Level.ERROR, f"reload refused: {snapshot.config_error}"
-    elif waiting:
-        level, message = Level.WARN, f"restart needed for {listed(waiting)}"
-    else:
-        level, message = Level.OK, f"in force since {_time(snapshot.config_loaded_at_s)}"
-    return Status(
-        name=name,
-        level=level,
-        message=message,
-        values=(
-            ("file", snapshot.config_path),
-            ("read at", _time(snapshot.config_loaded_at_s)),
-            ("refused", snapshot.config_error or "no"),
-            ("after a restart", ", ".join(waiting) or "nothing"),
-            ("version", snapshot.version),
-        ),
+def _configuration_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
+    return (
+        ("file", snapshot.config_path),
+        ("read at", _time(snapshot.config_loaded_at_s)),
+        ("refused", snapshot.config_error or "no"),
+        ("after a restart", ", ".join(snapshot.keys_awaiting_restart) or "nothing"),
+        ("version", snapshot.version),
     )
 
 
-_LEVEL_OF = {Severity.INFO: Level.OK, Severity.WARNING: Level.WARN, Severity.ERROR: Level.ERROR}
-
-
-def _events(name: str, snapshot: Snapshot) -> Status:
-    """Tell the last event; the level is that of the worst one within a minute."""
+def _events(snapshot: Snapshot) -> Status:
+    """Return the last events; the worst one within a minute sets the level."""
     events = snapshot.events
     recent = (event for event in events if snapshot.unix_time_s - event.unix_time_s < _RECENT_S)
     return Status(
-        name=name,
+        name=_EVENTS,
         level=max((_LEVEL_OF[event.severity] for event in recent), default=Level.OK),
         message=events[-1].text if events else "nothing has happened yet",
         values=tuple((_key(event), event.text) for event in reversed(events[-_MOST_EVENTS:])),
@@ -192,4 +176,4 @@ def _time(unix_time_s: float) -> str:
     return datetime.fromtimestamp(unix_time_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-_PARTS = {"arpd: link": _link, "arpd: plan": _plan, "arpd: configuration": _configuration, "arpd: events": _events}
+_NAMES = _LINK, _PLAN, _CONFIGURATION, _EVENTS = ("arpd: link", "arpd: plan", "arpd: configuration", "arpd: events")

@@ -1,4 +1,4 @@
-"""What the daemon times: its ticks, how late they begin, its solves, and the phases of its publishers' swaps."""
+"""Durations of the daemon: its ticks, their lateness, its solves, and the phases of its publishers' swaps."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Distribution:
 
     Parameters
     ----------
-    bounds : upper bounds, ascending, each belonging to what is below it (s)
-    counts : durations up to each bound and above the one before; the last count is of those above all bounds
-    total_s : what all durations add up to (s)
+    bounds : upper bounds, ascending, each part of the interval below it (s)
+    counts : durations up to each bound and above the one before; last, those above all bounds
+    total_s : sum of all durations (s)
     """
 
     bounds: tuple[float, ...]
@@ -50,7 +50,7 @@ class Distribution:
         return tuple(zip((*self.bounds, float("inf")), accumulate(self.counts), strict=True))
 
 
-# A tick has 0.1 s, and one that begins half of that late is counted as late: both are bounds.
+# A tick has 0.1 s, and one that begins 0.05 s late counts as late: both are bounds.
 _TICK = Distribution.over(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 # A dozen topics take half a millisecond, a thousand some tens (scripts/bench/solve.py).
 _SOLVE = Distribution.over(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
@@ -60,13 +60,13 @@ _SWAP_PHASE = Distribution.over(0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 2.9, 3.5, 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Durations:
-    """What took how long since the daemon started.
+    """Durations since the daemon started.
 
     Parameters
     ----------
     ticks : ticks that finished
-    lateness : how much later than planned ticks began; 0 for one that a report called early
-    solves : solves of the program; a tick that brings nothing new solves nothing
+    lateness : of begins of ticks; 0 for one that a report called early
+    solves : solves of the program; a tick with nothing new solves nothing
     swap_phases : phases of QoS swaps that finished, by `arpd.model.endpoints.SwapPhase`
     """
 
@@ -82,9 +82,9 @@ class Durations:
 
         Parameters
         ----------
-        tick_s : how long it took (s)
-        solve_s : how long its solve took (s); None = it needed none
-        phases : what swaps that finished since the last tick spent in each phase (s)
+        tick_s : its duration (s)
+        solve_s : duration of its solve (s); None = it needed none
+        phases : time that swaps which finished since the last tick spent in each phase (s)
         """
         swap_phases = self.swap_phases
         if phases:
@@ -103,18 +103,18 @@ class Durations:
 
 
 class SwapWatch:
-    """Finds the swaps that finished since the last look, each of them once.
+    """Finds the swaps that finished since the last look, each once.
 
-    What a publisher announces when it is first seen, or seen again, finished at a time nobody knows: maybe before this
-    daemon started, so it is not counted. A number, or a time, that is lower than before is of a publisher that started
-    anew. A swap's record is made before its old writer has drained, so draining is what the time of all swaps grew by.
+    A publisher that is new, or back, announces a swap that finished at an unknown time, maybe before this daemon
+    started; it does not count. A number or a time that is lower than before means that the publisher restarted. The
+    record of a swap is made before the old writer has drained, so the time of draining is the growth of its total.
     """
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, str], tuple[int, float]] = {}  # by topic and node: swap's number, time draining (s)
 
     def look(self, publishers: Iterable[PublisherState]) -> dict[str, list[float]]:
-        """Return what the swaps that finished spent in each phase they entered (s)."""
+        """Return the time that the swaps which finished spent in each phase they entered (s)."""
         before, self._last = self._last, {}
         found: dict[str, list[float]] = {}
         for publisher in publishers:

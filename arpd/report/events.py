@@ -1,26 +1,26 @@
-"""What happened, as the decision log tells it: one plain sentence, and what a program needs to find it again."""
+"""Events of the decision log: one plain sentence each, and what a program needs to find them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
 class Severity(StrEnum):
-    """How much an event matters to whoever runs the robot."""
+    """Weight of an event or a condition for the people who run the robot."""
 
     INFO = "info"
-    WARNING = "warning"  # something is worse than it should be, and arpd goes on
-    ERROR = "error"  # somebody has to do something
+    WARNING = "warning"  # something is worse than it should be, and arpd copes
+    ERROR = "error"  # arpd cannot cope
 
 
 class EventKind(StrEnum):
-    """What an event is about; each is a label of ``arpd_events_total`` and ``ARPD_EVENT`` in the journal."""
+    """Kinds of events; each is a label of ``arpd_events_total`` and ``ARPD_EVENT`` in the journal."""
 
     STARTED = "started"
     OUTAGE = "outage"  # the link carries nothing
@@ -30,13 +30,13 @@ class EventKind(StrEnum):
     PEER_LOST = "peer_lost"
     PLAN = "plan"  # a new plan
     CONFIRMED = "confirmed"  # every publisher announces it
-    PLAN_REFUSED = "plan_refused"  # a plan was wanted, and dwell or budget stood against it
+    PLAN_REFUSED = "plan_refused"  # a plan is due, and dwell or budget forbids it
     INFEASIBLE = "infeasible"  # not everything asked for fits
     FEASIBLE = "feasible"  # it does again
     MEMORY = "memory"  # depths follow memory
-    SWAP = "swap"  # the writer of a topic was replaced
-    SWAP_FAILED = "swap_failed"  # it was not
-    REFUSED = "refused"  # a publisher or reader refuses what it was asked for
+    SWAP = "swap"  # a topic has a new writer
+    SWAP_FAILED = "swap_failed"  # a topic keeps its old writer
+    REFUSED = "refused"  # a publisher or reader refuses new QoS
     TOPIC_FOUND = "topic_found"
     TOPIC_LOST = "topic_lost"
     RELOADED = "reloaded"
@@ -53,9 +53,9 @@ class Event:
     ----------
     number : counts up from 1 since the daemon started
     unix_time_s : wall clock when it happened (s)
-    kind, severity : what it is about, and how much it matters
+    kind, severity : what it is about, and its weight
     text : a plain sentence without a full stop: "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"
-    topic, node : the topic and the node it is about, empty when it is about more than one
+    topic, node : the topic and the node it is about, empty when there are several
     details : further facts by lower-case name, for programs
     """
 
@@ -67,3 +67,14 @@ class Event:
     topic: str = ""
     node: str = ""
     details: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+class Said(NamedTuple):
+    """An event before it has its number and its time."""
+
+    kind: EventKind
+    severity: Severity
+    text: str
+    topic: str = ""
+    node: str = ""
+    details: Mapping[str, str] = {}

@@ -1,4 +1,4 @@
-"""The last ten minutes, one sample a second, for charts: bounded however many topics there are."""
+"""The last ten minutes for charts, one sample a second, bounded at any number of topics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SPAN_S = 600.0
 PERIOD_S = 1.0
 MOST_TOPICS = 200
-_DIGITS = 5  # more than any chart shows; what is written of the whole is shorter for it
+_DIGITS = 5  # more than any chart shows, and shorter JSON
 _EARLY_S = 0.05  # half a tick: the tick nearest to the full period takes the sample
 
 
@@ -37,13 +37,14 @@ class TopicId(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkSample:
-    """What was believed of the link at one moment, all of it to five digits; NaN where it was not known.
+    """The estimate of the link at one moment, in five digits; NaN where it was not known.
 
     Parameters
     ----------
-    capacity_bytes_per_second, available_bytes_per_second : estimate, and what it leaves for arpd's topics (bytes/s)
-    level_bytes_per_second : what the plan in force was made for (bytes/s)
-    delivery_rate_bytes_per_second, foreign_bytes_per_second : received by the peer, and not arpd's (bytes/s)
+    capacity_bytes_per_second, available_bytes_per_second : estimate, and the part left for arpd's topics (bytes/s)
+    level_bytes_per_second : capacity that the plan in force was made for (bytes/s)
+    delivery_rate_bytes_per_second : received by the peer (bytes/s)
+    foreign_bytes_per_second : cross traffic (bytes/s)
     queue_delay_seconds : one-way delay above its minimum (s)
     loss_ratio : share of probe packets lost
     gate : factor on every paced rate
@@ -63,15 +64,15 @@ class LinkSample:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """One moment; never changed once it stands in the history.
+    """One moment; it never changes.
 
     Parameters
     ----------
     at_s : monotonic clock (s)
     unix_time_s : wall clock at the same moment (s)
     link : the link
-    slots : which publisher has which slot of the rates
-    rates_hz : planned, published and source rate of slot after slot, NaN where there was none, ``inf`` = unpaced (Hz)
+    slots : slot of each publisher in the rates
+    rates_hz : planned, published and source rate of each slot, NaN without one, ``inf`` = unpaced (Hz)
     omitted : live publishers without a slot
     """
 
@@ -91,8 +92,8 @@ _NO_RATES = (math.nan,) * len(RATE_SERIES)
 class History:
     """Samples snapshots; written by the tick, read by the HTTP server's threads.
 
-    A sample is immutable and is appended in one step, so that readers need no lock and can hold up no tick. With all
-    slots taken the whole span is 3.5 MB, however many topics there are.
+    A sample is immutable, and the tick appends it in one step, so readers need no lock and never delay a tick. With all
+    slots taken the whole span is 3.5 MB.
     """
 
     def __init__(self) -> None:
@@ -133,7 +134,7 @@ class History:
         )
 
     def _give_slots(self, now_s: float, live: Collection[TopicId], planned: Container[str]) -> None:
-        """Give newcomers slots, planned ones first; only a publisher that has left the whole span loses its own."""
+        """Give new publishers slots, planned ones first; a publisher keeps its slot for a span after it has left."""
         self._seen_at_s.update((identity, now_s) for identity in live if identity in self._slots)
         gone = {identity for identity, seen_s in self._seen_at_s.items() if now_s - seen_s > SPAN_S}
         room = MOST_TOPICS - len(self._slots) + len(gone)
@@ -194,7 +195,7 @@ def history_document(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> 
 
 
 def history_json(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> bytes:
-    """Return the document as JSON, written a topic at a time: a tick that is due need not wait for all of them."""
+    """Return the document as JSON, written topic by topic, so that a tick that is due can begin in between."""
     head = json.dumps(_head(samples, events), allow_nan=False)
     topics = ", ".join(json.dumps(topic, allow_nan=False) for topic in _topics(samples))
     return f'{head[:-1]}, "topics": [{topics}]}}\n'.encode()
@@ -209,7 +210,7 @@ def _head(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, A
         "unix_time_seconds": newest and newest.unix_time_s,
         "period_seconds": PERIOD_S,
         "span_seconds": SPAN_S,
-        # Counted back from the newest: the wall clock may have been set in between, and charts need times that rise.
+        # Counted back from the newest: somebody may have set the wall clock, and charts need rising times.
         "times": [round(newest.unix_time_s - (newest.at_s - sample.at_s), 3) for sample in samples] if newest else [],
         "link": link,
         "gate": gate,

@@ -1,4 +1,4 @@
-"""What the decision log says of publishers and readers: who is there, whose writer was replaced, who refuses what."""
+"""Events of publishers and readers: topics that come and go, writer swaps, refusals."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.endpoints import RefusalReason, SwapPhase
 from arpd.model.link import LinkState
-from arpd.report.events import EventKind, Severity
-from arpd.report.wording import Said, count, deadline, digits, duration, listed
+from arpd.model.quantities import format_duration, format_number
+from arpd.report.events import EventKind, Said, Severity
+from arpd.report.wording import count, deadline, listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -18,17 +19,17 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _QUIET_S = 2.0  # a node brings its topics one after the other
-_LONGEST_S = 10.0  # however many follow each other
-_TOGETHER_S = 1.5  # publishers announce once a second, each at its own time
+_LONGEST_S = 10.0  # an event waits no longer, though topics keep coming
+_TOGETHER_S = 1.5  # publishers announce once a second, each at another time
 _LOST_S = 2.0
-_AFTER_OUTAGE_S = 10.0  # those across the link are heard again by then
-_MOST_ALONE = 3  # of a batch that are told one by one
+_AFTER_OUTAGE_S = 10.0  # by then publishers across the link have announced themselves again
+_MOST_ALONE = 3  # a larger batch is one event
 
 _Identity = tuple[str, str]  # node and topic
 _WRITER_FACTS = attrgetter("node", "topic", "refusal_reason", "last_swap")
 _READER_FACTS = attrgetter("node", "topic", "refusal_reason")
 
-# How a swap that kept the old writer ended; where the publisher says more, in its refusal, that is told.
+# Results of a swap that kept the old writer, in words; a refusal of the publisher says more.
 _KEPT = {
     "unmatched": "its readers did not take the new writer in time",
     "incompatible": "a reader would have been lost to the new QoS",
@@ -38,13 +39,13 @@ _OF_SWAPS = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, Refu
 
 
 class EndpointLog:
-    """Follows publishers and readers; costs little while none of them has anything new to tell."""
+    """Publishers and readers; costs little while none of them announces anything new."""
 
     def __init__(self) -> None:
         self._facts: list[tuple[object, ...]] = []
-        self._topics = _Presence()
-        self._swaps = _Swaps()
-        self._refusals = _Refusals()
+        self._topics = _TopicLog()
+        self._swaps = _SwapLog()
+        self._refusals = _RefusalLog()
 
     def follow(self, snapshot: Snapshot) -> Iterator[Said]:
         """Return what happened since the snapshot before."""
@@ -59,8 +60,8 @@ class EndpointLog:
         yield from self._swaps.due(snapshot.finished_at_s)
 
 
-class _Presence:
-    """Topics of publishers that come and go; what returns while a loss is doubted was never gone."""
+class _TopicLog:
+    """Topics that come and go; one that returns within two seconds was never gone."""
 
     def __init__(self) -> None:
         self._node_of: dict[str, str] = {}  # topic → a node that publishes it
@@ -86,7 +87,7 @@ class _Presence:
         if self._missed and is_heard and now_s - max(self._missed.values()) >= _LOST_S:
             lost, self._missed = sorted(self._missed), {}
             self._known.difference_update(lost)
-            yield self._tell(EventKind.TOPIC_LOST, lost, "lost", "does not announce it any more")
+            yield self._tell(EventKind.TOPIC_LOST, lost, "lost", "no longer announces it")
             self._node_of = {topic: node for topic, node in self._node_of.items() if topic in self._known}
 
     def _tell(self, kind: EventKind, topics: list[str], word: str, alone: str) -> Said:
@@ -105,8 +106,8 @@ class _Swap(NamedTuple):
     why: str
 
 
-class _Swaps:
-    """Swaps that ended, known by their numbers; those of one plan come within a second or two of each other."""
+class _SwapLog:
+    """Swaps that ended, by their numbers. The swaps of one plan end within a second or two of each other."""
 
     def __init__(self) -> None:
         self._numbers: dict[_Identity, int] = {}
@@ -119,7 +120,7 @@ class _Swaps:
         for publisher in publishers:
             record, identity = publisher.last_swap, (publisher.node, publisher.topic)
             numbers[identity] = record.number if record is not None else 0
-            # What a publisher had behind it when it was first heard of happened before our time.
+            # A swap that a new publisher brings along happened before this daemon saw it.
             if record is None or record.number == self._numbers.get(identity, record.number):
                 continue
             swap = _Swap(publisher.node, publisher.topic, record, publisher.refusal)
@@ -148,7 +149,7 @@ class _Swaps:
                 yield Said(kind, severity, alone(swap), swap.topic, swap.node, _swap_details(swap.record))
             return
         took_s = [_total_s(swap.record) for swap in swaps]
-        least, most = digits(min(took_s)), digits(max(took_s))
+        least, most = format_number(min(took_s)), format_number(max(took_s))
         took = f"{most} s" if least == most else f"{least} to {most} s"
         yield Said(
             kind,
@@ -165,8 +166,8 @@ def _swapped(swap: _Swap) -> str:
         for phase, seconds in record.seconds_by_phase.items()
         if seconds >= 0.05 and phase != SwapPhase.DRAINING
     )
-    order = "; samples may have changed places" if record.result == "reorder_possible" else ""
-    took = f" in {duration(_total_s(record))}" if record.seconds_by_phase else ""
+    order = "; samples may have arrived out of order" if record.result == "reorder_possible" else ""
+    took = f" in {format_duration(_total_s(record))}" if record.seconds_by_phase else ""
     return (
         f"{swap.topic} swapped to depth {record.depth}, {deadline(record.deadline_ns)}{took}"
         + (f" ({phases})" if phases else "")
@@ -191,7 +192,7 @@ def _swap_details(record: SwapRecord) -> dict[str, str]:
 
 
 def _total_s(record: SwapRecord) -> float:
-    """Time from its begin to its result; draining the old writer goes on beside the new one (s)."""
+    """Return the time from begin to result (s); the old writer drains beside the new one and does not count."""
     return sum(seconds for phase, seconds in record.seconds_by_phase.items() if phase != SwapPhase.DRAINING)
 
 
@@ -202,8 +203,8 @@ class _Refused(NamedTuple):
     words: str
 
 
-class _Refusals:
-    """Refusals, each reason once for an endpoint while that is there; those of swaps are told as such."""
+class _RefusalLog:
+    """Refusals, each reason once per endpoint; a refused swap is an event of its own kind."""
 
     def __init__(self) -> None:
         self._told: dict[tuple[str, str, str], frozenset[RefusalReason]] = {}

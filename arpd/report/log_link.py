@@ -1,4 +1,4 @@
-"""What the decision log says of the link: outages, the interface, the peers, and who is in charge."""
+"""Events of the link: outages, the interface, the peers, and the daemon that drives the robot."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING
 
 from arpd.model.interface import InterfaceState, state_of
 from arpd.model.link import LinkState
-from arpd.model.settings import AUTO
-from arpd.report.events import EventKind, Severity
-from arpd.report.wording import Episode, Said, count, duration, listed, rate
+from arpd.model.quantities import format_duration, format_rate
+from arpd.report.event_limits import Episode
+from arpd.report.events import EventKind, Said, Severity
+from arpd.report.situation import Condition, interface_fault, standing_by
+from arpd.report.wording import AT_FLOORS, count, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from arpd.report.event_limits import Turn
     from arpd.report.snapshot import Snapshot
-    from arpd.report.wording import Turn
 
 _PEER_LOST_S = 10.0  # a peer with nothing to do reports every second or two
 _REPORTED_S = 3.0  # an outage of its own ends with a report
@@ -26,7 +28,7 @@ class LinkLog:
 
     def __init__(self) -> None:
         self._outage = Episode()
-        self._silent_s = 0.0  # before it was known to be an outage
+        self._silent_s = 0.0  # before the estimator knew that it was an outage
 
     def follow(self, snapshot: Snapshot) -> Iterator[Said]:
         """Return what happened since the snapshot before."""
@@ -37,11 +39,11 @@ class LinkLog:
             yield self._out(turn) if turn.holds else self._back(turn, snapshot)
 
     def _out(self, turn: Turn) -> Said:
-        since = f" since {duration(self._silent_s)} ago" if self._silent_s and not turn.untold else ""
+        since = f" since {format_duration(self._silent_s)} ago" if self._silent_s and not turn.untold else ""
         return Said(
             EventKind.OUTAGE,
-            Severity.WARNING,
-            f"{_untold(turn)}the link carries nothing{since}: floors only",
+            Condition.OUTAGE.severity,
+            f"{_untold(turn)}{Condition.OUTAGE.phrase}{since}: {AT_FLOORS}",
             details={"untold": str(turn.untold)} if turn.untold else {},
         )
 
@@ -50,21 +52,20 @@ class LinkLog:
         lasted_s = turn.lasted_s + self._silent_s
         details = {"capacity_bytes_per_second": f"{capacity:.6g}"}
         if turn.untold:
-            text = f"{_untold(turn)}the link carries now, at {rate(capacity)}"
+            text = f"{_untold(turn)}the link carries now, at {format_rate(capacity)}"
             details["untold"] = str(turn.untold)
         elif not _is_heard(snapshot):
-            # Nothing was measured: what is told must not sound as if the link were known to be well.
-            text = f"silence is no outage any more, after {duration(lasted_s)}: no peer reports, but others are heard"
+            # Nothing was measured: the sentence must not claim that the link is well.
+            text = f"no longer an outage after {format_duration(lasted_s)}: other hosts answer, only the peer is silent"
         else:
-            text = f"the link carries again after {duration(lasted_s)}, at {rate(capacity)}"
+            text = f"the link carries again after {format_duration(lasted_s)}, at {format_rate(capacity)}"
         if not turn.untold:
             details["outage_seconds"] = f"{lasted_s:.3f}"
         return Said(EventKind.RECOVERED, Severity.INFO, text, details=details)
 
 
 def _is_heard(snapshot: Snapshot) -> bool:
-    ages_s = snapshot.observation.peer_ages_s
-    return bool(ages_s) and min(ages_s.values()) < _REPORTED_S
+    return min(snapshot.observation.peer_ages_s.values(), default=math.inf) < _REPORTED_S
 
 
 def _untold(turn: Turn) -> str:
@@ -72,37 +73,34 @@ def _untold(turn: Turn) -> str:
 
 
 class InterfaceLog:
-    """The state of the link interface, and the name it is found under."""
+    """The state of the link interface, and its name."""
 
     def __init__(self) -> None:
         self._state: InterfaceState | None = None
         self._name = ""
-        self._was_there = False
 
     def follow(self, snapshot: Snapshot) -> Iterator[Said]:
         """Return what happened since the snapshot before."""
         state, name = state_of(snapshot.observation.counters), snapshot.interface
         if state is self._state and name == self._name:
             return
-        was, called, self._state, self._name = self._state, self._name, state, name
-        was_there, self._was_there = self._was_there, self._was_there or state is not InterfaceState.GONE
-        if was is None and state is InterfaceState.UP:
+        state_before, name_before, self._state, self._name = self._state, self._name, state, name
+        if state_before is None and state is InterfaceState.UP:
             return
         details = {"interface": name, "state": str(state)}
-        if not (was_there or self._was_there):
-            text = "no link interface is there yet" if name == AUTO else f"{name} is not there yet"
-            yield Said(EventKind.INTERFACE, Severity.WARNING, text, details=details)
-        elif state is was:
-            text = f"the link interface {called} is now called {name}"
+        fault = interface_fault(snapshot)
+        if state is state_before and snapshot.has_interface:
+            text = f"the link interface {name_before} is now called {name}"
             yield Said(EventKind.INTERFACE, Severity.INFO, text, details=details)
-        elif state is InterfaceState.UP:
+        elif fault is None:
             yield Said(EventKind.INTERFACE, Severity.INFO, f"{name} is up", details=details)
         else:
-            yield Said(EventKind.INTERFACE, Severity.ERROR, f"{name} {state.fault}", details=details)
+            condition, text = fault
+            yield Said(EventKind.INTERFACE, condition.severity, text, details=details)
 
 
 class PeerLog:
-    """Peers that come and go. While the link is out nobody can be told from the link, so nobody is lost."""
+    """Peers that come and go. During an outage every peer is silent, so none is lost."""
 
     def __init__(self) -> None:
         self._known: set[str] = set()
@@ -123,31 +121,27 @@ class PeerLog:
             yield Said(
                 EventKind.PEER_FOUND,
                 Severity.INFO,
-                f"{_peers(found)} {_is(found)} found",
+                f"{_peers(found)} found",
                 details={"peers": " ".join(found)},
             )
         has_patience = now_s - self._judged_since_s < _PEER_LOST_S
         if not has_patience and math.isfinite(self._judged_since_s) and (lost := sorted(self._known - there)):
             self._known &= there
-            then = "nobody reports what the link delivers" if not there else f"{count(len(there), 'peer')} left"
+            then = f"{count(len(there), 'peer')} left" if there else "nobody reports what the link delivers"
             yield Said(
                 EventKind.PEER_LOST,
                 Severity.WARNING,
-                f"{_peers(lost)} {_is(lost)} lost, nothing heard for {duration(_PEER_LOST_S)}: {then}",
+                f"{_peers(lost)} lost, silent for {format_duration(_PEER_LOST_S)}: {then}",
                 details={"peers": " ".join(lost)},
             )
 
 
 def _peers(names: list[str]) -> str:
-    return f"{'peer' if len(names) == 1 else 'peers'} {listed(names)}"
-
-
-def _is(names: list[str]) -> str:
-    return "is" if len(names) == 1 else "are"
+    return f"peer {listed(names)} is" if len(names) == 1 else f"peers {listed(names)} are"
 
 
 class LeaderLog:
-    """Which of several daemons drives the robot; two of them are rarely meant."""
+    """The one of several daemons that drives the robot; two of them are rarely meant."""
 
     def __init__(self) -> None:
         self._others: tuple[tuple[str, ...], str] = ((), "")
@@ -160,12 +154,11 @@ class LeaderLog:
         _, active_before = self._others
         self._others = others
         details = {"other_daemons": " ".join(observation.other_daemons)}
-        if observation.active_daemon:
+        if (other := standing_by(snapshot)) is not None:
             if observation.active_daemon != active_before:
-                text = f"another arpd daemon, on {observation.active_daemon}, has run for longer: standing by"
-                yield Said(EventKind.STANDING_BY, Severity.WARNING, text, details=details)
+                yield Said(EventKind.STANDING_BY, other.condition.severity, other.phrase, details=details)
         elif observation.other_daemons:
             text = f"in charge; another arpd daemon stands by, on {listed(observation.other_daemons)}"
             yield Said(EventKind.IN_CHARGE, Severity.WARNING, text, details=details)
         else:
-            yield Said(EventKind.IN_CHARGE, Severity.INFO, "no other arpd daemon is left: in charge", details=details)
+            yield Said(EventKind.IN_CHARGE, Severity.INFO, "in charge; no other arpd daemon is left", details=details)

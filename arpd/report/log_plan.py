@@ -1,4 +1,4 @@
-"""What the decision log says of plans: why a new one was made, what it changes, and whether it is in force."""
+"""Events of plans: why arpd made a new one, what it changes, and when everybody runs it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING
 
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
-from arpd.report.events import EventKind, Severity
-from arpd.report.wording import Change, Episode, Said, changes, count, digits, duration, rate
+from arpd.model.quantities import format_duration, format_number, format_rate
+from arpd.report.event_limits import Episode
+from arpd.report.events import EventKind, Said, Severity
+from arpd.report.situation import Condition
+from arpd.report.wording import Change, changes, count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -16,17 +19,17 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan, TopicPlan
     from arpd.report.snapshot import Snapshot
 
-_REFUSED_S = 2.0  # a plan that is due may wait so long without a word
-_GONE = 0.02  # of the capacity: traffic that is not worth naming
-_FITS_S = 2.0  # what is solved ten times a second swings with the estimate
+_REFUSED_S = 2.0  # a plan that is due may wait for so long without an event
+_GONE = 0.02  # of the capacity: cross traffic that is not worth naming
+_FITS_S = 2.0  # the program is solved ten times a second, and its status swings with the estimate
 _WAITS_FOR = {
-    "dwell": "the last one was made {age} ago, and may be right again soon (dwell)",
+    "dwell": "the last one is only {age} old (dwell)",
     "budget": "the swaps allowed in a minute are spent (budget)",
 }
 
 
 class PlanLog:
-    """New plans, and when every publisher and reader runs them; one that is overtaken before is not told of."""
+    """New plans, and when every publisher and reader runs them; a plan that another one overtakes never gets there."""
 
     def __init__(self) -> None:
         self._plan: QosPlan | None = None
@@ -56,7 +59,7 @@ class PlanLog:
                 EventKind.CONFIRMED,
                 Severity.INFO,
                 f"every publisher runs plan {plan.generation}"
-                + (f", {duration(took_s)} after it was made" if took_s > 0 else " already"),
+                + (f", {format_duration(took_s)} after it was made" if took_s > 0 else " already"),
                 details={"generation": str(plan.generation), "seconds": f"{took_s:.3f}"},
             )
 
@@ -69,7 +72,7 @@ def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimat
     plan, cause = snapshot.decision.plan, snapshot.decision.reason
     rows = before.topics if before is not None else {}
     rates, depths = _rate_changes(snapshot, rows), _depth_changes(snapshot, rows)
-    rate_words, depth_words = changes(rates, digits, " Hz"), changes(depths, digits, " samples")
+    rate_words, depth_words = changes(rates, " Hz"), changes(depths, " samples")
     lowered = sum(change.after < change.before for change in rates)
     details = {
         "cause": cause,
@@ -112,16 +115,16 @@ _OTHER_CAUSES = {
 def _why(snapshot: Snapshot, before: QosPlan | None, then: LinkEstimate | None) -> str:
     plan, cause = snapshot.decision.plan, snapshot.decision.reason
     if cause == "start":
-        carries = rate(snapshot.link.capacity_bytes_per_second)
+        carries = format_rate(snapshot.link.capacity_bytes_per_second)
         return f"first plan for {count(len(plan.topics), 'topic')} on a link of {carries}"
     if cause == "topics":
-        return _who_came(plan, before)
+        return _topics_that_came(plan, before)
     if cause in {"down", "up"}:
         return _what_the_link_did(snapshot.link, then, fell=cause == "down")
     return _OTHER_CAUSES.get(cause, f"plan {plan.generation}")
 
 
-def _who_came(plan: QosPlan, before: QosPlan | None) -> str:
+def _topics_that_came(plan: QosPlan, before: QosPlan | None) -> str:
     old = before.topics.keys() if before is not None else set()
     came, left = len(plan.topics.keys() - old), len(old - plan.topics.keys())
     moved = [f"{count(came, 'topic')} joined"] if came else []
@@ -130,18 +133,18 @@ def _who_came(plan: QosPlan, before: QosPlan | None) -> str:
 
 
 def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, *, fell: bool) -> str:
-    carries = rate(link.capacity_bytes_per_second)
-    if _is_others_doing(link, then):
-        foreign = link.cross_traffic_bytes_per_second
-        if foreign < _GONE * link.capacity_bytes_per_second:
-            return f"other traffic is gone, the link's {carries} are free"
-        takes = f"{'takes' if fell else 'takes only'} {rate(foreign)}"
-        return f"other traffic {takes}, leaving {rate(link.available_bytes_per_second)} of {carries}"
+    carries = format_rate(link.capacity_bytes_per_second)
+    if _is_cross_traffic(link, then):
+        taken = link.cross_traffic_bytes_per_second
+        if taken < _GONE * link.capacity_bytes_per_second:
+            return f"cross traffic is gone, the link's {carries} are free"
+        takes = f"{'takes' if fell else 'takes only'} {format_rate(taken)}"
+        return f"cross traffic {takes}, leaving {format_rate(link.available_bytes_per_second)} of {carries}"
     return f"link {'fell' if fell else 'rose'} to {carries}"
 
 
-def _is_others_doing(link: LinkEstimate, then: LinkEstimate | None) -> bool:
-    """Whether foreign traffic moved what is left for arpd by more than the link itself did."""
+def _is_cross_traffic(link: LinkEstimate, then: LinkEstimate | None) -> bool:
+    """Return whether cross traffic moved what is left for arpd by more than the link itself did."""
     if then is None:
         return False
     capacity = link.capacity_bytes_per_second - then.capacity_bytes_per_second
@@ -150,7 +153,7 @@ def _is_others_doing(link: LinkEstimate, then: LinkEstimate | None) -> bool:
 
 
 def _rate_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
-    """Return how the rates change that the sources will notice: never from or to more than a source gives."""
+    """Return the changes of rates that sources notice: never from or to more than a source gives."""
     planned = snapshot.decision.plan.topics
     fastest: dict[str, Change] = {}
     for publisher in snapshot.observation.publishers:
@@ -160,7 +163,7 @@ def _rate_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[C
         old = before.get(publisher.topic)
         was_hz = min(old.rate_hz if old is not None else publisher.rate_hz, publisher.source_rate_hz)
         is_hz = min(row.rate_hz, publisher.source_rate_hz)
-        if digits(was_hz) == digits(is_hz):
+        if format_number(was_hz) == format_number(is_hz):
             continue
         weight = abs(is_hz - was_hz) * publisher.payload_bytes * publisher.copies
         if (known := fastest.get(publisher.topic)) is None or known.weight < weight:
@@ -183,7 +186,7 @@ def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[
 
 
 class WaitingLog:
-    """Plans that are wanted and have to wait: told once for each plan that stays in force."""
+    """Plans that are due and have to wait: one event per reason while the plan in force stays."""
 
     def __init__(self) -> None:
         self._since_s: dict[str, float] = {}
@@ -206,7 +209,7 @@ class WaitingLog:
             if now_s - since_s < _REFUSED_S or (generation, reason) in self._told:
                 continue
             self._told.add((generation, reason))
-            words = _WAITS_FOR.get(reason, f"({reason})").format(age=duration(now_s - made_s))
+            words = _WAITS_FOR.get(reason, f"({reason})").format(age=format_duration(now_s - made_s))
             yield Said(
                 EventKind.PLAN_REFUSED,
                 Severity.INFO,
@@ -216,7 +219,7 @@ class WaitingLog:
 
 
 class FittingLog:
-    """Whether all that is asked for fits the link; nothing is said of it during an outage."""
+    """Begin and end of a link too slow for everything asked for; outages have events of their own."""
 
     def __init__(self) -> None:
         self._lacking = Episode(hold_s=_FITS_S, most=3)
@@ -233,9 +236,9 @@ class FittingLog:
         again = f"{count(turn.untold, 'more change')} in the last minute; " if turn.untold else ""
         if turn.holds:
             why = f": {allocation.degradation}" if allocation.degradation else ""
-            text = f"{again}not everything that was asked for fits{why}"
-            yield Said(EventKind.INFEASIBLE, Severity.WARNING, text, details=details)
+            text = f"{again}{Condition.DEGRADED.phrase}{why}"
+            yield Said(EventKind.INFEASIBLE, Condition.DEGRADED.severity, text, details=details)
         else:
-            after = f" after {duration(turn.lasted_s)}" if turn.lasted_s else ""
-            text = f"{again}everything that was asked for fits again{after}"
+            after = f" after {format_duration(turn.lasted_s)}" if turn.lasted_s else ""
+            text = f"{again}everything asked for fits again{after}"
             yield Said(EventKind.FEASIBLE, Severity.INFO, text, details=details)

@@ -1,196 +1,334 @@
-"""One sentence for whoever has ten seconds: whether the link is the problem, what arpd did and why, and if it helps."""
+"""The one judgement of the daemon: its link, its plan, its ticks and its configuration.
+
+The decision log, ``systemctl status``, the page, ``arpd status``, ``arpd top`` and /diagnostics take conditions,
+severities, words and thresholds from here.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
-from arpd.model.quantities import format_duration, format_rate
+from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.model.settings import AUTO
-from arpd.report.events import Severity
+from arpd.report.events import EventKind, Severity
+from arpd.report.topic_rows import topic_rows
+from arpd.report.wording import AT_FLOORS, NOTHING_ANNOUNCED, confirmed, count, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Iterator, Sequence
 
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
 
-_SLOWED = 0.95  # a plan within a twentieth of what the application publishes slows nobody
-_OPEN = 0.8  # a gate above this trims, and does not drain
-_NOTHING_S = 0.001
-_OF_THE_LINK = {Binding.LINK, Binding.FLOOR}
+STALE_AFTER_S = 3.0  # ticks are 0.1 s apart
+UNCONFIRMED_AFTER_S = 15.0  # a swap proves itself within seconds, and arpd tries again
+SLOWED_BELOW = 0.95  # of what the source publishes; a plan within a twentieth of it slows nobody
+_DRAINING_BELOW = 0.8  # a gate above this trims, and does not drain
+_EMPTY_QUEUE_S = 0.001
 _LOSSY = 0.01
-_REPORTED_S = 5.0  # a peer that lives reports every second or two
+_REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
+_OF_THE_LINK = {Binding.LINK, Binding.FLOOR}
+_PLAN_BEGINS = {EventKind.PLAN, EventKind.MEMORY, EventKind.TOPIC_FOUND}
 
 
-class Verdict(NamedTuple):
-    """What a snapshot comes to.
+class Condition(StrEnum):
+    """A condition of the daemon: of link and plan, the most important first; then faults beside it, the worst first."""
+
+    STANDING_BY = "standing_by"
+    INTERFACE_ABSENT = "interface_absent"  # it was never there
+    INTERFACE_DOWN = "interface_down"
+    OUTAGE = "outage"
+    MEASURING = "measuring"
+    NOTHING_TO_GOVERN = "nothing_to_govern"
+    DEGRADED = "degraded"
+    OVERFULL = "overfull"
+    LIMITED = "limited"
+    CLEAR = "clear"
+    STALE = "stale"
+    RELOAD_REFUSED = "reload_refused"
+    UNCONFIRMED = "unconfirmed"
+    RESTART_NEEDED = "restart_needed"
+
+    @property
+    def severity(self) -> Severity:
+        """Severity of a finding, and of the event that begins the condition."""
+        return _TRAITS[self].severity
+
+    @property
+    def headline(self) -> str:
+        """A few words that stay the same while the condition does."""
+        return _TRAITS[self].headline
+
+    @property
+    def phrase(self) -> str:
+        """The headline inside a sentence."""
+        return self.headline[0].lower() + self.headline[1:]
+
+    @property
+    def is_wrong(self) -> bool:
+        """True where somebody should look: `arpd status` exits 1."""
+        return _TRAITS[self].is_wrong
+
+
+class _Traits(NamedTuple):
+    severity: Severity
+    headline: str
+    is_wrong: bool = False
+
+
+_TRAITS = {
+    Condition.STANDING_BY: _Traits(Severity.WARNING, "Standing by", is_wrong=True),
+    Condition.INTERFACE_ABSENT: _Traits(Severity.WARNING, "The link is not there yet", is_wrong=True),
+    Condition.INTERFACE_DOWN: _Traits(Severity.ERROR, "The link is down", is_wrong=True),
+    Condition.OUTAGE: _Traits(Severity.ERROR, "The link carries nothing", is_wrong=True),
+    Condition.MEASURING: _Traits(Severity.INFO, "No plan yet"),
+    Condition.NOTHING_TO_GOVERN: _Traits(Severity.INFO, "Nothing to govern"),
+    Condition.DEGRADED: _Traits(Severity.WARNING, "Not everything asked for fits", is_wrong=True),
+    Condition.OVERFULL: _Traits(Severity.WARNING, "The link is overfull"),
+    Condition.LIMITED: _Traits(Severity.WARNING, "The link is the limit"),
+    Condition.CLEAR: _Traits(Severity.INFO, "The link is fine"),
+    Condition.STALE: _Traits(Severity.ERROR, "No tick finishes", is_wrong=True),
+    Condition.RELOAD_REFUSED: _Traits(Severity.ERROR, "Reload refused", is_wrong=True),
+    Condition.UNCONFIRMED: _Traits(Severity.WARNING, "Plan not confirmed", is_wrong=True),
+    Condition.RESTART_NEEDED: _Traits(Severity.WARNING, "Restart needed"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A condition that holds, and the reason.
 
     Parameters
     ----------
-    severity : how much it matters
-    headline : a few words that stay the same while the situation does
-    text : the whole sentence, headline first
+    why : what follows the headline, without a full stop
     """
 
-    severity: Severity
-    headline: str
-    text: str
+    condition: Condition
+    why: str
+
+    @property
+    def text(self) -> str:
+        """The whole sentence, headline first."""
+        return f"{self.condition.headline}: {self.why}."
+
+    @property
+    def phrase(self) -> str:
+        """The same, for a line that goes on."""
+        return f"{self.condition.phrase}: {self.why}"
 
 
-def verdict(snapshot: Snapshot, rows: Sequence[TopicRow]) -> Verdict:
+class Slowed(NamedTuple):
+    """A topic that the link keeps below the rate of its source (Hz); ``kept`` is the part that is left."""
+
+    kept: float
+    topic: str
+    rate_hz: float
+    source_hz: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Situation:
+    """A snapshot, judged.
+
+    Parameters
+    ----------
+    conditions : of link and plan, at least one, the most important first
+    faults : of ticks, configuration and publishers, the worst first
+    slowed : topics that the link keeps below what their sources publish, the most slowed first
+    """
+
+    conditions: tuple[Finding, ...]
+    faults: tuple[Finding, ...]
+    slowed: tuple[Slowed, ...]
+
+    @property
+    def verdict(self) -> Finding:
+        """The condition that matters most."""
+        return self.conditions[0]
+
+    def first_of(self, conditions: Container[Condition]) -> Finding | None:
+        """Return the most important finding among the given conditions, None where none of them holds."""
+        found = (*self.conditions, *self.faults)
+        return next((finding for finding in found if finding.condition in conditions), None)
+
+
+def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: float | None = None) -> Situation:
     """Judge a snapshot.
 
     Parameters
     ----------
-    rows : its live publishers, with what the plan and the program say of each
+    rows : its live publishers as `topic_rows` returns them, by default from the snapshot
+    now_s : monotonic clock (s), to find ticks that do not finish
     """
-    planned = [row for row in rows if row.planned is not None]
-    if active_daemon := snapshot.observation.active_daemon:
-        return _said(Severity.WARNING, "Standing by", f"another arpd daemon, on {active_daemon}, drives this robot")
-    return _down(snapshot) or (_planned(snapshot, planned) if planned else _without_plan(snapshot))
-
-
-def _down(snapshot: Snapshot) -> Verdict | None:
-    if fault := state_of(snapshot.observation.counters).fault:
-        why = f"{snapshot.interface} {fault}, so that nothing can cross it; arpd goes on by itself when that changes"
-        return _said(Severity.ERROR, "The link is down", why)
-    if snapshot.link.state is LinkState.OUTAGE:
-        return _said(
-            Severity.ERROR,
-            "The link is down",
-            "nothing of the peer arrives; arpd holds every topic at its lowest rate, and raises them when it is back",
-        )
-    return None
-
-
-def _planned(snapshot: Snapshot, planned: Sequence[TopicRow]) -> Verdict:
-    if snapshot.allocation.status is AllocationStatus.DEGRADED:
-        given_up = f"arpd gives up the least important first ({snapshot.allocation.degradation})"
-        why = f"the link carries {_capacity(snapshot)}, and {given_up}"
-        return _said(Severity.WARNING, "Not everything asked for fits", f"{why}; {_effect(snapshot)}")
-    if snapshot.link.state in {LinkState.CONGESTED, LinkState.DRAINING} or snapshot.decision.gate < _OPEN:
-        return _said(
-            Severity.WARNING,
-            "The link is overfull",
-            f"{_queue(snapshot)} at {_capacity(snapshot)}; arpd lets {_percent(snapshot.decision.gate)} of the planned "
-            "rates pass until it has drained",
-        )
-    return _settled(snapshot, planned)
-
-
-def _settled(snapshot: Snapshot, planned: Sequence[TopicRow]) -> Verdict:
-    """Judge a link that neither fails nor queues: either it limits somebody, or it does not."""
-    slowed = sorted((row for row in planned if _ratio(row) < _SLOWED), key=_ratio)
-    if not slowed:
-        room = f"{_capacity(snapshot)} is more than the robot offers; arpd slows none of {_topics(len(planned))}"
-        return _said(Severity.INFO, "The link is fine", f"{room}; {_effect(snapshot, is_help=False)}")
-    most = slowed[0]
-    assert most.planned is not None
-    rates = f"{_hz(most.publisher.source_rate_hz)} → {_hz(most.planned.rate_hz)} Hz"
-    decided = f"arpd slowed {len(slowed)} of {_topics(len(planned))}, {most.publisher.topic} most ({rates})"
-    waiting = len(planned) - snapshot.confirmed
-    unconfirmed = f", and {waiting} of them {'has' if waiting == 1 else 'have'} yet to confirm" if waiting > 0 else ""
-    return _said(
-        Severity.WARNING,
-        "The link is the limit",
-        f"{_capacity(snapshot)} is less than the robot offers; {decided}{unconfirmed}; {_effect(snapshot)}",
+    planned, slowed = 0, []
+    for row in topic_rows(snapshot) if rows is None else rows:
+        if row.planned is not None:
+            planned += 1
+            if (kept := kept_ratio(row)) < SLOWED_BELOW:
+                publisher = row.publisher
+                slowed.append(Slowed(kept, publisher.topic, row.planned.rate_hz, publisher.source_rate_hz))
+    slowed.sort()
+    return Situation(
+        conditions=tuple(_conditions(snapshot, planned, slowed)),
+        faults=tuple(_faults(snapshot, now_s)),
+        slowed=tuple(slowed),
     )
 
 
-def _without_plan(snapshot: Snapshot) -> Verdict:
-    crossing = [p for p in snapshot.observation.publishers if p.direction != "local"]
-    if not snapshot.observation.publishers:
-        why = "no publisher has announced itself; use arpd.AdaptivePublisher, or name topics under relay.topics"
-    elif not crossing:
-        why = "no announced topic has a reader on the other side of the link"
-    else:
-        return _said(Severity.INFO, "No plan yet", f"arpd is still measuring the link for {_topics(len(crossing))}")
-    return _said(Severity.INFO, "Nothing to govern", why)
-
-
-def _effect(snapshot: Snapshot, *, is_help: bool = True) -> str:
-    """Say whether it helped: a decision helps when nothing queues and nothing is lost."""
-    link = snapshot.link
-    if not _is_reported(snapshot):
-        return "no peer reports, so that the capacity is a guess and nobody measures the queue"
-    loss = link.loss_ratio or 0.0
-    lost = f" and {_percent(loss)} loss" if loss > _LOSSY else ""
-    is_good = link.queue_delay_s <= link.queue_allowance_s and not lost
-    if not is_help:
-        return f"{_queue(snapshot)}{lost}"
-    return f"{'it helps' if is_good else 'it does not help yet'}: {_queue(snapshot)}{lost}"
-
-
-def _is_reported(snapshot: Snapshot) -> bool:
-    """Whether a peer tells what the link delivers."""
-    return min(snapshot.observation.peer_ages_s.values(), default=math.inf) < _REPORTED_S
-
-
-def _queue(snapshot: Snapshot) -> str:
-    delay_s = snapshot.link.queue_delay_s
-    if not math.isfinite(delay_s):
-        return "a queue nobody measures"
-    return f"{format_duration(delay_s)} of queue" if delay_s >= _NOTHING_S else "no queue"
-
-
-def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.0f} %"
-
-
-def _capacity(snapshot: Snapshot) -> str:
-    return format_rate(snapshot.link.capacity_bytes_per_second)
-
-
-def _ratio(row: TopicRow) -> float:
-    """Planned over published by the application; 1 where something other than the link set the rate."""
+def kept_ratio(row: TopicRow) -> float:
+    """Return the part of its source's rate that the link leaves a topic; 1 where the link does not slow it."""
     source_hz, planned, allocation = row.publisher.source_rate_hz, row.planned, row.allocation
     if planned is None or allocation is None or source_hz <= 0 or allocation.binding not in _OF_THE_LINK:
         return 1.0
     return min(1.0, planned.rate_hz / source_hz)
 
 
-def _topics(count: int) -> str:
-    return f"{count} {'topic' if count == 1 else 'topics'}"
+def _conditions(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
+    if (other := standing_by(snapshot)) is not None:
+        yield other
+    if (fault := interface_fault(snapshot)) is not None:
+        condition, what = fault
+        yield Finding(condition, f"{what}; arpd goes on by itself when that changes")
+    elif snapshot.link.state is LinkState.OUTAGE:
+        yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
+    elif other is None:
+        yield from _governing(snapshot, planned, slowed) if planned else (_without_plan(snapshot),)
 
 
-def _hz(rate_hz: float) -> str:
-    return "unpaced" if math.isinf(rate_hz) else f"{rate_hz:.3g}"
+def _governing(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
+    link, gate, allocation = snapshot.link, snapshot.decision.gate, snapshot.allocation
+    carries = format_rate(link.capacity_bytes_per_second)
+    if allocation.status is AllocationStatus.DEGRADED:
+        yields = f"arpd gives up the least important first ({allocation.degradation})"
+        why = f"the link carries {carries}, and {yields}; {_effect(snapshot)}"
+        yield Finding(Condition.DEGRADED, why)
+    if link.state in {LinkState.CONGESTED, LinkState.DRAINING} or gate < _DRAINING_BELOW:
+        passes = f"arpd lets {format_share(gate)} of the planned rates pass until the queue is short"
+        yield Finding(Condition.OVERFULL, f"{_queue(snapshot)} at {carries}; {passes}")
+    if not slowed:
+        why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
+        yield Finding(Condition.CLEAR, f"{why}; {_queue_and_loss(snapshot)}")
+        return
+    _, most, rate_hz, source_hz = slowed[0]
+    rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
+    slows = f"arpd slowed {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
+    if (waiting := planned - snapshot.confirmed) > 0:
+        slows += f", and {waiting} of them {'has' if waiting == 1 else 'have'} yet to confirm"
+    why = f"{carries} is less than the robot offers; {slows}; {_effect(snapshot)}"
+    yield Finding(Condition.LIMITED, why)
 
 
-def _said(severity: Severity, headline: str, rest: str) -> Verdict:
-    return Verdict(severity, headline, f"{headline}: {rest}.")
+def _without_plan(snapshot: Snapshot) -> Finding:
+    publishers = snapshot.observation.publishers
+    if not publishers:
+        return Finding(Condition.NOTHING_TO_GOVERN, NOTHING_ANNOUNCED)
+    if crossing := sum(publisher.direction != "local" for publisher in publishers):
+        return Finding(Condition.MEASURING, f"arpd is still measuring the link for {count(crossing, 'topic')}")
+    return Finding(Condition.NOTHING_TO_GOVERN, "no announced topic has a reader on the other side of the link")
+
+
+def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]:
+    if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > STALE_AFTER_S:
+        yield stale(age_s)
+    if snapshot.config_error:
+        yield reload_refused(snapshot)
+    if (waited_s := _unconfirmed_s(snapshot)) > UNCONFIRMED_AFTER_S:
+        yield Finding(Condition.UNCONFIRMED, f"{who_confirmed(snapshot)} after {format_duration(waited_s)}")
+    if keys := snapshot.keys_awaiting_restart:
+        why = f"the file's {listed(keys)} {'is' if len(keys) == 1 else 'are'} not in force"
+        yield Finding(Condition.RESTART_NEEDED, why)
+
+
+def reload_refused(snapshot: Snapshot) -> Finding:
+    """Return the finding for a refused reload."""
+    return Finding(Condition.RELOAD_REFUSED, f"{snapshot.config_error}; the configuration in force stays")
+
+
+def stale(age_s: float) -> Finding:
+    """Return the finding for a last tick that finished so long ago (s)."""
+    why = f"the last one finished {format_duration(age_s)} ago; publishers keep the plan they have"
+    return Finding(Condition.STALE, why)
+
+
+def who_confirmed(snapshot: Snapshot) -> str:
+    """Say how many publishers and readers run the plan in force."""
+    return confirmed(
+        confirmed=snapshot.confirmed,
+        publishers=snapshot.managed,
+        readers_confirmed=snapshot.readers_confirmed,
+        readers=len(snapshot.reader_plans),
+    )
+
+
+def _unconfirmed_s(snapshot: Snapshot) -> float:
+    """Return how long publishers or readers have not followed the plan (s); 0 where the decision log does not tell."""
+    if snapshot.confirmed >= snapshot.managed and snapshot.readers_confirmed >= len(snapshot.reader_plans):
+        return 0.0
+    began = None
+    for began in reversed(snapshot.events):
+        if began.kind is EventKind.CONFIRMED:
+            return 0.0
+        if began.kind in _PLAN_BEGINS:
+            break
+    return 0.0 if began is None else snapshot.unix_time_s - began.unix_time_s
+
+
+def _effect(snapshot: Snapshot) -> str:
+    """Say whether a decision helped: it did when little queues and little is lost."""
+    link = snapshot.link
+    if min(snapshot.observation.peer_ages_s.values(), default=math.inf) >= _REPORTS_WITHIN_S:
+        return "no peer reports, so the capacity is a guess and nobody measures the queue"
+    helps = link.queue_delay_s <= link.queue_allowance_s and (link.loss_ratio or 0.0) <= _LOSSY
+    return f"{'it helps' if helps else 'it does not help yet'}: {_queue_and_loss(snapshot)}"
+
+
+def _queue_and_loss(snapshot: Snapshot) -> str:
+    loss = snapshot.link.loss_ratio or 0.0
+    return f"{_queue(snapshot)} and {format_share(loss)} loss" if loss > _LOSSY else _queue(snapshot)
+
+
+def _queue(snapshot: Snapshot) -> str:
+    delay_s = snapshot.link.queue_delay_s
+    if not math.isfinite(delay_s):
+        return "a queue of unknown length"
+    return f"{format_duration(delay_s)} of queue" if delay_s >= _EMPTY_QUEUE_S else "no queue"
+
+
+def standing_by(snapshot: Snapshot) -> Finding | None:
+    """Return the finding for a robot that another daemon drives, None where this one drives it."""
+    if not (host := snapshot.observation.active_daemon):
+        return None
+    why = f"another arpd daemon, on {host}, has run for longer and drives this robot"
+    return Finding(Condition.STANDING_BY, why)
+
+
+def interface_fault(snapshot: Snapshot) -> tuple[Condition, str] | None:
+    """Return why the link interface carries nothing, None when it can carry."""
+    if not (fault := state_of(snapshot.observation.counters).fault):
+        return None
+    if snapshot.has_interface:
+        return Condition.INTERFACE_DOWN, f"{snapshot.interface} {fault}"
+    what = "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"
+    return Condition.INTERFACE_ABSENT, what
 
 
 def status_line(snapshot: Snapshot | None) -> str:
-    """One line a human can read, for ``systemctl status``."""
+    """Return one line for ``systemctl status``; what changes with every tick is rounded, so that few lines are sent."""
     if snapshot is None:
         return "starting"
-    if active_daemon := snapshot.observation.active_daemon:
-        return f"standing by: another arpd daemon, on {active_daemon}, drives this robot"
+    if (other := standing_by(snapshot)) is not None:
+        return other.phrase
     link, decision = snapshot.link, snapshot.decision
     line = (
         f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
-        f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} foreign), "
-        f"gate {decision.gate:.2f}, plan {decision.plan.generation}: "
-        f"{snapshot.confirmed} of {snapshot.managed} publishers confirmed"
+        f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), gate {format_share(decision.gate)}, "
+        f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
     )
-    refused = f"reload refused: {snapshot.config_error}" if snapshot.config_error else ""
-    awaiting = snapshot.keys_awaiting_restart
-    waiting = f"restart needed for {', '.join(awaiting[:3])}" if awaiting else ""
-    if (more := len(awaiting) - 3) > 0:
-        waiting += f" and {more} more"
-    return "; ".join(said for said in (_interface_fault(snapshot), line, refused, waiting) if said)
-
-
-def _interface_fault(snapshot: Snapshot) -> str:
-    """Say why the link interface carries nothing, empty when it does."""
-    fault = state_of(snapshot.observation.counters).fault
-    if not fault:
-        return ""
-    if snapshot.has_interface:
-        return f"{snapshot.interface} {fault}"
-    return "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"
+    _, fault = interface_fault(snapshot) or (None, "")
+    return "; ".join(said for said in (fault, line, *(finding.phrase for finding in _faults(snapshot))) if said)

@@ -1,4 +1,4 @@
-"""One immutable picture of the daemon after a tick; metrics, health and status are made from nothing else."""
+"""The daemon after a tick, as one immutable value; metrics, health, status and log have no other source."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Totals:
-    """What the daemon counted since it started; every attempt and every failure has its own count.
+    """Counts since the daemon started; attempts and failures have counts of their own.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Totals:
     reloads_by_result : configuration reloads (``ok``, ``failed``)
     changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
     events_by_kind : lines of the decision log, by `arpd.report.events.EventKind`
-    durations : what took how long
+    durations : of ticks, solves and swaps
     """
 
     ticks: int = 0
@@ -63,14 +63,14 @@ class Snapshot:
     ----------
     version : arpd's version
     interface : link interface in use; as configured until it was found
-    has_interface : whether it was ever there
+    has_interface : True once it was there
     finished_at_s : monotonic clock when the tick finished (s)
     unix_time_s : wall clock at the same moment (s)
     tick_s : how long the tick took (s)
     observation, link, allocation, decision : what the stages of the tick returned
     totals : counts since start
     config_path : file in force
-    config_error : first line of why the last reload was refused, empty when it was not
+    config_error : first line of why the last reload was refused, empty when it was accepted
     config_loaded_at_s : wall clock when the configuration in force was read (s)
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan

@@ -1,11 +1,16 @@
 """The status document of ``/api/v1/status``: the last snapshot as JSON.
 
-Every key carries its unit. ``null`` stands for what JSON cannot say: in ``rate_hz`` an unpaced publisher (infinite), in
-``deadline_ns`` an infinite DEADLINE, in ``planned`` and what follows from the program a publisher that no plan covers,
-in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue, in
-``radio_bytes_per_second`` an interface without a radio or a radio that does not tell, in ``rmw`` a world without ROS,
-in ``after_seconds`` of ``lease`` a plan that outlives its daemon, in ``loss_ratio`` and ``return_delay_seconds`` what
-nobody measures. Keys are only ever added within ``v1``; ``arpd/adapters/http/schema/status-v1.json`` describes each.
+Every key carries its unit. ``null`` stands for what JSON cannot say:
+
+- in ``rate_hz`` an unpaced publisher (infinite), in ``deadline_ns`` an infinite DEADLINE,
+- in ``planned`` and the program's keys a publisher that no plan covers,
+- in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue,
+- in ``radio_bytes_per_second`` an interface without a radio, or a radio that does not tell,
+- in ``rmw`` a world without ROS,
+- in ``after_seconds`` of ``lease`` a plan that outlives its daemon,
+- in ``loss_ratio`` and ``return_delay_seconds`` what nobody measures.
+
+Within ``v1`` keys are only added; ``arpd/adapters/http/schema/status-v1.json`` describes each.
 """
 
 from __future__ import annotations
@@ -13,9 +18,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from arpd.model.interface import InterfaceState, LinkCounters, state_of
+from arpd.model.interface import LinkCounters, state_of
 from arpd.model.settings import OnLost
-from arpd.report.situation import verdict
+from arpd.report.situation import judge, kept_ratio
 from arpd.report.topic_rows import TopicRow, topic_rows
 
 if TYPE_CHECKING:
@@ -25,34 +30,12 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.plan import ReaderPlan
     from arpd.report.events import Event
+    from arpd.report.situation import Finding
     from arpd.report.snapshot import Snapshot, Totals
 
 _T = TypeVar("_T")
 API_VERSION = "v1"
 _MOST_EVENTS = 50
-LASTING = "rate and gate only: "  # before the words of a refusal that lasts
-
-
-def confirmed(plan: dict[str, Any]) -> str:
-    """Say of a status document's plan who announces it, and how many of those refuse new QoS for good."""
-    publishers = f"{plan['confirmed']} of {plan['publishers']} publishers"
-    paced_only = f" ({plan['paced_only']} by rate and gate only)" if plan.get("paced_only") else ""
-    readers = f", {plan['readers_confirmed']} of {plan['readers']} readers" if plan.get("readers") else ""
-    return f"{publishers}{paced_only}{readers}"
-
-
-def interface_fault(document: dict[str, Any]) -> str:
-    """Say of a status document why its interface carries nothing, empty when it does."""
-    state = str(document.get("interface_state", InterfaceState.UP))
-    return {str(known): known.fault for known in InterfaceState}.get(state, f"is {state}")
-
-
-def lease(document: dict[str, Any]) -> str:
-    """Say what becomes of a status document's plan when nothing is heard of the daemon."""
-    after_s = document["lease"]["after_seconds"]
-    if after_s is None:
-        return "the plan stays when this daemon falls silent"
-    return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
 
 
 def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
@@ -60,10 +43,11 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
 
     Parameters
     ----------
-    is_ready : whether the daemon governs
-    now_s : monotonic clock (s), to say how old the snapshot is; None leaves the age out as null
+    is_ready : True while the daemon governs
+    now_s : monotonic clock (s), for the age of the snapshot; with None the age is null
     """
     decision, allocation, rows = snapshot.decision, snapshot.allocation, topic_rows(snapshot)
+    situation = judge(snapshot, rows=rows, now_s=now_s)
     return {
         "api_version": API_VERSION,
         "version": snapshot.version,
@@ -71,7 +55,8 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "unix_time_seconds": _finite(snapshot.unix_time_s),
         "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
         "tick_seconds": _finite(snapshot.tick_s),
-        "verdict": verdict(snapshot, rows)._asdict(),
+        "verdict": _finding(situation.verdict),
+        "faults": [_finding(fault) for fault in situation.faults],
         "interface": snapshot.interface,
         "interface_state": str(state_of(snapshot.observation.counters)),
         "interface_counters": _counters(snapshot.observation.counters),
@@ -123,6 +108,17 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "totals": _totals(snapshot.totals),
         "events": event_documents(snapshot.events[-_MOST_EVENTS:]),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    condition = finding.condition
+    return {
+        "condition": str(condition),
+        "severity": str(condition.severity),
+        "headline": condition.headline,
+        "text": finding.text,
+        "wrong": condition.is_wrong,
     }
 
 
@@ -235,6 +231,7 @@ def _topic(row: TopicRow) -> dict[str, Any]:
         "optimal_rate_hz": allocation and _finite(allocation.rate_hz),
         "optimal_depth": allocation and _finite(allocation.depth),
         "share": allocation and _finite(allocation.share),
+        "kept_ratio": kept_ratio(row),
         "binding": allocation and str(allocation.binding),
         "depth_binding": allocation and str(allocation.depth_binding),
         "source_rate_hz": _finite(publisher.source_rate_hz),
@@ -300,5 +297,5 @@ def _known(value: float | None) -> float | None:
 
 
 def _finite(value: float) -> float | None:
-    """JSON has no infinity; what an infinite value means is in the module's docstring."""
+    """Return None for what JSON cannot say; the module's docstring has the meanings."""
     return value if math.isfinite(value) else None

@@ -18,9 +18,9 @@ class TopicRow:
 
     Parameters
     ----------
-    publisher : what it announced last
-    planned : what the plan in force wants of it
-    allocation : what the program answered in this tick
+    publisher : its last announcement
+    planned : its row of the plan in force
+    allocation : the program's answer in this tick
     """
 
     publisher: PublisherState
@@ -29,7 +29,7 @@ class TopicRow:
 
 
 def topic_rows(snapshot: Snapshot) -> tuple[TopicRow, ...]:
-    """Return a row per live publisher, sorted by topic and node; a pair announced twice counts once."""
+    """Return a row per live publisher, sorted by topic and node; two announcements of one publisher are one row."""
     by_identity = {(p.topic, p.node): p for p in snapshot.observation.publishers}
     by_topic = {row.name: row for row in snapshot.allocation.topics}
     plan = snapshot.decision.plan.topics

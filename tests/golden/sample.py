@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import MappingProxyType
 
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
@@ -249,3 +250,13 @@ def make_snapshot() -> Snapshot:
         reader_plans=MappingProxyType({("/planner", "/camera/image"): ReaderPlan(depth=10, deadline_ns=150_000_000)}),
         readers_confirmed=1,
     )
+
+
+def changed(**parts):
+    """Return the sample with other values in its parts: link={…}, observation={…} by field, the rest whole."""
+    snapshot = make_snapshot()
+    whole = {
+        name: replace(getattr(snapshot, name), **part) if isinstance(part, dict) else part
+        for name, part in parts.items()
+    }
+    return replace(snapshot, **whole)

@@ -18,7 +18,7 @@ from arpd.adapters.ros.names import GATE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
 from arpd.report.decision_log import DecisionLog
-from tests.golden.sample import make_snapshot
+from tests.golden.sample import changed
 
 pytestmark = pytest.mark.ros
 
@@ -32,13 +32,13 @@ class Daemon:
         self._decision_log = DecisionLog()
         self.snapshot = None
 
-    def tick(self, **changed):
-        """Take the sample snapshot, with changes of the link."""
-        # In the future, so that it does not grow stale on a slow machine.
-        picture = replace(make_snapshot(), finished_at_s=time.monotonic() + 1000.0, unix_time_s=time.time())
-        picture = replace(picture, link=replace(picture.link, **changed))
-        self._decision_log.follow(picture)
-        self.snapshot = replace(picture, events=self._decision_log.events)
+    def tick(self, **link):
+        """Take the sample with the gate open, and another link where the test says so."""
+        # Of the future, so that it does not grow stale on a slow machine.
+        times = {"finished_at_s": time.monotonic() + 1000.0, "unix_time_s": time.time()}
+        snapshot = changed(link=link, decision={"gate": 1.0}, **times)
+        self._decision_log.follow(snapshot)
+        self.snapshot = replace(snapshot, events=self._decision_log.events)
 
 
 class Monitor:
@@ -112,7 +112,7 @@ def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
     clock.stop()
     daemon.tick(state=LinkState.OUTAGE)
     told_s = time.monotonic()
-    eventually(lambda: "the link carries nothing since 62.5 ms ago: floors only" in monitor.events())
+    eventually(lambda: "the link carries nothing since 62.5 ms ago: every topic stays at its floor" in monitor.events())
     assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.ERROR
     print(f"seen after {monitor.arrays[-1][0] - told_s:.2f} s")
 
@@ -148,7 +148,7 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, 
     node = ros.node("arpd")
     Diagnostics(node, broken)
     eventually(lambda: len(calls) > 3)
-    assert sum("/diagnostics is not told" in record.message for record in caplog.records) == 1
+    assert sum("nothing is published on /diagnostics" in record.message for record in caplog.records) == 1
 
 
 def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventually):

@@ -149,12 +149,12 @@ def test_it_says_when_the_daemon_is_gone_and_recovers_by_itself(daemon, browser)
 
 
 def test_it_says_when_the_daemon_hangs(daemon, browser):
-    """A daemon that answers but finishes no ticks is stale, and its age is told."""
+    """A daemon that answers while no tick finishes is stale, and the page shows its age."""
     daemon.late_s = 30.0
     with visit(browser, daemon.server.url) as seen:
         seen.wait_for("document.body.dataset.freshness === 'stale'")
         said = seen.page.locator("#freshness").inner_text()
-        assert "it finishes no ticks" in said
+        assert "no tick finishes" in said
         assert int(re.search(r"(\d+) s ago", said)[1]) >= 30
 
 
@@ -204,7 +204,7 @@ def test_a_screen_reader_hears_changes_and_not_numbers(daemon, browser):
         spoken = seen.page.locator("#announcement").text_content()
         link = replace(daemon.snapshot.link, queue_delay_s=0.021)
         daemon.snapshot = replace(daemon.snapshot, link=link)
-        seen.wait_for("document.querySelector('#verdict').textContent.includes('21.0 ms')")
+        seen.wait_for("document.querySelector('#verdict').textContent.includes('21 ms')")
         assert seen.page.locator("#announcement").text_content() == spoken
         assert seen.page.evaluate("document.querySelectorAll('[aria-live], [role=alert], [role=status]').length") == 1
 

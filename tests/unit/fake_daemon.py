@@ -1,9 +1,10 @@
-"""A daemon that answers whatever a test wants it to, and the document of one that is busy."""
+"""A daemon that gives a test's answers, and the document of one that is busy."""
 
 from __future__ import annotations
 
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 
@@ -61,6 +62,7 @@ def document(**changes):
         refusal=changes.pop("refusal", ""),
         refusal_reason=changes.pop("refusal_reason", RefusalReason.NONE),
     )
+    is_calm = changes.pop("is_calm", False)
     plan = TopicPlan(rate_hz=12.5, min_rate_hz=1.0, deadline_ns=100_000_000, depth=8)
     allocation = TopicAllocation(
         name="/image",
@@ -97,11 +99,12 @@ def document(**changes):
             actuation_topics=0,
             rmw="rmw_x",
             rmw_refusal=changes.pop("rmw_refusal", ""),
+            active_daemon=changes.pop("active_daemon", ""),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=625_000.0,
             kind=CapacityKind.PEER,
-            state=LinkState.CONGESTED,
+            state=changes.pop("link_state", LinkState.CONGESTED),
             queue_delay_s=0.12,
             delivery_rate_bytes_per_second=600_000.0,
             age_s=0.1,
@@ -109,10 +112,10 @@ def document(**changes):
         ),
         allocation=Allocation(
             topics=(allocation,),
-            status=AllocationStatus.DEGRADED,
+            status=AllocationStatus.OPTIMAL if is_calm else AllocationStatus.DEGRADED,
             binding=Binding.LINK,
             capacity_bytes_per_second=5e5,
-            degradation="reserve of depth",
+            degradation="" if is_calm else "reserve of depth",
             backend="osqp",
             solve_s=0.0004,
         ),
@@ -125,18 +128,17 @@ def document(**changes):
         ),
         totals=Totals(),
         config_error=changes.pop("config_error", ""),
-        confirmed=0,
+        keys_awaiting_restart=changes.pop("keys_awaiting_restart", ()),
         lease_s=changes.pop("lease_s", 0.0),
     )
-    return status_document(snapshot, now_s=10.05, **changes)
+    if is_calm:
+        snapshot = replace(snapshot, confirmed=snapshot.managed)
+    return status_document(snapshot, now_s=changes.pop("now_s", 10.05), **changes)
 
 
 def calm(**changes):
     """Return the status of a daemon with nothing to complain about."""
-    status = document(**changes)
-    status["allocation"] |= {"status": "optimal", "degradation": ""}
-    status["plan"] |= {"confirmed": status["plan"]["publishers"]}
-    return status
+    return document(is_calm=True, **changes)
 
 
 def demo_robot():

@@ -1,4 +1,4 @@
-"""What each path answers; knows no sockets."""
+"""The answer for each path; knows no sockets."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _NAMES = ("status-v1.json", "history-v1.json")
 SCHEMAS_BY_PATH = {
     f"/api/v1/schema/{name}": files("arpd.adapters.http").joinpath("schema", name).read_bytes() for name in _NAMES
 }
-HEALTHY_S = 10.0
+HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
 PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status", "/api/v1/history", *SCHEMAS_BY_PATH})
-_KEPT_FOR_EVER = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
+_IMMUTABLE = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
 _SCHEMA = "application/schema+json"
 _TEXT = "text/plain; charset=utf-8"
 _JSON = "application/json"
@@ -40,7 +40,7 @@ class Answer:
 
     Parameters
     ----------
-    headers : what differs from every other answer's
+    headers : those that other answers do not have
     """
 
     status: HTTPStatus
@@ -51,17 +51,17 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answers:
-    """What each path answers; knows no sockets.
+    """The daemon's answers.
 
     Parameters
     ----------
     snapshot : returns the last snapshot, None before the first tick finished
-    is_ready : whether the daemon governs
-    exposition : what ``/metrics`` answers
-    clock : monotonic clock the snapshots are stamped with (s)
-    started_at_s : when serving began on that clock (s)
+    is_ready : returns True while the daemon governs
+    exposition : the metrics
+    clock : monotonic clock of the snapshots (s)
+    started_at_s : when serving began, on that clock (s)
     history : the last ten minutes
-    assets : what the page consists of beside its HTML
+    assets : scripts and styles of the page
     """
 
     snapshot: Callable[[], Snapshot | None]
@@ -108,7 +108,7 @@ class Answers:
             return Answer(status=HTTPStatus.OK, content_type=_SCHEMA, body=schema)
         if (asset := self.assets.get(path)) is not None:
             body, kind = asset.body, asset.content_type
-            return Answer(status=HTTPStatus.OK, content_type=kind, body=body, headers=_KEPT_FOR_EVER)
+            return Answer(status=HTTPStatus.OK, content_type=kind, body=body, headers=_IMMUTABLE)
         return bare(HTTPStatus.NOT_FOUND)
 
     def _status(self) -> dict[str, Any] | None:
@@ -126,7 +126,7 @@ class Answers:
 
     def _healthy(self) -> Answer:
         snapshot = self.snapshot()
-        # Before the first tick the start counts, so that a slow start is not taken for a hang.
+        # Before the first tick the start counts, so that a slow start is no hang.
         since_s = self.clock() - (self.started_at_s if snapshot is None else snapshot.finished_at_s)
         if since_s < HEALTHY_S:
             return _ok(_TEXT, "healthy\n")
@@ -140,14 +140,14 @@ class Answers:
 
 
 def label(path: str) -> str:
-    """Return the name a path has in metrics: few, whatever is asked for."""
+    """Return the label of a path in metrics: one of few for any path."""
     if path in PATHS:
         return path
     return ASSETS_PATH if path.startswith(ASSETS_PATH) else "other"
 
 
 def bare(status: HTTPStatus, explanation: str = "") -> Answer:
-    """Return an answer that says its code and its phrase, and repeats nothing of the request."""
+    """Return an answer with its code and phrase, and nothing of the request."""
     text = f"{status.value} {status.phrase}"
     body = f"{text}: {explanation}\n" if explanation else f"{text}\n"
     return Answer(status=status, content_type=_TEXT, body=body.encode())
@@ -161,12 +161,12 @@ def _unavailable(text: str) -> Answer:
     return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_TEXT, body=text.encode())
 
 
-_LEAST_BYTES = 1024  # a packet holds less than this anyway
-_LEVEL = 1  # a tenth of the size already; more costs the robot more time than the link
+_LEAST_BYTES = 1024  # a packet holds that much anyway
+_LEVEL = 1  # already a tenth of the size; higher levels cost the robot more time than they save the link
 
 
 def compressed(answer: Answer) -> Answer:
-    """Return the answer in gzip, or as it is where that would not pay."""
+    """Return the answer in gzip, or unchanged where gzip does not pay."""
     if len(answer.body) < _LEAST_BYTES:
         return answer
     body = gzip.compress(answer.body, compresslevel=_LEVEL, mtime=0)

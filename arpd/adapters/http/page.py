@@ -1,12 +1,12 @@
 """The page at ``/``: the status document laid out by ``page.html``.
 
-Without scripts it is a summary that loads itself anew; ``assets/page.js`` keeps it up to date. Both fill the same
-places in the same way: ``assets/fields.js`` is this module once more, and a test holds that they agree. In the template
+Without scripts it is a summary that reloads itself; ``assets/page.js`` keeps it up to date. ``assets/fields.js`` fills
+the same places in the same way as this module; tests compare the two. In the template
 
 - ``{{path|format}}`` stands for a value of the document,
 - ``{{=path}}`` in a tag marks the element with the value, for the stylesheet,
 - ``{{?path}}`` in a tag shows the element only while the value is true and not empty, ``{{!path}}`` only while not,
-- ``<!-- rows path -->`` … ``<!-- end -->`` is repeated for each element of a list, within which paths start anew.
+- ``<!-- rows path -->`` … ``<!-- end -->`` is repeated for each element of a list; inside, paths start at the element.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from arpd.model.quantities import format_cell
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _TEMPLATE = files("arpd.adapters.http").joinpath("page.html").read_text(encoding="utf-8")
 _PLACE = re.compile(r"\{\{([=?!]?)([\w.]+)(?:\|(\w+))?\}\}")
 _ROWS = re.compile(r"<!-- rows (\w+)( newest first)? -->\s*(.*?)\s*<!-- end -->", re.DOTALL)
-_ABSENT = object()  # no such key, or none because the object it would be in is null
+_ABSENT = object()  # no such key, or the object around it is null
 _STARTING = {
     "verdict": {"severity": "info", "headline": "Starting", "text": "Starting: no tick has finished yet"},
     "interface": "",
@@ -44,7 +46,7 @@ def render_page(status: dict[str, Any] | None, *, assets: str = "/assets/") -> s
 
 
 def _rows(document: dict[str, Any], rows: re.Match[str]) -> str:
-    """Repeat a row for each element; the row itself stays in a template element for the script."""
+    """Repeat a row for each element; an empty row stays in a template element for the script."""
     path, newest_first, row = rows.groups()
     elements = _value(document, path)
     elements = elements if isinstance(elements, list) else []
@@ -93,12 +95,7 @@ def _words(value: Any) -> str:
 
 
 def _number(value: Any) -> str:
-    """Write three digits, and never an exponent: a column of numbers is read by where their points stand."""
-    if _is_none(value):
-        return "–"
-    number = value * (1 + 1e-12)  # halves go up here and in the browser
-    digits = 0 if abs(number) >= 99.95 else 1 if abs(number) >= 9.995 else 2
-    return f"{number:.{digits}f}"
+    return "–" if _is_none(value) else format_cell(value)
 
 
 def _pace(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The daemon's state on /diagnostics, for rqt_robot_monitor, the aggregator and whatever else reads it there."""
+"""The daemon's state on /diagnostics, for rqt_robot_monitor, aggregators and other monitors."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _EVERY_S = 1.0
 
 
 class Diagnostics:
-    """Publishes once a second, and soon after every event; nothing is made while nobody subscribes.
+    """Publishes once a second and soon after every event, while somebody subscribes.
 
-    It looks from the executor's thread: a tick neither waits for it nor fails with it, and ticks that fail show.
+    It runs in the executor's thread, so a tick neither waits for it nor fails with it, and ticks that fail show.
 
     Parameters
     ----------
-    node : rclpy node; somebody else spins it
-    snapshot : the daemon's picture, None before the first
+    node : rclpy node, which the caller spins
+    snapshot : returns the last snapshot, None before the first tick finished
     """
 
     def __init__(
@@ -53,14 +53,14 @@ class Diagnostics:
         self._snapshot = snapshot
         self._clock = clock
         self._host = host or platform.node()
-        # Reliable, one deep, as diagnostic_updater has it: each message tells all.
+        # Reliable and one deep, as in diagnostic_updater: each message has everything.
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1), event_callbacks=no_publisher_events()
         )
         self._published_s = -math.inf
         self._told = 0
         self._is_failing = False
-        # Steady time: when this host's clock is set back, it goes on.
+        # Steady time, so that it goes on when the clock of this host is set back.
         node.create_timer(_LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _look(self) -> None:
@@ -68,7 +68,7 @@ class Diagnostics:
             self._publish_if_due()
         except Exception:
             if not self._is_failing:
-                log.exception("%s is not told; the daemon goes on", DIAGNOSTICS_TOPIC)
+                log.exception("nothing is published on %s; the daemon goes on", DIAGNOSTICS_TOPIC)
             self._is_failing = True
         else:
             self._is_failing = False

@@ -95,16 +95,16 @@ def test_the_table_says_what_each_topic_gets_and_what_holds_it_back(solve, confi
     assert solve("--config", config(), "--capacity", "2mbit") == (
         0,
         """\
-link     2.00 Mbit/s, of which 85% may be planned for 3 topics
+link     2 Mbit/s, of which 85 % may be planned for 3 topics
 program  optimal, bound by link, solved by exact
-memory   159 KiB of 64.0 MiB when every history is full
+memory   159 KiB of 64 MiB when every history is full
 
-                  payload  Rmax floor desired  rate rate link DEADLINE DEPTH  bound by
-topic      weight       B    Hz    Hz      Hz    Hz    %    %       ms        rate      depth
-/camera         2   30000 7.146     2      15 3.826   26 53.5    326.7     2  link      latency
-/cmd_vel       10      76 426.6    20      20    20  100  4.7     62.5    19  desired   latency
-/scan           1    6000 34.41     1      20 9.211   46 26.8    135.7     8  link      latency
-total of 3                                 55 33.04      85.0             29
+                  payload  Rmax floor desired  rate  rate link DEADLINE DEPTH  bound by
+topic      weight       B    Hz    Hz      Hz    Hz     %    %       ms        rate      depth
+/camera         2   30000 7.146     2      15 3.826  25.5 53.5    326.7     2  link      latency
+/cmd_vel       10      76 426.6    20      20    20 100.0  4.7     62.5    19  desired   latency
+/scan           1    6000 34.41     1      20 9.211  46.1 26.8    135.7     8  link      latency
+total of 3                                 55 33.04       85.0             29
 """,
         "",
     )
@@ -115,7 +115,7 @@ def test_the_sweep_says_how_the_rates_move(solve, config):
     assert solve("--config", config(), "--sweep", "50kbit:50mbit", "--points", 4) == (
         0,
         """\
-link     50.0 kbit/s to 50.0 Mbit/s, of which 85% may be planned for 3 topics
+link     50 kbit/s to 50 Mbit/s, of which 85 % may be planned for 3 topics
 
                     floor desired   rate (Hz) at a capacity (bit/s) of
 topic        weight    Hz      Hz    50k    500k      5M     50M

@@ -48,20 +48,16 @@ def drawn(status, history=HISTORY, **view):
 
 
 def busy():
-    """Return the demo's robot behind a slow link: the camera is held back most, one topic refuses, three are late."""
+    """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
     answered = calm(publishers=demo_robot())
     by_name = {topic["topic"]: topic for topic in answered["topics"]}
     for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
         topic = by_name[name]
-        topic |= {"binding": "link", "share": 0.3}
+        topic |= {"binding": "link", "share": 0.3, "kept_ratio": ratio}
         topic["planned"] = {"rate_hz": topic["source_rate_hz"] * ratio, "depth": 10, "deadline_ns": None}
     by_name["/link/odom"] |= {"refusal": "depth 16: no match", "refusal_lasts": False}
     by_name["/link/imu"]["deadlines_missed"] = 3
-    answered["verdict"] = {
-        "severity": "warning",
-        "headline": "The link is the limit",
-        "text": "The link is the limit: so",
-    }
+    answered["verdict"] = {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
     answered["events"] = [event(number, f"event {number}") for number in range(30)]
     return answered
 
@@ -72,9 +68,9 @@ def test_a_frame_answers_the_four_questions():
     text = "\n".join(lines)
     assert lines[0].startswith(" arpd 1.2.3 on wlan0, http://robot:9464")
     assert lines[1] == "The link is the limit: so"
-    assert re.search(r"^link +5\.00 Mbit/s  peer, congested +[▁▂▃▄▅▆▇█ ]{20,} ≤ 20\.0 Mbit/s$", text, re.MULTILINE)
+    assert re.search(r"^link +5 Mbit/s  peer, congested +[▁▂▃▄▅▆▇█ ]{20,} ≤ 20 Mbit/s$", text, re.MULTILINE)
     assert re.search(r"^queue .*█.* ≤ 350 ms$", text, re.MULTILINE)
-    assert re.search(r"^gate .*▅.* ≥ 0\.50$", text, re.MULTILINE)
+    assert re.search(r"^gate .*▅.* ≥ 50 %$", text, re.MULTILINE)
     assert "plan     3 for 4.25 Mbit/s: 0 of 0 publishers confirmed" in lines
     assert "         held: dwell; refused up: dwell" in lines
     topics = [line.split()[0] for line in lines if line.startswith("/")]
@@ -94,14 +90,14 @@ def test_a_frame_fits_its_terminal(width, height):
 
 
 def test_topics_that_do_not_fit_are_summed_up():
-    """How many, and how many of them the link holds back."""
+    """Their number, and the number of those that the link slows."""
     lines = drawn(busy(), width=80, height=18)
     shown = [line for line in lines if line.startswith(("/", "…")) and "more" not in line]
     assert f"… and {12 - len(shown)} more" in "\n".join(lines)
     everything = calm(publishers=demo_robot() * 1)
     for topic in everything["topics"]:
-        topic |= {"binding": "link", "planned": {"rate_hz": 0.01}}
-    assert "of them held back" in "\n".join(drawn(everything, width=80, height=18))
+        topic["kept_ratio"] = 0.01
+    assert "of them slowed" in "\n".join(drawn(everything, width=80, height=18))
 
 
 def test_a_daemon_without_history_has_no_sparklines():
@@ -115,12 +111,12 @@ def test_a_silent_daemon_is_said_to_be_silent():
     """For how long, and from when the rest is."""
     lines = drawn(busy(), why_silent="no daemon answers", silent_s=12.4)
     at = time.strftime("%H:%M:%S", time.localtime(1e9))
-    assert lines[1] == f"no answer for 12 s, this is of {at}: no daemon answers"
+    assert lines[1] == f"no answer for 12 s, this is from {at}: no daemon answers"
 
 
 def test_a_daemon_before_its_first_tick_has_a_frame():
     """It answers, and that is all there is."""
-    assert "not ready" in drawn({"api_version": "v1", "ready": False})[1]
+    assert "Not ready" in drawn({"api_version": "v1", "ready": False})[1]
 
 
 def test_a_terminal_with_ascii_only_gets_nothing_else():
@@ -200,7 +196,7 @@ def test_top_exits_69_when_nothing_answers_at_the_start(capsys, top):
 
 @pytest.mark.parametrize("interval", ["0", "nan", "1e9"])
 def test_an_interval_out_of_range_exits_2(capsys, interval):
-    """Neither a flood nor for ever."""
+    """It is neither a flood nor a standstill."""
     assert cli.main(["top", "--interval", interval]) == 2
     assert f"--interval {float(interval):g} is out of range; write 0.2 to 3600" in capsys.readouterr().err
 
@@ -275,7 +271,7 @@ def top():
 
 @pytest.mark.parametrize("end", ["q", signal.SIGINT, signal.SIGTERM])
 def test_top_gives_the_terminal_back(top, daemon, end):
-    """However it is ended by its user: the screen from before, the cursor, the keyboard, exit 0."""
+    """A key or a signal ends it: the screen from before, the cursor, the keyboard, exit 0."""
     screen = top(daemon[0])
     screen.await_text("event 29")
     assert screen.written.index(ENTER) < screen.written.index("arpd 1.2.3")

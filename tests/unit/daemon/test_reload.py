@@ -227,7 +227,7 @@ def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
     assert {message.partition(": ")[0] for message in waiting} == differing
     daemon.tick(0.0)
     assert set(daemon.snapshot.keys_awaiting_restart) == differing
-    assert "restart needed for " in daemon.status_line()
+    assert "restart needed: the file's " in daemon.status_line()
 
 
 # -- whole or not at all

@@ -149,9 +149,11 @@ def test_a_daemon_that_stands_by_only_watches():
     assert (world.sent, world.gates, world.probes) == ([], [], [])
     assert daemon.restore(wait=world.wait) == 0
     assert not world.sent
-    assert daemon.status_line() == "standing by: another arpd daemon, on robot-2, drives this robot"
+    assert (
+        daemon.status_line() == "standing by: another arpd daemon, on robot-2, has run for longer and drives this robot"
+    )
     assert [event.text for event in events if event.kind == "standing_by"] == [
-        "another arpd daemon, on robot-2, has run for longer: standing by"
+        "standing by: another arpd daemon, on robot-2, has run for longer and drives this robot"
     ]
     world.active_daemon = ""
     world.now_s += 0.1

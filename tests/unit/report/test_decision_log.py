@@ -1,4 +1,4 @@
-"""The decision log: what an operator reads between two pictures of the daemon."""
+"""The decision log: what an operator reads between two snapshots of the daemon."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def plan_of(generation, **rates):
 
 
 class Log:
-    """A daemon's pictures, told one after the other; each keeps what the last had, but for what is said."""
+    """Successive snapshots of a daemon; each differs from the last by the given values."""
 
     def __init__(self):
-        self.chronicle = DecisionLog()
+        self.decision_log = DecisionLog()
         self.at_s = 1000.0
         self.state = {
             "publishers": (),
@@ -54,7 +54,7 @@ class Log:
             "other_daemons": (),
             "active_daemon": "",
             "capacity": 20 * MBIT,
-            "foreign": 0.0,
+            "cross_traffic": 0.0,
             "link_state": LinkState.STEADY,
             "plan": NO_PLAN,
             "reason": "",
@@ -66,17 +66,19 @@ class Log:
             "config_error": "",
             "awaiting": (),
             "interface": "wlan0",
+            "has_interface": True,
         }
         self.snapshot: Any = None
 
     def tick(self, after_s=0.1, **changed):
-        """Show the next picture and return what was told."""
+        """Show the next snapshot and return the events."""
         self.at_s += after_s
         self.state |= {"reason": "", **changed}
         s = self.state
         self.snapshot = Snapshot(
             version="1.2.3",
             interface=s["interface"],
+            has_interface=s["has_interface"],
             finished_at_s=self.at_s,
             unix_time_s=1.7e9 + self.at_s,
             tick_s=0.002,
@@ -102,7 +104,7 @@ class Log:
                 delivery_rate_bytes_per_second=0.0,
                 age_s=0.0,
                 evidence="",
-                cross_traffic_bytes_per_second=s["foreign"],
+                cross_traffic_bytes_per_second=s["cross_traffic"],
             ),
             allocation=Allocation(
                 topics=(),
@@ -124,10 +126,10 @@ class Log:
             keys_awaiting_restart=s["awaiting"],
             confirmed=s["confirmed"],
         )
-        return self.chronicle.follow(self.snapshot)
+        return self.decision_log.follow(self.snapshot)
 
     def wait(self, seconds, **changed):
-        """Let time pass tick by tick, and return all that was told."""
+        """Let time pass tick by tick and return all events."""
         told = [*self.tick(**changed)]
         for _ in range(round(seconds * 10)):
             told += self.tick()
@@ -136,7 +138,7 @@ class Log:
 
 @pytest.fixture
 def log():
-    """Return the log of a robot of four topics, whose finding has been told, with no plan yet."""
+    """Return the log of a robot whose four topics were found, without a plan."""
     log = Log()
     robot = (
         publisher("/camera", "/camera", source_rate_hz=30.0, payload_bytes=50_000.0),
@@ -175,7 +177,7 @@ def test_the_first_picture_is_the_start_and_topics_that_come_together_are_one_ev
 
 
 def test_a_fall_says_what_the_link_carries_and_what_each_topic_gives_up(log):
-    """From what it really sent, which is never more than its source gives, to what it may; equal changes together."""
+    """From the rate it really sent, at most its source's, to the rate it may send; equal changes together."""
     first(log)
     (fell,) = log.tick(plan=plan_of(2, camera=2.1, front=12.0, rear=12.0, imu=125.0), reason="down", capacity=0.6e6)
     assert fell.text == "link fell to 4.8 Mbit/s: /camera 30 → 2.1 Hz, /front and /rear 20 → 12 Hz, 1 topic unchanged"
@@ -198,13 +200,15 @@ def test_a_rise_ends_at_what_the_source_gives(log):
 def test_other_traffic_is_named_where_it_and_not_the_link_took_the_rate(log):
     """The link carries what it did; a download takes a third of it."""
     first(log)
-    (taken,) = log.tick(plan=plan_of(2, camera=20.0, front=25.0, rear=25.0, imu=125.0), reason="down", foreign=7 * MBIT)
-    assert taken.text.startswith("other traffic takes 7 Mbit/s, leaving 13 Mbit/s of 20 Mbit/s: /camera 30 → 20 Hz")
-    (left,) = log.tick(plan=plan_of(3, camera=37.5, front=25.0, rear=25.0, imu=125.0), reason="up", foreign=MBIT)
-    assert left.text.startswith("other traffic takes only 1 Mbit/s, leaving 19 Mbit/s of 20 Mbit/s: /camera 20 → 30")
-    log.tick(plan=plan_of(4, camera=20.0, front=25.0, rear=25.0, imu=125.0), reason="down", foreign=7 * MBIT)
-    (gone,) = log.tick(plan=plan_of(5, camera=37.5, front=25.0, rear=25.0, imu=125.0), reason="up", foreign=0.0)
-    assert gone.text.startswith("other traffic is gone, the link's 20 Mbit/s are free: /camera 20 → 30 Hz")
+    (taken,) = log.tick(
+        plan=plan_of(2, camera=20.0, front=25.0, rear=25.0, imu=125.0), reason="down", cross_traffic=7 * MBIT
+    )
+    assert taken.text.startswith("cross traffic takes 7 Mbit/s, leaving 13 Mbit/s of 20 Mbit/s: /camera 30 → 20 Hz")
+    (left,) = log.tick(plan=plan_of(3, camera=37.5, front=25.0, rear=25.0, imu=125.0), reason="up", cross_traffic=MBIT)
+    assert left.text.startswith("cross traffic takes only 1 Mbit/s, leaving 19 Mbit/s of 20 Mbit/s: /camera 20 → 30")
+    log.tick(plan=plan_of(4, camera=20.0, front=25.0, rear=25.0, imu=125.0), reason="down", cross_traffic=7 * MBIT)
+    (gone,) = log.tick(plan=plan_of(5, camera=37.5, front=25.0, rear=25.0, imu=125.0), reason="up", cross_traffic=0.0)
+    assert gone.text.startswith("cross traffic is gone, the link's 20 Mbit/s are free: /camera 20 → 30 Hz")
 
 
 @pytest.mark.parametrize(
@@ -242,7 +246,7 @@ def test_memory_moves_depths(log):
 
 
 def test_a_plan_is_confirmed_once_and_only_when_everybody_runs_it(log):
-    """Four seconds after it was made; a plan that was overtaken before is not told of."""
+    """Four seconds after it was made; a plan that another one overtook is never confirmed."""
     first(log)
     assert not log.wait(1.0, confirmed=3)
     assert log.tick(plan=plan_of(2, camera=3.0, front=25.0, rear=25.0, imu=125.0), reason="down")
@@ -256,8 +260,8 @@ def test_a_plan_waits_for_its_readers_too(log):
     """Publishers alone do not make a plan confirmed."""
     first(log)
     waiting = replace(log.snapshot, confirmed=4, reader_plans={("/r", "/camera"): None}, readers_confirmed=0)
-    assert log.chronicle.follow(waiting) == ()
-    (done,) = log.chronicle.follow(replace(waiting, readers_confirmed=1))
+    assert log.decision_log.follow(waiting) == ()
+    (done,) = log.decision_log.follow(replace(waiting, readers_confirmed=1))
     assert done.kind is EventKind.CONFIRMED
 
 
@@ -267,17 +271,17 @@ def test_a_plan_that_has_to_wait_is_told_once(log):
     assert not log.wait(1.0, refusals=("dwell",))
     told = log.wait(10.0) + log.wait(3.0, refusals=()) + log.wait(5.0, refusals=("dwell",))
     assert [event.kind for event in told] == [EventKind.PLAN_REFUSED]
-    assert told[0].text.startswith("a new plan has to wait: the last one was made 2.")
+    assert told[0].text.startswith("a new plan has to wait: the last one is only 2.")
     assert told[0].details["reason"] == "dwell"
 
 
 def test_what_does_not_fit_is_told_when_it_lasts(log):
-    """With what was given up; a second of it is nothing, and nothing is said during an outage."""
+    """With what arpd gives up; a second of it is no event, nor is anything during an outage."""
     lacking = {"status": AllocationStatus.DEGRADED, "degradation": "rate reserve 40 % left"}
     assert not log.wait(1.0, **lacking)
     assert not log.wait(1.0, status=AllocationStatus.OPTIMAL)
     told = log.wait(3.0, **lacking)
-    assert texts(told) == ["not everything that was asked for fits: rate reserve 40 % left"]
+    assert texts(told) == ["not everything asked for fits: rate reserve 40 % left"]
     log.tick(link_state=LinkState.OUTAGE)
     assert not log.wait(5.0, status=AllocationStatus.OPTIMAL)
     log.tick(link_state=LinkState.STEADY)
@@ -290,7 +294,7 @@ def test_what_does_not_fit_is_told_when_it_lasts(log):
 def test_an_outage_says_since_when_and_the_recovery_how_long(log):
     """What the link carries again is the estimate it resumes at."""
     (out,) = log.tick(link_state=LinkState.OUTAGE, peer_ages_s={})
-    assert (out.text, out.severity) == ("the link carries nothing: floors only", Severity.WARNING)
+    assert (out.text, out.severity) == ("the link carries nothing: every topic stays at its floor", Severity.ERROR)
     assert not log.wait(10.0)
     (back,) = log.tick(link_state=LinkState.STEADY, capacity=12 * MBIT, peer_ages_s={"ceddp": 0.0})[:1]
     assert back.text == "the link carries again after 10.2 s, at 12 Mbit/s"
@@ -301,7 +305,7 @@ def test_an_outage_counts_from_the_last_report(log):
     """The youngest report of any peer is the last sign of life."""
     log.tick(peer_ages_s={"ceddp": 0.1, "edge": 3.0})
     (out,) = log.tick(link_state=LinkState.OUTAGE, peer_ages_s={"ceddp": 0.5, "edge": 3.4})
-    assert out.text == "the link carries nothing since 500 ms ago: floors only"
+    assert out.text == "the link carries nothing since 500 ms ago: every topic stays at its floor"
     (back,) = log.tick(after_s=9.7, link_state=LinkState.STEADY, peer_ages_s={"ceddp": 0.0})
     assert back.text == "the link carries again after 10.2 s, at 20 Mbit/s"
 
@@ -311,11 +315,11 @@ def test_a_peer_that_is_given_up_is_no_recovery(log):
     log.tick(peer_ages_s={"ceddp": 0.1})
     log.tick(link_state=LinkState.OUTAGE, peer_ages_s={"ceddp": 0.5})
     (over,) = log.tick(after_s=9.5, link_state=LinkState.APP_LIMITED, peer_ages_s={"ceddp": 10.0})
-    assert over.text == "silence is no outage any more, after 10 s: no peer reports, but others are heard"
+    assert over.text == "no longer an outage after 10 s: other hosts answer, only the peer is silent"
 
 
 def test_a_radio_that_goes_out_every_second_writes_few_lines(log):
-    """Three outages are told one by one, the others of the minute as a number, and the last word is the truth."""
+    """Three outages are single events, the others of the minute a number, and the last event is true."""
     told = []
     for _ in range(130):
         told += log.wait(0.4, link_state=LinkState.OUTAGE)
@@ -337,7 +341,7 @@ def test_peers_come_and_go(log):
     told += log.wait(10.0)
     assert [event.kind for event in told] == [EventKind.RECOVERED, EventKind.PEER_LOST]
     assert (told[-1].text, told[-1].severity) == (
-        "peer ceddp is lost, nothing heard for 10 s: nobody reports what the link delivers",
+        "peer ceddp is lost, silent for 10 s: nobody reports what the link delivers",
         Severity.WARNING,
     )
 
@@ -362,8 +366,9 @@ def test_the_interface_is_told_when_it_changes(log):
 def test_an_interface_that_was_never_there_is_not_gone():
     """A radio that has yet to come is a warning, and then it is up."""
     log = Log()
-    assert texts(log.tick(counters=None))[1:] == ["wlan0 is not there yet"]
-    assert texts(log.tick(counters=counters())) == ["wlan0 is up"]
+    (missing,) = log.tick(counters=None, has_interface=False)[1:]
+    assert (missing.text, missing.severity) == ("wlan0 is not there yet", Severity.WARNING)
+    assert texts(log.tick(counters=counters(), has_interface=True)) == ["wlan0 is up"]
 
 
 # -- publishers and readers
@@ -382,7 +387,7 @@ def with_swap(log, topic, record, **more):
 
 
 def test_a_swap_says_what_it_came_to_and_where_its_time_went(log):
-    """Depth, deadline and the phases that took any time; draining is beside the new writer and does not count."""
+    """Depth, deadline and the phases that took time; the old writer drains beside the new one and does not count."""
     record = swapped(1, matching=3.1, watching=0.0, proving=0.3, draining=2.0)
     told = log.wait(3.0, publishers=with_swap(log, "/camera", record))
     assert texts(told) == ["/camera swapped to depth 10, deadline 125 ms in 3.4 s (matching 3.1, proving 0.3)"]
@@ -415,7 +420,7 @@ def test_a_swap_that_failed_says_why_and_is_no_refusal_as_well(log):
 
 
 def test_swaps_from_before_the_start_are_history():
-    """A restarted daemon does not tell what its predecessor has seen."""
+    """A restarted daemon does not repeat the events of the one before."""
     log = Log()
     told = log.wait(3.0, publishers=(publisher("/n", "/a", last_swap=swapped(7)),))
     assert [event.kind for event in told] == [EventKind.STARTED, EventKind.TOPIC_FOUND]
@@ -424,7 +429,7 @@ def test_swaps_from_before_the_start_are_history():
 
 
 def test_a_refusal_is_told_once_however_often_it_is_announced(log):
-    """It comes and goes with every plan, and its words change; a reader's is told the same way."""
+    """It comes and goes with every plan, and its words change; a reader's refusal is the same."""
     refusing = replace(
         log.state["publishers"][1],
         refusal="/front is TRANSIENT_LOCAL",
@@ -460,7 +465,7 @@ def test_topics_that_are_lost_are_told_after_a_while(log):
     assert not log.wait(1.0, publishers=robot[:2])
     assert not log.wait(5.0, publishers=robot)
     told = log.wait(5.0, publishers=robot[:3]) + log.wait(5.0, publishers=robot)
-    assert texts(told) == ["/imu lost: /imu does not announce it any more", "/imu found: /imu publishes it"]
+    assert texts(told) == ["/imu lost: /imu no longer announces it", "/imu found: /imu publishes it"]
     assert (told[0].topic, told[0].node) == ("/imu", "/imu")
 
 
@@ -473,7 +478,7 @@ def test_reloads_are_told_both_ways(log):
     (bad,) = log.tick(
         totals=replace(before, reloads_by_result={"failed": 1}), config_error="/etc/arpd/arpd.yaml:2:3: link.headrom"
     )
-    assert bad.text == "reload refused, the configuration in force stays: /etc/arpd/arpd.yaml:2:3: link.headrom"
+    assert bad.text == "reload refused: /etc/arpd/arpd.yaml:2:3: link.headrom; the configuration in force stays"
     assert (bad.kind, bad.severity) == (EventKind.RELOAD_FAILED, Severity.ERROR)
     (good,) = log.tick(
         totals=replace(
@@ -491,22 +496,22 @@ def test_reloads_are_told_both_ways(log):
 
 
 def test_a_reload_before_the_first_tick_is_told():
-    """A file that was refused while arpd started is no secret."""
+    """A file that was refused while arpd started is an event."""
     told = Log().tick(totals=Totals(reloads_by_result={"failed": 1}), config_error="arpd.yaml:1:1: no")
     assert [event.kind for event in told] == [EventKind.STARTED, EventKind.RELOAD_FAILED]
 
 
 def test_another_daemon_is_told_of(log):
-    """Who drives, who stands by, and when this one is alone again."""
+    """It drives, stands by, or is gone: three events."""
     told = [
         *log.tick(active_daemon="robot-2", other_daemons=("robot-2",)),
         *log.tick(active_daemon="", other_daemons=("robot-2",)),
         *log.tick(other_daemons=()),
     ]
     assert texts(told) == [
-        "another arpd daemon, on robot-2, has run for longer: standing by",
+        "standing by: another arpd daemon, on robot-2, has run for longer and drives this robot",
         "in charge; another arpd daemon stands by, on robot-2",
-        "no other arpd daemon is left: in charge",
+        "in charge; no other arpd daemon is left",
     ]
     assert [event.kind for event in told] == [EventKind.STANDING_BY, EventKind.IN_CHARGE, EventKind.IN_CHARGE]
 
@@ -515,21 +520,21 @@ def test_another_daemon_is_told_of(log):
 
 
 def test_the_same_picture_twice_is_no_event(log):
-    """Neither the same object nor an equal one tells anything."""
+    """Neither the same object nor an equal one is an event."""
     first(log)
-    assert log.chronicle.follow(log.snapshot) == ()
-    assert log.chronicle.follow(replace(log.snapshot)) == ()
+    assert log.decision_log.follow(log.snapshot) == ()
+    assert log.decision_log.follow(replace(log.snapshot)) == ()
 
 
 def test_counts_have_every_kind_and_the_last_events_are_kept(log):
     """A kind that never happened counts 0; of many events the last two hundred stay, the oldest first."""
-    assert set(log.chronicle.counts_by_kind) == {str(kind) for kind in EventKind}
-    assert log.chronicle.counts_by_kind["outage"] == 0
+    assert set(log.decision_log.counts_by_kind) == {str(kind) for kind in EventKind}
+    assert log.decision_log.counts_by_kind["outage"] == 0
     for number in range(300):
         log.tick(after_s=10.0, plan=plan_of(number + 1, camera=1.0 + number % 2), reason="up")
-    assert log.chronicle.counts_by_kind["plan"] == 300
-    assert len(log.chronicle.events) == MOST_EVENTS
-    numbers = [event.number for event in log.chronicle.events]
+    assert log.decision_log.counts_by_kind["plan"] == 300
+    assert len(log.decision_log.events) == MOST_EVENTS
+    numbers = [event.number for event in log.decision_log.events]
     assert numbers == sorted(numbers)
 
 
@@ -539,7 +544,7 @@ _STEP = st.fixed_dictionaries(
     optional={
         "link_state": st.sampled_from([LinkState.STEADY, LinkState.OUTAGE]),
         "capacity": st.floats(0.0, 1e9),
-        "foreign": st.floats(0.0, 1e9),
+        "cross_traffic": st.floats(0.0, 1e9),
         "counters": st.sampled_from([None, counters(), counters(InterfaceState.DOWN)]),
         "interface": st.sampled_from(["wlan0", "wlan1"]),
         "peer_ages_s": st.dictionaries(_NAMES, st.floats(0.0, 60.0), max_size=3),
@@ -591,18 +596,18 @@ _MOST_IN_A_MINUTE = 13 * len(EventKind)
 @settings(max_examples=60, deadline=None)
 @given(st.lists(_STEP, min_size=1, max_size=60))
 def test_whatever_happens_the_log_stays_readable_and_bounded(steps):
-    """Any sequence of pictures: one printable line of 600 characters at most, numbers in order, no flood."""
+    """Any sequence of snapshots: printable lines of 600 characters at most, numbers in order, no flood."""
     log, told = Log(), []
     for step in steps:
         told += [(log.at_s, event) for event in log.tick(**step)]
-        assert log.chronicle.follow(log.snapshot) == ()
+        assert log.decision_log.follow(log.snapshot) == ()
     assert [event.number for _, event in told] == list(range(1, len(told) + 1))
     for _, event in told:
         assert event.text.isprintable()
         assert 0 < len(event.text) <= 600
         assert all(name == name.lower() and text.isprintable() for name, text in event.details.items())
         assert all(len(text) <= 200 for text in event.details.values())
-    assert sum(log.chronicle.counts_by_kind.values()) == len(told)
+    assert sum(log.decision_log.counts_by_kind.values()) == len(told)
     for at_s, _ in told:
         assert sum(at_s <= other_s < at_s + 60.0 for other_s, _ in told) <= _MOST_IN_A_MINUTE
 

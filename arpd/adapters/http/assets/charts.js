@@ -1,4 +1,4 @@
-// The charts of the last ten minutes, drawn by uPlot. Each has a sentence that says the same in words.
+// The charts of the last ten minutes, drawn by uPlot. A sentence says the same as each chart.
 
 import { clock, minute, number } from "./fields.js";
 
@@ -8,7 +8,7 @@ const OUTAGE = "outage";
 
 const scaled = (scale) => (value) => (value === null || value === undefined ? null : value * scale);
 
-// What each chart shows: how a sample is told from the history's columns and from a status document.
+// The series of each chart: the key in the history's columns, and the same value of a status document.
 const CHARTS = [
   {
     id: "rate",
@@ -19,14 +19,14 @@ const CHARTS = [
       { name: "capacity", key: "capacity_bytes_per_second", of: (s) => s.link.capacity_bytes_per_second, color: "--capacity", width: 2 },
       { name: "plan made for", key: "level_bytes_per_second", of: (s) => s.level_bytes_per_second, color: "--level", dash: [7, 4], stepped: true },
       { name: "delivered", key: "delivery_rate_bytes_per_second", of: (s) => s.link.delivery_rate_bytes_per_second, color: "--delivered", filled: true },
-      { name: "foreign", key: "foreign_bytes_per_second", of: (s) => s.link.foreign_bytes_per_second, color: "--foreign", dash: [2, 3] },
+      { name: "cross traffic", key: "foreign_bytes_per_second", of: (s) => s.link.foreign_bytes_per_second, color: "--foreign", dash: [2, 3] },
     ],
   },
   {
     id: "delay",
     unit: "ms",
     scale: 1e3,
-    powers: [10, 1000], // a queue of fifty milliseconds and one of five seconds are told from each other
+    powers: [10, 1000], // fifty milliseconds and five seconds both show
     notInOutages: true, // there it grows without bound
     series: [{ name: "queue delay", key: "queue_delay_seconds", of: (s) => s.link.queue_delay_seconds, color: "--delay", filled: true }],
   },
@@ -44,7 +44,7 @@ const TOPIC_SERIES = [
   { name: "sent", key: "published_rate_hz", color: "--delivered", filled: true },
 ];
 
-/** The last samples in columns, as the history document has them; a status document adds to each. */
+/** The last samples in columns, as in the history document; each status document adds one to each column. */
 class Past {
   constructor(history) {
     this.spanS = history.span_seconds;
@@ -191,7 +191,7 @@ export class Charts {
     };
   }
 
-  /** Shade the outages, and set a tick where a new plan came into force. */
+  /** Shade the outages, and mark each new plan. */
   #mark(plot, shade, line) {
     const { ctx, bbox } = plot;
     const x = (at) => Math.min(Math.max(plot.valToPos(at, "x", true), bbox.left), bbox.left + bbox.width);
@@ -232,7 +232,7 @@ function size(element) {
   return { width: Math.max(200, Math.floor(element.clientWidth)), height: 190 };
 }
 
-/** Say what a chart shows, for whoever does not see it. */
+/** Say what a chart shows, for screen readers. */
 function inWords(chart, times, columns) {
   const minutes = Math.max(1, Math.round((times.at(-1) - times[0]) / 60));
   const said = chart.series.map((one, index) => {

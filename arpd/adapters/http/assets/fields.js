@@ -1,5 +1,5 @@
 // Fills the places of page.html with a status document, as arpd/adapters/http/page.py does.
-// Names and reasons come from the network: they are only ever set as text.
+// Names and reasons come from the network, so they are only set as text.
 
 const NONE = "–";
 const EVIDENCE = {
@@ -19,7 +19,7 @@ const withUnit = (unit, scale) => (value) => (isNone(value) ? NONE : `${number(v
 
 export function number(value) {
   if (isNone(value)) return NONE;
-  const rounded = value * (1 + 1e-12); // halves go up here and in Python
+  const rounded = value * (1 + 1e-12); // as format_cell in arpd/model/quantities.py
   const digits = Math.abs(rounded) >= 99.95 ? 0 : Math.abs(rounded) >= 9.995 ? 1 : 2;
   return rounded.toFixed(digits);
 }
@@ -74,7 +74,7 @@ function setText(element, value) {
   if (element.textContent !== value) element.textContent = value;
 }
 
-/** The places below root, found once: they stay while their contents change. */
+/** The places below root, found once: only their contents change. */
 function places(root, isOwn = () => true) {
   const find = (name) =>
     [root, ...root.querySelectorAll(`[data-${name}]`)].filter((e) => e.hasAttribute(`data-${name}`) && isOwn(e));
@@ -98,7 +98,7 @@ class Rows {
   constructor(template) {
     this.template = template;
     this.parent = template.parentElement;
-    for (const sent of [...this.parent.children]) if (sent !== template) sent.remove(); // by the server, without us
+    for (const sent of [...this.parent.children]) if (sent !== template) sent.remove(); // rows that the server rendered
     this.rows = [];
   }
 

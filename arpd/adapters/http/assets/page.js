@@ -1,13 +1,13 @@
-// Keeps the page up to date: the status once a second while somebody looks, the history when there is a gap to fill.
+// Keeps the page up to date: the status once a second while the page is visible, the history after a gap.
 
 import { Charts } from "./charts.js";
 import { Fields, clock } from "./fields.js";
 
 const PERIOD_MS = 1000;
-const SLOWEST_MS = 5000; // between two tries while nobody answers
+const SLOWEST_MS = 5000; // between two tries while the daemon does not answer
 const TIMEOUT_MS = 4000;
-const STALE_S = 3; // ten ticks a second; a daemon this late hangs
-const GAP_S = 5; // shorter ones are left in the charts
+const STALE_S = 3; // STALE_AFTER_S of arpd/report/situation.py
+const GAP_S = 5; // shorter gaps stay in the charts
 
 const fields = new Fields(document.body);
 const charts = new Charts(document.getElementById("charts"));
@@ -15,14 +15,14 @@ const freshness = document.getElementById("freshness");
 const announcement = document.getElementById("announcement");
 
 let seen = null; // the last document, and when it came
-let failure = ""; // why there is no newer one
+let failure = ""; // why there is no newer document
 let failures = 0;
 let timer = 0;
 let isAsking = false;
 
 async function ask(path) {
   const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(TIMEOUT_MS) });
-  if (answer.status === 401) throw new Error("the daemon asks for a password; load the page anew");
+  if (answer.status === 401) throw new Error("the daemon asks for a password; reload the page");
   if (answer.status === 429) throw new Error("the daemon had too many wrong passwords from here");
   const body = await answer.json().catch(() => null);
   if (answer.status === 503 && body?.api_version) throw new Error("the daemon is starting");
@@ -68,7 +68,7 @@ function showFreshness() {
   document.body.dataset.freshness = state;
   const said = [];
   if (failure) said.push(failure);
-  if (state === "stale") said.push("the daemon hangs: it finishes no ticks");
+  if (state === "stale") said.push("the daemon hangs: no tick finishes");
   if (state === "live") said.push("live");
   if (seen !== null) {
     const when = `as of ${clock(seen.status.unix_time_seconds)}`;
@@ -78,7 +78,7 @@ function showFreshness() {
   announce(state === "live" ? seen.status.verdict?.headline : said[0]);
 }
 
-/** Tell a screen reader when the situation changes, not each time a number does. */
+/** Tell a screen reader about a new headline, not about each new number. */
 function announce(headline) {
   if (headline && announcement.dataset.headline !== headline) {
     announcement.dataset.headline = headline;

@@ -304,16 +304,16 @@ def test_the_lease_shows(sample_snapshot):
     assert "after 30.0 s without this daemon" in visible(render_page(status_document(leased)))
 
 
-def test_foreign_traffic_shows_wherever_the_capacity_does(sample_snapshot):
+def test_cross_traffic_shows_wherever_the_capacity_does(sample_snapshot):
     """Metric, status, page and terminal say what is not arpd's, and what that leaves."""
     assert value(sample_snapshot, "arpd_link_foreign_bytes_per_second") == 62_500.0
     document = status_document(sample_snapshot, now_s=1000.25)
     assert document["link"]["foreign_bytes_per_second"] == 62_500.0
     assert document["link"]["available_bytes_per_second"] == 437_500.0
-    assert "Foreign traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in visible(render_page(document))
-    assert "500 kbit/s of it is traffic that is not arpd's, which leaves 3.50 Mbit/s" in screen(document)
+    assert "Cross traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in visible(render_page(document))
+    assert "500 kbit/s of it is cross traffic, which leaves 3.5 Mbit/s" in screen(document)
     alone = replace(sample_snapshot, link=replace(sample_snapshot.link, cross_traffic_bytes_per_second=0.0))
-    assert "not arpd's" not in screen(status_document(alone, now_s=1000.25))
+    assert "cross traffic" not in screen(status_document(alone, now_s=1000.25))
 
 
 def test_a_value_that_is_not_finite_anywhere_still_gives_json(sample_snapshot):

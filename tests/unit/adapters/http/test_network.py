@@ -153,7 +153,7 @@ def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkey
         right = ("--cacert", str(folder / "server.crt"), "--user", "alice")
         code, out, err = status(world, *right)
         assert (code, json.loads(out)["api_version"]) == (1, "v1")
-        assert err.startswith("arpd: no tick has finished for ")
+        assert err.startswith("arpd: No tick finishes: ")
         for options, password, wrong in (
             (right, "guess", "refuses the password of alice; "),
             (right[:2], "", "asks for a user; give --user NAME; "),

@@ -1,17 +1,18 @@
-"""What the page is made of: its rendering, its assets, how they are served, and the verdict."""
+"""The page: its rendering, its assets, and how they are served."""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
 import json
-import math
 import re
+import subprocess
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 
+import playwright
 import pytest
 from prometheus_client import CollectorRegistry
 
@@ -20,10 +21,6 @@ from arpd.adapters.http.bundle import Bundle
 from arpd.adapters.http.page import FORMATS, render_page
 from arpd.adapters.http.request import read_request
 from arpd.adapters.http.server import HttpServer
-from arpd.model.allocation import AllocationStatus
-from arpd.model.interface import InterfaceState
-from arpd.model.link import LinkState
-from arpd.model.plan import Decision, QosPlan, TopicPlan
 from arpd.report.history import History
 from arpd.report.status import status_document
 from tests.visible import fields, visible
@@ -66,7 +63,7 @@ def test_what_is_vendored_is_what_its_readme_says():
 
 
 def test_everything_the_page_names_is_served_and_kept(get):
-    """Scripts and styles lie under a path of their content, may be kept for ever, and are found from the page."""
+    """Scripts and styles lie under a path of their content, may be kept for good, and are found from the page."""
     page = get("/").body.decode()
     named = re.findall(r'(?:src|href)="(assets/[^"]+)"', page)
     assert len(named) == 6
@@ -108,7 +105,7 @@ def test_the_path_of_the_assets_follows_their_content(tmp_path, monkeypatch):
 
 
 def test_paths_in_metrics_stay_few():
-    """Whatever is asked for, the label of a path is one of few."""
+    """Every path, also an unknown one, has one of few labels."""
     assert label("/assets/0123/page.js") == label("/assets/never/was.js") == "/assets/"
     assert label("/api/v1/history") in PATHS
     assert label("/etc/passwd") == "other"
@@ -205,68 +202,42 @@ def test_values_are_written_for_a_reader(form, value, said):
     assert FORMATS[form](value) == said
 
 
-# -- the verdict
-
-
-def said(snapshot):
-    document = status_document(snapshot)["verdict"]
-    assert document["text"].startswith(f"{document['headline']}: ")
-    return document["severity"], document["text"]
-
-
-def test_the_verdict_answers_the_four_questions(sample_snapshot):
-    """A limited link: that it is the limit, what was slowed, how much, and whether it helps."""
-    calm = replace(
-        sample_snapshot,
-        link=replace(sample_snapshot.link, loss_ratio=0.0),
-        decision=replace(sample_snapshot.decision, gate=1.0),
+def test_the_page_shows_the_verdict_and_every_fault(sample_snapshot):
+    """The sentences are those of the document, each marked with its severity."""
+    document = status_document(replace(sample_snapshot, config_error="line 3", keys_awaiting_restart=("http.port",)))
+    page = render_page(document)
+    for finding in (document["verdict"], *document["faults"]):
+        assert finding["text"] in visible(page)
+    assert [fault["severity"] for fault in document["faults"]] == re.findall(
+        r'<p class="notice" data-mark-field="severity" data-mark="(error|warning)"', page
     )
-    severity, text = said(calm)
-    assert severity == "warning"
-    assert text == (
-        "The link is the limit: 4.00 Mbit/s is less than the robot offers; arpd slowed 1 of 3 topics, /camera/image "
-        "most (30 → 12.5 Hz), and 1 of them has yet to confirm; it helps: 12.5 ms of queue."
-    )
-    queueing = replace(calm, link=replace(calm.link, queue_delay_s=0.3, loss_ratio=0.05))
-    assert "it does not help yet: 300 ms of queue and 5 % loss." in said(queueing)[1]
-    wide = MappingProxyType(
-        {**calm.decision.plan.topics, "/camera/image": TopicPlan(rate_hz=37.5, min_rate_hz=2.0, deadline_ns=0, depth=1)}
-    )
-    free = replace(calm, decision=replace(calm.decision, plan=replace(calm.decision.plan, topics=wide)))
-    severity, text = said(free)
-    assert severity == "info"
-    assert text.startswith("The link is fine: 4.00 Mbit/s is more than the robot offers; arpd slows none of 3 topics;")
 
 
-@pytest.mark.parametrize(
-    ("change", "severity", "headline"),
-    [
-        ({"link": {"state": LinkState.OUTAGE}}, "error", "The link is down"),
-        ({"observation": {"counters": None}}, "error", "The link is down"),
-        ({"observation": {"active_daemon": "other"}}, "warning", "Standing by"),
-        ({"link": {"state": LinkState.DRAINING}}, "warning", "The link is overfull"),
-        ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, "warning", "The link is overfull"),
-        ({"allocation": {"status": AllocationStatus.DEGRADED}}, "warning", "Not everything asked for fits"),
-        ({"observation": {"publishers": ()}}, "info", "Nothing to govern"),
-    ],
-)
-def test_every_situation_has_its_verdict(sample_snapshot, change, severity, headline):
-    """What matters most comes first, and each has a headline that does not change with numbers."""
-    changed = {part: replace(getattr(sample_snapshot, part), **values) for part, values in change.items()}
-    got, text = said(replace(sample_snapshot, **changed))
-    assert (got, text.partition(":")[0]) == (severity, headline)
-    assert text.endswith(".")
+# A node comes with playwright, which draws the page in tests/seeing.
+NODE = str(Path(playwright.__file__).parent / "driver" / "node")
+SAMPLES = [
+    *(0, 0.005, 0.125, 0.5, 0.995, 1, 9.994, 9.995, 9.9999, 12.345, 99.94, 99.95, 100.5, 1234.5, 500_000, 10**9),
+    *("", "a_b", "app_limited", "peer", "warning", [], ["a_b", "c"], {"rate": 3, "gate": 0, "late_by": 1}, None),
+]
+# Times follow the zone of the browser; the others are written for one kind of value only.
+TAKES = {"counts": dict, "list": list, "evidence": str, "state": str, "severity": str, "text": str, "words": str}
 
 
-def test_without_a_plan_it_is_still_measuring(sample_snapshot):
-    """Publishers without a plan: nothing was decided yet."""
-    plan = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
-    none = replace(sample_snapshot, decision=Decision(gate=1.0, plan=plan, level_changed=False, reason=""))
-    assert said(none) == ("info", "No plan yet: arpd is still measuring the link for 3 topics.")
-
-
-def test_an_interface_without_carrier_is_the_problem(sample_snapshot):
-    """The verdict names the interface and what it lacks."""
-    counters = replace(sample_snapshot.observation.counters, state=InterfaceState.NO_CARRIER)
-    broken = replace(sample_snapshot, observation=replace(sample_snapshot.observation, counters=counters))
-    assert "wlan0 has no carrier, so that nothing can cross it" in said(broken)[1]
+def test_the_browser_writes_every_value_as_the_server_does():
+    """fields.js has the formats of page.py, and both write the same texts."""
+    cases = [
+        (form, value)
+        for form in FORMATS
+        if form != "time"
+        for value in SAMPLES
+        if value is None or isinstance(value, TAKES.get(form, (int, float)))
+    ]
+    script = f"""
+        import {{ FORMATS }} from {json.dumps((WEB / "assets" / "fields.js").as_uri())};
+        const said = {json.dumps(cases)}.map(([form, value]) => FORMATS[form](value));
+        console.log(JSON.stringify([Object.keys(FORMATS), said]));
+    """
+    command = [NODE, "--input-type=module", "--no-warnings", "--eval", script]
+    formats, said = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+    assert formats == list(FORMATS)
+    assert dict(zip(map(repr, cases), said, strict=True)) == {repr(case): FORMATS[case[0]](case[1]) for case in cases}
