@@ -1,4 +1,4 @@
-"""Asking a running daemon over HTTP: where it is, who to be, and what an answer that is none means."""
+"""Questions to a running daemon over HTTP, its address and login, and safe access to its documents."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _PASSWORD = "ARPD_PASSWORD"  # noqa: S105 - the variable's name
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Login:
-    """What a protected daemon asks for.
+    """Login to a protected daemon.
 
     Parameters
     ----------
-    cacert : CA the daemon's certificate is verified with, None = the system's
-    user, password : basic authentication, no user = none
+    cacert : CA that verifies the daemon's certificate, None = the system's
+    user, password : basic authentication; without a user there is none
     """
 
     cacert: Path | None = None
@@ -45,7 +45,7 @@ class Login:
         return f"Basic {base64.b64encode(f'{self.user}:{self.password}'.encode()).decode()}" if self.user else ""
 
     def context(self) -> ssl.SSLContext:
-        """Return how to verify the daemon.
+        """Return the TLS settings that verify the daemon.
 
         Raises
         ------
@@ -68,21 +68,21 @@ class DaemonAddress:
     Parameters
     ----------
     url : base URL, like http://127.0.0.1:9464
-    login : what to trust and who to be
+    login : CA, user and password
     """
 
     url: str
     login: Login = field(default_factory=Login)
 
     def status(self) -> dict[str, Any]:
-        """Return the status document (`arpd.report.status`); of a daemon that is not ready, what there is of it.
+        """Return the status document (`arpd.report.status`); a daemon that is not ready sends a part of it.
 
         Raises
         ------
         UsageError
-            If the URL is none, or the CA cannot be used.
+            If the URL is not an HTTP address, or the CA cannot be used.
         DaemonUnreachableError
-            If nothing answers there, or something that is not arpd, or arpd refuses.
+            If nothing answers there, something else than arpd answers, or arpd refuses.
         """
         status = _document(self._answer("/api/v1/status")[1])
         if status is None:
@@ -92,7 +92,7 @@ class DaemonAddress:
         return status
 
     def history(self) -> dict[str, Any] | None:
-        """Return the last minutes, None from a daemon that keeps no history.
+        """Return the history document, None from a daemon that keeps no history.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class DaemonAddress:
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say which daemon to ask."""
+    """Add the options that name the daemon."""
     parser.add_argument(
         "--url", default=f"http://{_DEFAULT.host}:{_DEFAULT.port}", help="base URL of the daemon (default %(default)s)"
     )
@@ -138,15 +138,17 @@ def add_address(parser: argparse.ArgumentParser) -> None:
 
 
 def address(options: argparse.Namespace) -> DaemonAddress:
-    """Return which daemon the options ask.
+    """Return the daemon that the options name.
 
     Raises
     ------
     UsageError
-        If a user is named, and no password is there.
+        If there is a user without a password.
     """
     if options.user and _PASSWORD not in os.environ:
-        raise UsageError(f"--user needs the password in ${_PASSWORD}; it is no option, because ps shows those")
+        raise UsageError(
+            f"--user needs the password in ${_PASSWORD}; there is no option for it, because ps shows options"
+        )
     password = os.environ.get(_PASSWORD, "")
     return DaemonAddress(url=options.url, login=Login(cacert=options.cacert, user=options.user, password=password))
 
@@ -173,18 +175,18 @@ def _get(address: str, login: Login) -> tuple[int, bytes]:
     import urllib.error
     import urllib.request
 
-    # The daemon is a neighbour: a proxy from the environment would only be in the way.
+    # No proxy from the environment: the daemon is on this network.
     handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({})]
     if address.startswith("https:"):
         handlers.append(urllib.request.HTTPSHandler(context=login.context()))
-    request = urllib.request.Request(address)  # noqa: S310 - the caller admits http and https only
+    request = urllib.request.Request(address)  # noqa: S310 - the caller accepts http and https only
     if header := login.authorization():
         request.add_unredirected_header("Authorization", header)
     try:
         with urllib.request.build_opener(*handlers).open(request, timeout=_TIMEOUT_S) as response:
             return response.status, response.read(_MAX_BYTES)
     except urllib.error.HTTPError as error:
-        # A daemon that is not ready says so in the body of its 503.
+        # A daemon that is not ready has its reason in the body of its 503.
         return error.code, error.read(_MAX_BYTES)
 
 
@@ -192,7 +194,7 @@ _LONGEST = 400
 
 
 def find(document: object, *keys: str) -> Any:
-    """Return what stands under the keys, None where there is nothing."""
+    """Return the value under the keys, None where there is none."""
     for key in keys:
         if not isinstance(document, dict):
             return None
@@ -207,7 +209,7 @@ def number(document: object, *keys: str) -> float | None:
         return None
     try:
         return float(value) if math.isfinite(value) else None
-    except OverflowError:  # JSON's integers have no end
+    except OverflowError:  # integers of JSON are unlimited
         return None
 
 
@@ -217,7 +219,7 @@ def count(document: object, *keys: str) -> int:
 
 
 def text(document: object, *keys: str, longest: int = _LONGEST) -> str:
-    """Return the text under the keys so that it cannot steer a terminal, empty where there is none."""
+    """Return the text under the keys, safe for a terminal; empty where there is none."""
     value = find(document, *keys)
     return printable(value, longest=longest) if isinstance(value, str) else ""
 
@@ -239,13 +241,13 @@ def texts(document: object, *keys: str) -> list[str]:
 
 
 def counts(document: object, *keys: str) -> dict[str, int]:
-    """Return the counts by name under the keys that are not 0."""
+    """Return the counts by name under the keys, without zeros."""
     value = find(document, *keys)
     named = {printable(str(name)): count(value, name) for name in value} if isinstance(value, dict) else {}
     return {name: many for name, many in named.items() if many}
 
 
 def series(document: object, *keys: str) -> list[float | None]:
-    """Return the samples under the keys, None where there was nothing."""
+    """Return the samples under the keys, None for a sample that is missing."""
     value = find(document, *keys)
     return [number({"": item}, "") for item in value] if isinstance(value, list) else []

@@ -1,4 +1,4 @@
-"""A picture of `arpd simulate`: what the link was, what arpd believed and did; needs matplotlib, the extra ``plot``."""
+"""A picture of `arpd simulate`: the link, arpd's estimate and its decisions; needs matplotlib, the extra ``plot``."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _MOST_LABELS = 14
 
 
 def draw_comparison(comparison: Comparison, *, title: str, path: Path) -> None:
-    """Draw the course of the link, the gate, the queue and what was delivered, as a PNG.
+    """Draw the course of the link, the gate, the queue and the delivered payload, as a PNG.
 
     Parameters
     ----------
     comparison : the three runs
-    title : what the link is called
+    title : name of the link
     path : PNG to write
 
     Raises
@@ -44,7 +44,7 @@ def draw_comparison(comparison: Comparison, *, title: str, path: Path) -> None:
         If it cannot be written.
     """
     figure = Figure(figsize=(12.0, 10.0), layout="constrained")
-    FigureCanvasAgg(figure)  # no display is needed, whatever the environment says
+    FigureCanvasAgg(figure)  # draws without a display
     panels = figure.subplots(4, 1, sharex=True, height_ratios=(3.2, 1.0, 2.0, 2.0))
     rate, gate, queue, goodput = panels
     moments = comparison.arpd.moments
@@ -87,7 +87,7 @@ def _draw_rate(axes: Any, moments: Sequence[Moment], times: Sequence[float]) -> 
     axes.step(times, levels, where="post", color=_LEVEL, linewidth=1.5, linestyle=(0, (4, 2)), label="plan's level")
     axes.set(ylabel="Mbit/s")
     axes.plot([], [], color="0.6", linewidth=0.8, linestyle=":", label="new plan: QoS swaps")
-    # Neither a first belief far above the link nor a spike of a tenth of a second must flatten everything else.
+    # A first estimate far above the link, or a spike of a tenth of a second, must not flatten everything else.
     usual = percentile(truth, 0.98) or 0.0
     axes.set_ylim(0.0, 1.25 * max(usual, *(level / _MBIT for level in planned if level is not None), 1e-3))
 
@@ -97,7 +97,7 @@ def _rates(moments: Sequence[Moment], name: str) -> list[float]:
 
 
 def _longest_queues_ms(moments: Sequence[Moment]) -> list[float]:
-    """Return the longest queue of the second before each moment: it comes and goes with every large message."""
+    """Return the longest queue in the second before each moment: the queue comes and goes with every large message."""
     window = _window(moments)
     queues = [
         1e3 * moment.queue_delay_s if math.isfinite(moment.queue_delay_s) else math.nan  # a link that never returns
@@ -107,7 +107,7 @@ def _longest_queues_ms(moments: Sequence[Moment]) -> list[float]:
 
 
 def _goodput_mbit(moments: Sequence[Moment]) -> list[float]:
-    """Return what the second before each moment delivered."""
+    """Return the payload delivered in the second before each moment (Mbit/s)."""
     window = _window(moments)
     return [
         (moment.delivered_bytes - before.delivered_bytes) / max(1e-9, moment.t_s - before.t_s) / _MBIT
@@ -120,7 +120,7 @@ def _window(moments: Sequence[Moment]) -> int:
 
 
 def _mark(comparison: Comparison, panels: Sequence[Any]) -> None:
-    """Draw a line through all panels at each plan, with its cause on top; shade what arpd took for an outage."""
+    """Draw a line through all panels at each plan, with its cause on top; shade what arpd believed an outage."""
     found = events(comparison.arpd)
     end_s = comparison.arpd.moments[-1].t_s
     outages = [event for event in found if event.what.startswith("outage")]

@@ -1,4 +1,4 @@
-"""The `arpd` command: parses, hands over to the subcommand, turns errors into one line and an exit code."""
+"""The `arpd` command: parses, runs the subcommand, turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : command line without the program's name; the process's own by default
+    arguments : command line without the program's name, by default the process's own
     """
     try:
         options = _parser().parse_args(arguments)
         code: int = options.handler(options)
         sys.stdout.flush()
     except ConfigError as error:
-        # Bare, so that an editor finds the place.
+        # Without a prefix, so that an editor finds the place.
         for fault in error.faults:
             print(fault, file=sys.stderr)
         return error.exit_code
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     except BrokenPipeError:
-        # The interpreter flushes stdout once more at exit, and must not complain then.
+        # The interpreter flushes stdout at exit, which must not raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     return code
@@ -88,7 +88,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="run the daemon on the robot computer",
         description="""\
 Run the daemon in the foreground: ten times a second it observes the link and the ROS graph, estimates what the link
-carries, solves for rate, DEADLINE and DEPTH of every topic, and applies what changed to the live publishers.
+carries, solves for rate, DEADLINE and DEPTH of every topic, and applies changes to the live publishers.
 It is never in the data path: when it stops, messages keep flowing. A clean stop (SIGTERM, Ctrl-C) gives the
 publishers their own QoS back (on_stop in the configuration); SIGHUP reloads the configuration.""",
         epilog="""\
@@ -127,8 +127,8 @@ def _add_peer(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "peer",
         help="report what arrives at the other end of the link",
         description="""\
-Run on the computer at the other end of the link (the CEDDP). Ten times a second it tells the daemon what its
-interface received and how probe packets fared; the daemon cannot see either from the robot. Needs no configuration.""",
+Run on the computer at the other end of the link (the CEDDP). Ten times a second it reports to the daemon what its
+interface received and which probe packets arrived; the robot cannot see either. Needs no configuration.""",
         epilog="""\
 examples:
   arpd peer                                  the likeliest interface, this host's name
@@ -146,8 +146,8 @@ def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "check",
         help="check a configuration file",
         description="""\
-Check a configuration file exactly as the daemon would. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
-what would be right. Exits 0 when there is none, 78 otherwise.""",
+Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
+what would be right. Exits 0 without faults, 78 with.""",
         epilog="""\
 examples:
   arpd check                                 checks /etc/arpd/arpd.yaml
@@ -212,7 +212,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _summary(settings: Settings) -> str:
-    """Say what the file amounts to: what it changes from the defaults, and how much it names."""
+    """Say what the file changes from the defaults, and how many topics it names."""
     from arpd.adapters.config.load import describe_change
 
     changes = describe_change(Settings(), settings)

@@ -1,4 +1,4 @@
-"""`--plot` of every command: a PNG, drawn by matplotlib where it is installed."""
+"""`--plot` of every command: a PNG by matplotlib, where that is installed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 def refuse_all_but_png(path: Path) -> None:
-    """Raise ``UsageError`` when a picture's name does not end in .png."""
+    """Raise ``UsageError`` when the name of a picture does not end in .png."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--plot {printable(str(path))} is not a PNG; write a name that ends in .png")
 
 
 def drawing(module: str, name: str) -> Callable[..., None]:
-    """Import what draws, before any work, so that a missing library costs none.
+    """Import a drawing function; called before any work, so that a missing library wastes none.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def drawing(module: str, name: str) -> Callable[..., None]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what stands in the way of a file into an error that names the option."""
+    """Turn a fault of writing into an error that names the option."""
     try:
         yield
     except OSError as error:

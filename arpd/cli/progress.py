@@ -1,4 +1,4 @@
-"""Progress of long work: a line on a terminal that goes when the work is done, nothing in a pipe."""
+"""Progress of long work: a line on a terminal until the work is done, nothing in a pipe."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 
 class Progress(Protocol):
-    """What long work tells of itself."""
+    """Reports of long work about itself."""
 
     def step(self, what: str) -> None:
-        """Say that the next step begins, and what it is; those before it are done."""
+        """Begin the next step, and name it; the steps before it are done."""
 
     def reach(self, done: float, what: str = "") -> None:
-        """Say how much is done, in the unit of the total, and perhaps what comes now."""
+        """Say how much is done, in the unit of the total, and perhaps name the present step."""
 
 
 @contextmanager
 def progress(title: str, *, total: float | None = None) -> Iterator[Progress]:
-    """Show how work goes on, on stderr, and only where that is a terminal; stdout stays what it was.
+    """Show progress on stderr where that is a terminal; stdout stays unchanged.
 
     Parameters
     ----------
-    title : what is being done
-    total : number of steps, or any other measure of the whole; None where nobody knows
+    title : name of the work
+    total : number of steps, or another measure of the whole; None = unknown
     """
     if not sys.stderr.isatty():
         yield _Quiet()
@@ -48,7 +48,7 @@ def progress(title: str, *, total: float | None = None) -> Iterator[Progress]:
         *([] if total is None else [TimeRemainingColumn(elapsed_when_finished=True)]),
         console=Console(stderr=True),
         transient=True,
-        # rich would move what is printed to the bar's stream; only what goes to the same terminal may move.
+        # rich moves printed text to the bar's stream; that is right only where both go to the same terminal.
         redirect_stdout=sys.stdout.isatty(),
         refresh_per_second=4,
     ) as bar:

@@ -1,4 +1,4 @@
-"""`arpd simulate`: what arpd would do on a recorded link, beside no arpd and an oracle."""
+"""`arpd simulate`: arpd on a recorded link, beside the same robot without arpd and with an oracle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0
 _DEFAULT_S = 60.0  # when the trace is shorter
-_DRAIN_S = 10.0  # a run goes on for a while after its end
+_DRAIN_S = 10.0  # the link goes on after the end of the run
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
 _MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
 
@@ -29,14 +29,14 @@ def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser], 
         "simulate",
         help="try a configuration on a recorded or made-up link",
         description="""\
-Let the daemon drive a robot over a simulated link, three times with the same seed: with arpd, without it (rclpy's
-defaults, unpaced), and with an oracle that knows the link in place of arpd's estimator. It is the daemon's own code, in
-virtual time: no ROS, no root, and no waiting.
+Run a robot over a simulated link, three times with the same seed: with arpd, without it (rclpy's defaults, unpaced),
+and with an oracle that knows the link in place of arpd's estimator. It runs the daemon's own code in virtual time: no
+ROS, no root, no waiting.
 
-The robot publishes what the configuration says of its topics (payload and source_rate_hz), to one reader each; if it
-says nothing, or there is no configuration, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps
-loss; one row per change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500
-bytes; repeated).""",
+The robot publishes the topics of the configuration (payload and source_rate_hz), to one reader each. Without a
+configuration, or without such topics, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss;
+one row per change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes;
+repeated).""",
         epilog="""\
 examples:
   arpd simulate --config robot.yaml --trace walk.csv
@@ -136,7 +136,7 @@ def _understand(options: argparse.Namespace) -> Asked:
 
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
-    """Return the configuration's file, what it says, and the topics of which it says what they publish."""
+    """Return the configuration's file, its settings, and the topics of which it says what they publish."""
     from arpd.adapters.config.load import load_settings
     from arpd.adapters.sim.demo import demo_settings
     from arpd.adapters.sim.robot import configured_topics
@@ -148,7 +148,7 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
         if options.actuation:
             raise UsageError("--actuation is for the topics of a configuration; name it with --config")
         return None, demo_settings(), ()
-    settings = load_settings(config, interfaces=None)  # it may be another computer's
+    settings = load_settings(config, interfaces=None)  # the file may belong to another computer
     configured = configured_topics(settings, actuation=options.actuation)
     known = {topic.prefix + topic.name for topic in configured}
     for name in options.actuation:
@@ -161,7 +161,7 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
 
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
-    """Return the trace, as long as it takes, and the length of the run (s)."""
+    """Return the trace, long enough for the run, and the length of the run (s)."""
     from arpd.adapters.sim.schedule import RateSchedule
     from arpd.adapters.sim.trace import LinkTrace, read_trace
     from arpd.model.quantities import printable

@@ -1,4 +1,4 @@
-"""`arpd solve`: the published program, Eq. (4), for given numbers, or arpd's own for a configuration's topics."""
+"""`arpd solve`: the published program, Eq. (4), for given numbers, or arpd's program for a configuration's topics."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ share, checked against the exact vertex in rational arithmetic. Exits 1 when the
                                Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
 
 With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or over a range of
-capacities. What a topic publishes comes from its payload and source_rate_hz in the file, or from what a running daemon
-measured (--status). Needs neither ROS nor a daemon.""",
+capacities. Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running
+daemon measured (--status). Needs neither ROS nor a daemon.""",
         epilog="""\
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
@@ -50,9 +50,9 @@ examples:
 
 what a rate or depth is bound by:
   desired   it has what it asked for: max_rate_hz, or all that its source publishes
-  link      it would use more of the link; weight decides who gets how much
+  link      a faster link would give it more; weight decides which topic gets how much
   floor     min_rate_hz or min_depth keeps it up
-  latency   latency_budget: a deeper history would only be staler
+  latency   latency_budget: a deeper history would only be older
   max       max_depth            memory    program.memory_budget""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -78,7 +78,7 @@ def _add_paper(group: argparse._ArgumentGroup) -> None:
 
 def _add_offline(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
-    group.add_argument("--capacity", metavar="RATE", help="plan for a link that carries so much, like 5mbit")
+    group.add_argument("--capacity", metavar="RATE", help="plan for a link of this capacity, like 5mbit")
     group.add_argument("--sweep", metavar="LOW:HIGH", help="plan for capacities between two, like 0.5mbit:54mbit")
     group.add_argument(
         "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"

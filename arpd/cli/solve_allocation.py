@@ -1,4 +1,4 @@
-"""`arpd solve --config`: what the daemon would plan for a configuration's topics, offline, to tune weights with."""
+"""`arpd solve --config`: the daemon's plan for a configuration's topics, offline, to tune weights."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ _EXAMPLE = "topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Demand:
-    """What there is to plan for.
+class _Offered:
+    """The topics to plan for.
 
     Parameters
     ----------
-    traffic : one entry per topic, measured where the status has it, else as the configuration assumes
-    publishers : what the status file lists
-    left_out : topics that are named somewhere, but nothing says what they bring
+    traffic : one entry per topic, measured where the status file has it, else from the configuration
+    publishers : those of the status file
+    left_out : topics with a name, but without payload and rate
     """
 
     traffic: tuple[Traffic, ...]
@@ -54,21 +54,21 @@ def solve_allocation(options: argparse.Namespace) -> int:
     """Run ``arpd solve --config`` with exactly one of ``--capacity`` and ``--sweep``."""
     capacities = _capacities(options)
     draw = drawing("arpd.cli.sweep_plot", "draw_sweep") if options.plot else None
-    settings = load_settings(options.config, interfaces=None)  # it may be another computer's
-    demand = _demand(settings, options)
+    settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
+    offered = _offered(settings, options)
     backend = Backend(options.backend) if options.backend else settings.program.backend
     try:
-        planner = OfflinePlanner(settings, demand.traffic, publishers=demand.publishers, backend=backend)
+        planner = OfflinePlanner(settings, offered.traffic, publishers=offered.publishers, backend=backend)
     except ImportError as error:
         raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
     plans = [planner.plan(capacity) for capacity in capacities]
     if options.json:
-        documents = [_document(plan, settings, demand.left_out) for plan in plans]
+        documents = [_document(plan, settings, offered.left_out) for plan in plans]
         print(json.dumps(documents if options.sweep else documents[0], indent=2))
     else:
         _print_table(plans, settings, is_sweep=options.sweep is not None)
-    if demand.left_out:
-        print(_note(demand.left_out, options), file=sys.stderr)
+    if offered.left_out:
+        print(_note(offered.left_out, options), file=sys.stderr)
     if draw:
         dense = [planner.plan(capacity) for capacity in spread(capacities[0], capacities[-1], _PLOT_POINTS)]
         with writing(options.plot):
@@ -77,7 +77,7 @@ def solve_allocation(options: argparse.Namespace) -> int:
 
 
 def _capacities(options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the capacities asked for, after checking what belongs to them (bytes/s)."""
+    """Return the capacities of the options (bytes/s), after checking the options that go with them."""
     if (options.capacity is None) == (options.sweep is None):
         raise UsageError("--config needs one of --capacity RATE (5mbit) and --sweep LOW:HIGH (0.5mbit:54mbit)")
     if options.sweep is None:
@@ -113,15 +113,15 @@ def _rate(option: str, text: str) -> float:
     return rate
 
 
-def _demand(settings: Settings, options: argparse.Namespace) -> _Demand:
+def _offered(settings: Settings, options: argparse.Namespace) -> _Offered:
     publishers = () if options.status is None else read_status(options.status)
-    # What was measured beats what is assumed; both are sorted by the planner.
+    # A measurement replaces an assumption; the planner sorts both.
     traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
     if not traffic:
         raise _nothing_to_plan(options.config, options.status)
     relayed = (settings.relay.prefix + name for name in settings.relay.topics)
     named = {*settings.topics, *relayed, *(publisher.topic for publisher in publishers)}
-    return _Demand(
+    return _Offered(
         traffic=tuple(traffic.values()), publishers=publishers, left_out=tuple(sorted(named - traffic.keys()))
     )
 
@@ -143,7 +143,7 @@ def _note(left_out: Sequence[str], options: argparse.Namespace) -> str:
     wrong = f"{options.config} does not say both their payload and their source_rate_hz"
     if options.status is None:
         return f"arpd: left out: {names}; {wrong} (or measure them: --status)"
-    return f"arpd: left out: {names}; {options.status} has no traffic of theirs across the link, and {wrong}"
+    return f"arpd: left out: {names}; {options.status} has no traffic of these topics across the link, and {wrong}"
 
 
 def _print_table(plans: Sequence[OfflinePlan], settings: Settings, *, is_sweep: bool) -> None:

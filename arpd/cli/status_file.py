@@ -1,4 +1,4 @@
-"""A saved status document (`arpd status --json > robot.json`) as publishers: what a running daemon measured."""
+"""A saved status document (`arpd status --json > robot.json`), read as publishers with what the daemon measured."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAX_BYTES = 16 * 2**20
-_HIGHEST = 1e12  # beyond any payload (bytes), rate (Hz) or period (ns) there is; keeps nonsense finite
+_HIGHEST = 1e12  # above any real payload (bytes), rate (Hz) or period (ns); keeps nonsense finite
 _DIRECTIONS = tuple(str(direction) for direction in Direction)
 
 
 def read_status(path: Path) -> tuple[PublisherState, ...]:
-    """Return the publishers a status document lists, with what was measured of each; the rest is neutral.
+    """Return the publishers of a status document with what the daemon measured; other fields are neutral.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _publisher(row: Any, where: str, path: Path) -> PublisherState:
         source_rate_hz=number("source_rate_hz"),
         remote_readers=int(number("remote_readers")),
         requested_deadline_ns=0 if row.get("requested_deadline_ns") is None else int(number("requested_deadline_ns")),
-        # What the robot ran with when the file was saved is no part of what it would be given now.
+        # The plan of that time does not matter for a new one.
         depth=1,
         baseline_depth=1,
     )

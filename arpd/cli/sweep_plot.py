@@ -1,4 +1,4 @@
-"""A picture of how the plan moves with the link's capacity; needs matplotlib, the extra ``plot``."""
+"""A picture of the plan over the link's capacity; needs matplotlib, the extra ``plot``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
 from arpd.model.allocation import AllocationStatus
-from arpd.model.quantities import printable
+from arpd.model.quantities import format_number, format_share, printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +38,7 @@ _Style = dict[str, Any]
 
 
 def draw_sweep(plans: Sequence[OfflinePlan], *, headroom: float, path: Path) -> None:
-    """Draw each topic's rate over capacity, and below it who uses how much of the link, as a PNG.
+    """Draw each topic's rate over the capacity, and below it each topic's share of the link, as a PNG.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ def draw_sweep(plans: Sequence[OfflinePlan], *, headroom: float, path: Path) -> 
     last = plans[-1].topics
     upper_in = max(5.0, _INCHES_PER_LABEL * _LABEL_GAP * len(last))
     figure = Figure(figsize=(12.0, upper_in + 3.8), layout="constrained")
-    FigureCanvasAgg(figure)  # no display is needed, whatever the environment says
+    FigureCanvasAgg(figure)  # draws without a display
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(upper_in, 3.0))
     capacities = [plan.capacity_bytes_per_second / _MBIT for plan in plans]
-    # By what they ask of the link: small topics at the foot of the stack, what yields first on top.
+    # By their demand: small topics at the foot of the stack, those that yield first on top.
     order = sorted(range(len(last)), key=lambda index: last[index].topic.wire_bytes * last[index].topic.desired_rate_hz)
     styles = {index: _style(place) for place, index in enumerate(order)}
     for index in order:
@@ -76,7 +76,7 @@ def _style(place: int) -> _Style:
 
 
 def _draw_rate(axes: Any, capacities: Sequence[float], rows: Sequence[PlannedTopic], style: _Style) -> None:
-    rates = [row.rate_hz or math.nan for row in rows]  # a logarithmic axis has no place for paused
+    rates = [row.rate_hz or math.nan for row in rows]  # a logarithmic axis has no zero
     axes.plot(capacities, rates, linewidth=1.8, zorder=3, **style)
     floor_hz, colour = rows[0].topic.min_rate_hz, style["color"]
     above = next((i for i, row in enumerate(rows) if not (row.is_at_floor or row.is_below_floor)), -1)
@@ -107,7 +107,7 @@ def _draw_shares(
     )
     axes.axhline(headroom, color="black", linewidth=1, linestyle="--", zorder=3)
     axes.annotate(
-        f"{100 * headroom:.4g}% may be planned (headroom)",
+        f"{format_share(headroom)} may be planned (headroom)",
         (capacities[-1], headroom),
         xytext=(-4, 4),
         textcoords="offset points",
@@ -117,7 +117,7 @@ def _draw_shares(
 
 
 def _shade_degraded(panels: Sequence[Any], capacities: Sequence[float], plans: Sequence[OfflinePlan]) -> None:
-    """Shade where floors give way: up to the last capacity at which they do."""
+    """Shade the capacities at which floors give way."""
     degraded = [i for i, plan in enumerate(plans) if plan.allocation.status is AllocationStatus.DEGRADED]
     if degraded:
         for axes in panels:
@@ -125,7 +125,7 @@ def _shade_degraded(panels: Sequence[Any], capacities: Sequence[float], plans: S
 
 
 def _label(axes: Any, ends: Sequence[tuple[PlannedTopic, _Style]], *, gap: float) -> None:
-    """Write each topic beside the right end of its line, clear of the others.
+    """Write each topic's name beside the right end of its line, apart from the others.
 
     Parameters
     ----------
@@ -158,12 +158,12 @@ def _label(axes: Any, ends: Sequence[tuple[PlannedTopic, _Style]], *, gap: float
 
 
 def _end_hz(row: PlannedTopic) -> float:
-    """Return where the topic's line ends, or would if it were not paused (Hz)."""
+    """Return the rate at the end of the topic's line; a paused topic has its floor or its desired rate (Hz)."""
     return row.rate_hz or row.topic.min_rate_hz or row.topic.desired_rate_hz or _UNKNOWN_HZ
 
 
 def _apart(heights: Sequence[float], gap: float) -> list[float]:
-    """Move rising heights apart by at least ``gap``, as little as it takes, within 0..1 where they fit."""
+    """Move rising heights apart by at least ``gap``, as little as possible, within 0..1 where they fit."""
     moved: list[float] = []
     for height in heights:
         moved.append(max(height, moved[-1] + gap if moved else 0.0))
@@ -177,16 +177,16 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 def _caption(topic: Topic) -> str:
     name = printable(topic.name, longest=250)
     name = name if len(name) <= _LONGEST_NAME else f"…{name[1 - _LONGEST_NAME :]}"
-    floor, desired = f"{topic.min_rate_hz:.4g}", f"{topic.desired_rate_hz:.4g}"
+    floor, desired = format_number(topic.min_rate_hz), format_number(topic.desired_rate_hz)
     rates = desired if floor == desired else f"{floor} to {desired}"
-    return f"{name}  {rates} Hz, weight {topic.weight:g}"
+    return f"{name}  {rates} Hz, weight {format_number(topic.weight)}"
 
 
 def _rate_limits(topics: Sequence[Topic]) -> tuple[float, float]:
-    """Show every floor and every wish; a rate far below any floor is as good as paused (Hz)."""
-    wishes = [topic.desired_rate_hz or _UNKNOWN_HZ for topic in topics]
-    lows = [topic.min_rate_hz or wish / 10 for topic, wish in zip(topics, wishes, strict=True)]
-    return min(lows) / 2.5, max(wishes) * 1.6
+    """Return limits that show every floor and every desired rate; a rate far below any floor is nearly a pause (Hz)."""
+    highs = [topic.desired_rate_hz or _UNKNOWN_HZ for topic in topics]
+    lows = [topic.min_rate_hz or high / 10 for topic, high in zip(topics, highs, strict=True)]
+    return min(lows) / 2.5, max(highs) * 1.6
 
 
 def _decorate(upper: Any, lower: Any, capacities: Sequence[float]) -> None:

@@ -1,4 +1,4 @@
-"""A terminal's whole screen: drawn on, resized, suspended, and given back as it was."""
+"""A terminal's whole screen: taken over, drawn on, resized, suspended and restored."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _QUIT_KEYS = b"qQ\x03"
 
 
 class Terminal:
-    """The process's terminal, taken over as a context manager.
+    """The process's terminal as a context manager that takes it over and restores it.
 
-    Signals and other threads only wake the one that waits; whatever has to be done is done there.
+    Signals and other threads only wake the thread in `wait`, which does all the work.
     """
 
     def __init__(self) -> None:
@@ -54,9 +54,9 @@ class Terminal:
         self._stack.close()
 
     def size(self) -> tuple[int, int]:
-        """Return columns and lines, at this moment."""
+        """Return columns and lines at this moment."""
         columns, lines = os.get_terminal_size(sys.stdout.fileno())
-        return columns or 80, lines or 24  # a serial line does not know
+        return columns or 80, lines or 24  # a serial line has no size
 
     def wake(self) -> None:
         """End a `wait`, from any thread."""
@@ -64,13 +64,13 @@ class Terminal:
             os.write(self._waker, b"\0")
 
     def wait(self, timeout_s: float | None) -> bool:
-        """Wait until there may be something new to draw; whether the user wants it to end."""
+        """Wait until there may be something new to draw; return whether the user wants to end."""
         watched = [self._awake, *([self._keyboard] if self._keyboard >= 0 else [])]
         ready, _, _ = select.select(watched, [], [], timeout_s)
         if self._keyboard in ready:
             keys = os.read(self._keyboard, 64)
             if not keys:
-                self._keyboard = -1  # the keyboard is gone; signals still end it
+                self._keyboard = -1  # the keyboard is gone; signals still end this
             if any(key in _QUIT_KEYS for key in keys):
                 return True
         seen = set(os.read(self._awake, 4096)) if self._awake in ready else set()
@@ -79,7 +79,7 @@ class Terminal:
         return bool(seen & _ENDING)
 
     def draw(self, frame: RenderableType) -> None:
-        """Write a frame over the one before, in one piece."""
+        """Write a frame over the one before, in one write."""
         self._console.size = self.size()
         with self._console.capture() as drawn:
             self._console.print(Control.home(), Screen(frame), end="")
@@ -103,7 +103,7 @@ class Terminal:
             termios.tcsetattr(self._keyboard, termios.TCSANOW, self._modes)
 
     def _suspend(self) -> None:
-        """Stop as the shell asks, with the terminal as it was, and go on when it says so."""
+        """Restore the terminal and stop, as the shell asks; take the terminal again when the shell continues us."""
         self._give_back()
         ours = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)

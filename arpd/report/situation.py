@@ -140,7 +140,7 @@ class Situation:
     ----------
     conditions : of link and plan, at least one, the most important first
     faults : of ticks, configuration and publishers, the worst first
-    slowed : topics that the link keeps below what their sources publish, the most slowed first
+    slowed : topics that the link keeps below their sources' rates, the most slowed first
     """
 
     conditions: tuple[Finding, ...]
@@ -239,7 +239,8 @@ def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]
     if snapshot.config_error:
         yield reload_refused(snapshot)
     if (waited_s := _unconfirmed_s(snapshot)) > UNCONFIRMED_AFTER_S:
-        yield Finding(Condition.UNCONFIRMED, f"{who_confirmed(snapshot)} after {format_duration(waited_s)}")
+        # In whole seconds: the status line goes to systemd whenever it changes.
+        yield Finding(Condition.UNCONFIRMED, f"{who_confirmed(snapshot)} after {format_duration(waited_s // 1)}")
     if keys := snapshot.keys_awaiting_restart:
         why = f"the file's {listed(keys)} {'is' if len(keys) == 1 else 'are'} not in force"
         yield Finding(Condition.RESTART_NEEDED, why)
@@ -267,7 +268,7 @@ def who_confirmed(snapshot: Snapshot) -> str:
 
 
 def _unconfirmed_s(snapshot: Snapshot) -> float:
-    """Return how long publishers or readers have not followed the plan (s); 0 where the decision log does not tell."""
+    """Return for how long publishers or readers do not follow the plan (s); 0 where the decision log does not say."""
     if snapshot.confirmed >= snapshot.managed and snapshot.readers_confirmed >= len(snapshot.reader_plans):
         return 0.0
     began = None
@@ -319,7 +320,7 @@ def interface_fault(snapshot: Snapshot) -> tuple[Condition, str] | None:
 
 
 def status_line(snapshot: Snapshot | None) -> str:
-    """Return one line for ``systemctl status``; what changes with every tick is rounded, so that few lines are sent."""
+    """Return one line for ``systemctl status``; rates are rounded, so that it changes rarely."""
     if snapshot is None:
         return "starting"
     if (other := standing_by(snapshot)) is not None:

@@ -1,4 +1,4 @@
-"""The page in a real browser, of a daemon made by hand: what must hold whatever the robot does."""
+"""The page in a real browser, with a daemon made by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HOSTILE = "/<img src=x onerror=alert(1)>\"'&amp;</script><script>alert(2)</scrip
 
 @dataclass
 class Daemon:
-    """A daemon whose snapshot and clock tests turn."""
+    """A daemon whose snapshot and clock the tests set."""
 
     snapshot: object
     history: History = field(default_factory=History)
@@ -84,7 +84,7 @@ LIVE = "document.body.dataset.freshness === 'live'"
 
 
 def test_the_script_shows_what_the_server_rendered(daemon, browser):
-    """Python and JavaScript fill every place alike, in the same order, and the log has the newest line first."""
+    """Python and JavaScript fill every place alike; the log has the newest line first."""
     with visit(browser, daemon.server.url) as seen:
         seen.wait_for(LIVE)
         expected = fields(render_page(status_document(daemon.snapshot, now_s=FINISHED_AT_S)))
@@ -159,7 +159,7 @@ def test_it_says_when_the_daemon_hangs(daemon, browser):
 
 
 def test_a_daemon_that_starts_comes_alive(daemon, browser):
-    """Before the first tick the page says so, and fills itself when there is one."""
+    """Before the first tick the page says so, and after it fills itself."""
     first, daemon.snapshot = daemon.snapshot, None
     with visit(browser, daemon.server.url) as seen:
         seen.wait_for("document.body.dataset.freshness === 'lost'")
@@ -180,7 +180,7 @@ def test_a_slow_first_answer_is_waited_for(daemon, browser):
 
 
 def test_nobody_asks_while_nobody_looks(daemon, browser):
-    """A hidden page stops polling, and is never loaded anew; shown again it asks at once."""
+    """A hidden page neither polls nor reloads; visible again, it asks at once."""
     with visit(browser, daemon.server.url) as seen:
         seen.wait_for(LIVE)
         hide = """(isHidden) => {
@@ -198,7 +198,7 @@ def test_nobody_asks_while_nobody_looks(daemon, browser):
 
 
 def test_a_screen_reader_hears_changes_and_not_numbers(daemon, browser):
-    """One live region, polite: it speaks when the situation changes, not when a number does."""
+    """The one live region speaks when the headline changes, not when a number does."""
     with visit(browser, daemon.server.url) as seen:
         seen.wait_for("document.querySelector('#announcement').textContent !== ''")
         spoken = seen.page.locator("#announcement").text_content()
@@ -238,7 +238,7 @@ def test_no_width_overflows(daemon, browser, script):
 
 
 def test_without_scripts_it_is_a_summary_that_renews_itself(daemon, browser):
-    """With JavaScript off the page has the verdict, link, topics and log, and loads itself anew."""
+    """Without JavaScript the page has verdict, link, topics and log, and reloads itself."""
     with visit(browser, daemon.server.url, java_script_enabled=False) as seen:
         said = seen.page.locator("body").inner_text()
         assert "The link is overfull" in said
@@ -308,7 +308,7 @@ class _Prefix(BaseHTTPRequestHandler):
 
 
 def test_it_works_under_a_path_of_a_proxy(daemon, browser):
-    """Behind a reverse proxy that serves it under a path, everything is found relative to the page."""
+    """Behind a reverse proxy under a path, the page finds everything relative to itself."""
     handler = type("Handler", (_Prefix,), {"upstream": daemon.server.port})
     proxy = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=proxy.serve_forever, daemon=True).start()
@@ -323,7 +323,7 @@ def test_it_works_under_a_path_of_a_proxy(daemon, browser):
 
 
 def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
-    """With TLS and a user, the browser asks once, and scripts and polling are let in, too."""
+    """With TLS and a user, the browser asks once; scripts and polling are let in, too."""
     make_certificate(tmp_path, "server")
     web = tmp_path / "web.yaml"
     web.write_text(
@@ -342,6 +342,6 @@ def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
 
 
 def test_what_the_server_renders_can_be_read_as_text(daemon):
-    """The rendered page, as a text browser shows it, answers the four questions first."""
+    """As text, the rendered page has the verdict first."""
     text = visible(render_page(status_document(daemon.snapshot)))
     assert text.index("The link is overfull") < text.index("The link now") < text.index("What happened")

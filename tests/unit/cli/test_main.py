@@ -1,4 +1,4 @@
-"""The `arpd` command: what it prints, where, and with which exit code."""
+"""The `arpd` command: its output, its errors and its exit codes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def config(tmp_path):
 
 
 def test_version_is_the_installed_one(run):
-    """`--version` prints what is installed."""
+    """`--version` prints the installed version."""
     assert run("--version") == (0, f"arpd {__version__}\n", "")
 
 
@@ -63,7 +63,7 @@ def test_every_command_teaches_itself(run, command):
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["solve"], ["check", "--yaml"], ["run", "--log-level", "loud"]])
 def test_wrong_usage_exits_2(run, arguments):
-    """What is wrong stands on stderr."""
+    """The fault is on stderr."""
     code, out, err = run(*arguments)
     assert (code, out) == (2, "")
     assert "arpd" in err
@@ -103,7 +103,7 @@ def test_a_bad_configuration_exits_78_with_one_line_per_fault(run, config, text,
 
 
 def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, config):
-    """The real interfaces of this host are asked for."""
+    """The file is checked against the interfaces of this host."""
     path = config("link:\n  interface: nosuch0\n")
     code, out, err = run("check", path)
     assert (code, out) == (78, "")
@@ -113,7 +113,7 @@ def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, 
 
 
 def test_check_says_what_a_file_changes(run, config):
-    """OK comes with the difference from the defaults."""
+    """After OK come the keys that differ from the default."""
     path = config("link: {headroom: 0.5}\ntopics: [{name: /a}]\nrelay: {topics: [{name: /b}, {name: /c}]}")
     code, out, err = run("check", path)
     assert (code, err) == (0, "")
@@ -124,7 +124,7 @@ def test_check_says_what_a_file_changes(run, config):
 
 
 def test_check_speaks_json(run, config):
-    """Settings in force when the file is good, faults when it is not."""
+    """A good file gives its settings, a bad one its faults."""
     path = config("{}")
     code, out, _ = run("check", "--json", path)
     assert code == 0
@@ -170,7 +170,7 @@ def entry_point(monkeypatch):
     ],
 )
 def test_long_running_commands_are_handed_over(run, entry_point, arguments, function, given):
-    """The command line only parses; the exit code is the module's."""
+    """The command line only parses; the module returns the exit code."""
     seen = {}
 
     def record(**keywords):
@@ -191,7 +191,7 @@ def test_long_running_commands_are_handed_over(run, entry_point, arguments, func
     ],
 )
 def test_errors_become_one_line_and_an_exit_code(run, entry_point, error, code, message):
-    """No traceback for what arpd raises on purpose, nor for Ctrl-C."""
+    """Expected errors and Ctrl-C print no traceback."""
 
     def fail(**_keywords):
         raise error
@@ -201,7 +201,7 @@ def test_errors_become_one_line_and_an_exit_code(run, entry_point, error, code, 
 
 
 def test_a_bug_is_not_hidden(run, entry_point):
-    """What arpd does not raise on purpose keeps its traceback."""
+    """An unexpected exception keeps its traceback."""
 
     def fail(**_keywords):
         raise ZeroDivisionError
@@ -226,7 +226,7 @@ def test_a_closed_pipe_is_quiet(config):
 
 
 def test_check_needs_neither_ros_nor_solvers(config):
-    """Checking a file is fast, and works on any computer."""
+    """A check is fast and works on any computer."""
     loaded = "print(sorted({'rclpy', 'osqp', 'cvxpy'} & set(sys.modules)))"
     script = f"import sys; from arpd.cli import main; main.main(); {loaded}"
     ran = subprocess.run(
@@ -241,7 +241,7 @@ TABLE_2 = {100: (7, 365), 200: (15, 390), 500: (40, 405), 1000: (82, 410)}
 @pytest.mark.parametrize(("rmax", "published"), TABLE_2.items())
 @pytest.mark.parametrize("backend", ["exact", "osqp"])
 def test_solve_gives_the_published_table(run, backend, rmax, published):
-    """All rows of Table 2, from either back end."""
+    """Every back end gives all rows of Table 2."""
     code, out, err = run("solve", "--rmax", rmax, "--sensing", 11, "--actuation", 1, "--backend", backend, "--json")
     answer = json.loads(out)
     assert (code, err) == (0, "")
@@ -253,7 +253,7 @@ def test_solve_gives_the_published_table(run, backend, rmax, published):
 
 
 def test_solve_explains_its_answer(run):
-    """A sentence and a small table."""
+    """It prints a sentence and a small table."""
     code, out, err = run("solve", "--rmax", 100, "--sensing", 11, "--actuation", 1, "--backend", "exact")
     assert (code, err) == (0, "")
     assert out.startswith("12 topics share Rmax 100 Hz: publish each at 7 Hz with a history of 365 samples.\n")
@@ -262,7 +262,7 @@ def test_solve_explains_its_answer(run):
 
 
 def test_solve_exits_1_with_the_reason_when_infeasible(run):
-    """The constraint that cannot be met is named, in words and in JSON."""
+    """Text and JSON name the constraint that cannot be met."""
     arguments = ("solve", "--rmax", 100, "--sensing", 80, "--actuation", 1)
     code, out, err = run(*arguments)
     assert (code, out) == (1, "")
@@ -277,14 +277,14 @@ def test_solve_exits_1_with_the_reason_when_infeasible(run):
     [["--rmax", "nan"], ["--rmax", "0"], ["--sensing", "-1"], ["--sensing", "0"], ["--dmin", "9", "--dmax", "3"]],
 )
 def test_solve_refuses_nonsense_as_usage(run, changed):
-    """Numbers that mean nothing exit 2."""
+    """Meaningless numbers exit 2."""
     code, out, err = run("solve", "--rmax", 100, "--sensing", 11, "--actuation", 0, *changed)
     assert (code, out) == (2, "")
     assert err.startswith("arpd: ")
 
 
 def test_solve_names_a_back_end_that_is_not_installed(run, monkeypatch):
-    """A missing library is no traceback."""
+    """A missing library is one line, without a traceback."""
     monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     code, _, err = run("solve", "--rmax", 100, "--sensing", 11, "--actuation", 1, "--backend", "cvxpy")
     assert code == 2
@@ -292,7 +292,7 @@ def test_solve_names_a_back_end_that_is_not_installed(run, monkeypatch):
 
 
 def test_check_reads_the_web_config_too(run, tmp_path):
-    """A web-config beside the configuration is found, and its faults are one line each as the file's own."""
+    """Faults of a web-config beside the file are one line each, like the file's own."""
     path = tmp_path / "arpd.yaml"
     path.write_text("http: {web_config: web.yaml}")
     for text, wrong in (
@@ -308,6 +308,6 @@ def test_check_reads_the_web_config_too(run, tmp_path):
 
 
 def test_commands_in_the_help_are_those_there_are():
-    """The list in this test is complete."""
+    """The list of commands in this test is complete."""
     actions = [a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction)]
     assert tuple(actions[0].choices) == COMMANDS

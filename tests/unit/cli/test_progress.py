@@ -1,4 +1,4 @@
-"""Progress of long work: on a terminal only, and never in the way of what is printed."""
+"""Progress of long work: on a terminal only, and never mixed into the output."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def on_a_terminal():
 
 
 def test_a_pipe_gets_the_data_and_nothing_else():
-    """Neither stream has a word of the progress."""
+    """Neither stream contains progress."""
     done = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("data one\ndata two\nend\n", "")
 
 
 def test_progress_shows_beside_data_in_a_pipe(on_a_terminal):
-    """Stdout stays what it was, though stderr is a terminal."""
+    """Stdout stays unchanged while stderr is a terminal."""
     shown, written = on_a_terminal(WORK, stdout_too=False)
     assert written == "data one\ndata two\nend\n"
     assert "working [bold]" in shown
@@ -70,7 +70,7 @@ def test_progress_shows_beside_data_in_a_pipe(on_a_terminal):
 
 
 def test_data_on_the_same_terminal_is_not_overwritten(on_a_terminal):
-    """Lines stand above the progress, which is gone at the end."""
+    """Printed lines stay above the progress, which vanishes at the end."""
     shown, _ = on_a_terminal(WORK, stdout_too=True)
     assert "data one\r\n" in shown
     assert shown.index("working") < shown.index("data two")

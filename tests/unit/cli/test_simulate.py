@@ -1,4 +1,4 @@
-"""`arpd simulate`: what arpd would have done on a link."""
+"""`arpd simulate`: arpd on a recorded or made-up link."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def refused(simulate):
 
 
 def test_the_table_has_the_three_ways_side_by_side(simulate):
-    """Overall, every topic twice, and what arpd did when."""
+    """The tables have the whole run, every topic twice, and the events."""
     code, out, err = simulate("--trace", "walk.csv", *QUICK)
     assert (code, err) == (0, "")
     assert re.search(r"^link +walk\.csv: 2 Mbit/s to 8 Mbit/s, mean 5\.6 Mbit/s$", out, re.MULTILINE)
@@ -79,7 +79,7 @@ def test_the_table_has_the_three_ways_side_by_side(simulate):
 
 
 def test_the_names_of_figures_stand_above_their_columns(simulate):
-    """Each ends where the column of the oracle ends."""
+    """A title ends where the oracle's column ends."""
     _, out, _ = simulate("--rate", "0:8mbit", *QUICK, config="tiny.yaml")
     lines = out.splitlines()
     for above, titles in pairwise(lines):
@@ -89,7 +89,7 @@ def test_the_names_of_figures_stand_above_their_columns(simulate):
 
 
 def test_the_document_has_everything(simulate):
-    """Summary, topics and course of every way, in JSON that any parser reads."""
+    """JSON has summary, topics and course of every way, in a form that any parser reads."""
     code, out, _ = simulate("--trace", "walk.csv", *QUICK, "--json", "--seed", "3")
     document = json.loads(out, parse_constant=pytest.fail)
     assert code == 0
@@ -108,7 +108,7 @@ def test_the_document_has_everything(simulate):
 
 
 def test_the_same_seed_gives_the_same_document(simulate):
-    """And the seed matters."""
+    """Another seed gives another document."""
     first, again, other = (
         simulate("--rate", "0:3mbit", *QUICK, "--json", "--loss", "0.01", "--seed", seed, config="tiny.yaml")[1]
         for seed in "112"
@@ -117,7 +117,7 @@ def test_the_same_seed_gives_the_same_document(simulate):
 
 
 def test_the_picture_is_a_png(simulate, files):
-    """Beside the table."""
+    """The table is printed, too."""
     pytest.importorskip("matplotlib")
     code, out, _ = simulate("--trace", "walk.csv", *QUICK, "--plot", "walk.png", config="tiny.yaml")
     assert code == 0
@@ -126,7 +126,7 @@ def test_the_picture_is_a_png(simulate, files):
 
 
 def test_a_picture_that_cannot_be_written_is_an_error(simulate):
-    """After the table, which was not in vain."""
+    """The table comes first, so the run was not wasted."""
     pytest.importorskip("matplotlib")
     code, out, err = simulate("--rate", "0:8mbit", *QUICK, "--plot", "nowhere/walk.png", config="tiny.yaml")
     assert code == 1
@@ -138,7 +138,7 @@ def test_a_picture_that_cannot_be_written_is_an_error(simulate):
 
 
 def test_a_configuration_without_traffic_gets_the_demo_robot(simulate):
-    """And the output says so."""
+    """The output says that it is the demo robot."""
     _, out, _ = simulate("--rate", "0:20mbit", *QUICK, config="empty.yaml")
     assert "the demo robot, 12 topics" in out
     assert "no topic in empty.yaml has a payload and a source_rate_hz" in out
@@ -170,7 +170,7 @@ def test_a_topic_may_cross_the_other_way(simulate):
 
 
 def test_the_links_other_properties_reach_the_link(simulate):
-    """Each with the quantities of the configuration."""
+    """Every option takes quantities as the configuration does."""
     link = ("--loss", "0.05", "--delay", "30ms", "--queue", "64kB", "--packet-overhead", "150us", "--aggregate", "4")
     _, out, _ = simulate("--rate", "0:8mbit", *QUICK, "--json", *link, config="tiny.yaml")
     document = json.loads(out)
@@ -186,7 +186,7 @@ def test_the_links_other_properties_reach_the_link(simulate):
 
 
 def test_the_run_is_as_long_as_the_trace(simulate, files):
-    """At least a minute."""
+    """A short trace still gives a minute."""
     (files / "long.csv").write_text("time_s,rate_bit_per_s\n0,3000000\n70,3000000\n")
     for trace, duration_s in (("walk.csv", 60.0), ("long.csv", 70.0)):
         document = json.loads(simulate("--trace", trace, "--json", config="tiny.yaml")[1])
@@ -233,7 +233,7 @@ def test_a_link_that_never_returns_is_shown_as_such(simulate, files):
     ],
 )
 def test_a_wrong_argument_is_named_with_the_right_one(refused, arguments, said):
-    """Exit code 2, one line, before anything is simulated."""
+    """It exits 2 with one line, before any simulation."""
     code, line = refused(*arguments)
     assert code == 2
     assert line.startswith("arpd: --")
@@ -241,7 +241,7 @@ def test_a_wrong_argument_is_named_with_the_right_one(refused, arguments, said):
 
 
 def test_a_broken_trace_is_named_with_its_place(refused, files):
-    """File, line and column."""
+    """The error has file, line and column."""
     (files / "broken.csv").write_text("time_s,rate_bit_per_s\n0,8000000\n5,fast\n")
     code, line = refused("--trace", "broken.csv")
     assert code != 0
@@ -249,14 +249,14 @@ def test_a_broken_trace_is_named_with_its_place(refused, files):
 
 
 def test_a_missing_trace_is_an_error(refused):
-    """In one line."""
+    """The error is one line."""
     code, line = refused("--trace", "none.csv")
     assert code != 0
     assert "none.csv" in line
 
 
 def test_a_broken_configuration_is_reported_as_by_check(refused, files):
-    """Exit code 78, bare line with the place."""
+    """It exits 78 with a line that begins with the place."""
     (files / "broken.yaml").write_text("link: {headrom: 0.9}\n")
     code, line = refused("--rate", "0:8mbit", config="broken.yaml")
     assert code == 78
@@ -265,7 +265,7 @@ def test_a_broken_configuration_is_reported_as_by_check(refused, files):
 
 @pytest.mark.parametrize("arguments", [(), ("--rate", "0:8mbit", "--trace", "walk.csv")])
 def test_exactly_one_link_must_be_given(simulate, arguments, capsys):
-    """A trace or rates."""
+    """The link is a trace or rates, not both."""
     with pytest.raises(SystemExit) as stopped:
         simulate(*arguments)
     assert stopped.value.code == 2
@@ -273,7 +273,7 @@ def test_exactly_one_link_must_be_given(simulate, arguments, capsys):
 
 
 def test_every_example_of_the_help_can_be_parsed(capsys):
-    """The manual does not lie about its options."""
+    """Every option in the examples exists."""
     with pytest.raises(SystemExit):
         cli.main(["simulate", "--help"])
     examples = re.findall(r"^  arpd (simulate .*?)(?:  .*| \|.*)?$", capsys.readouterr().out, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""`arpd solve --config`: what the daemon would plan, offline."""
+"""`arpd solve --config`: the daemon's plan, offline."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def measured(topic="/scan", **fields):
 
 
 def test_the_table_says_what_each_topic_gets_and_what_holds_it_back(solve, config):
-    """Wishes, rate, DEADLINE, DEPTH and the constraints that bind, by name, with a total."""
+    """Each row has desired rate, rate, DEADLINE, DEPTH and what binds them; the last row is the total."""
     assert solve("--config", config(), "--capacity", "2mbit") == (
         0,
         """\
@@ -111,7 +111,7 @@ total of 3                                 55 33.04       85.0             29
 
 
 def test_the_sweep_says_how_the_rates_move(solve, config):
-    """A column per capacity, marks for wish and floor, and in words what gave way where."""
+    """Each capacity has a column with marks for desired rate and floor; sentences say what gave way."""
     assert solve("--config", config(), "--sweep", "50kbit:50mbit", "--points", 4) == (
         0,
         """\
@@ -146,7 +146,7 @@ def test_a_link_that_carries_nothing_pauses_everything(solve, config):
 
 
 def test_json_is_in_base_units(allocation, config):
-    """Every number has its unit in its key; the DEADLINE is the one a publisher would offer, slack included."""
+    """Every key names its unit; the DEADLINE is the one that a publisher offers, slack included."""
     document, topics = allocation("--config", config(), "--capacity", "2mbit")
     assert document["capacity_bytes_per_second"] == 2 * MBIT
     assert document["level_bytes_per_second"] == pytest.approx(0.85 * 2 * MBIT)
@@ -180,7 +180,7 @@ def test_json_is_in_base_units(allocation, config):
 
 
 def test_a_sweeps_json_is_a_list_of_allocations(solve, config):
-    """One per capacity, both ends exactly."""
+    """Each capacity has one, and both ends are exact."""
     code, out, _ = solve("--config", config(), "--sweep", "0.5mbit:54mbit", "--json")
     documents = json.loads(out)
     assert code == 0
@@ -201,7 +201,7 @@ def test_a_sweep_has_equal_ratios_and_exact_ends():
 
 @pytest.mark.parametrize("asked", [("--capacity", "5mbit"), ("--sweep", "10kbit:1gbit", "--points", "20")])
 def test_tables_fit_a_line_of_120_columns(solve, config, asked):
-    """Also with long names, which keep their ends, and with more capacities than fit side by side."""
+    """Long names keep their ends, and capacities that do not fit go below."""
     long = "".join(
         f"  - {{name: /robot/{'very/' * 20}long/camera_{i}, payload: 123456B, source_rate_hz: 1234.5, weight: 12.75}}\n"
         for i in range(2)
@@ -215,14 +215,14 @@ def test_tables_fit_a_line_of_120_columns(solve, config, asked):
 
 
 def test_the_back_end_is_the_files_unless_the_option_says_another(allocation, config):
-    """What the daemon would use."""
+    """Without the option it is the daemon's back end."""
     path = config()
     assert allocation("--config", path, "--capacity", "2mbit")[0]["backend"] == "exact"
     assert allocation("--config", path, "--capacity", "2mbit", "--backend", "osqp")[0]["backend"] == "osqp"
 
 
 def test_headroom_and_overhead_are_the_files(allocation, config):
-    """The program is the one the daemon would run."""
+    """The program is the daemon's."""
     path = config(f"link: {{headroom: 0.5, packet_overhead: 1ms}}\n{SMALL}")
     document, topics = allocation("--config", path, "--capacity", "2mbit")
     assert document["share"] == pytest.approx(0.5)
@@ -230,7 +230,7 @@ def test_headroom_and_overhead_are_the_files(allocation, config):
 
 
 def test_topics_of_which_nothing_is_known_are_left_out_and_named(solve, config):
-    """Entries without both keys, and relayed topics without an entry; the note does not disturb stdout."""
+    """These are entries without both keys and relayed topics without an entry; the note goes to stderr."""
     path = config(f"{SMALL}  - {{name: /odd, payload: 1kB}}\nrelay: {{topics: [{{name: /gps}}]}}\n")
     code, out, err = solve("--config", path, "--capacity", "2mbit")
     assert code == 0
@@ -243,7 +243,7 @@ def test_topics_of_which_nothing_is_known_are_left_out_and_named(solve, config):
 
 
 def test_a_saved_status_says_what_topics_publish(allocation, config, status):
-    """Measured beats assumed, wishes stay the configuration's, and what was not measured is assumed."""
+    """A measurement replaces an assumption; desired rates stay the configuration's."""
     path = status(
         measured("/scan", payload_bytes=500.0, source_rate_hz=40.0),
         measured("/scan", node="/other", payload_bytes=400.0, remote_readers=2),
@@ -262,7 +262,7 @@ def test_a_saved_status_says_what_topics_publish(allocation, config, status):
 
 
 def test_what_the_status_cannot_say_is_assumed_or_left_out(solve, config, status):
-    """A topic without a reader across the link was not measured; neither was one that has not published."""
+    """A topic without a reader across the link, or without a message so far, has no measurement."""
     path = status(
         measured("/scan", direction="local"),
         measured("/quiet", payload_bytes=0.0),
@@ -271,18 +271,18 @@ def test_what_the_status_cannot_say_is_assumed_or_left_out(solve, config, status
     code, out, err = solve("--config", config(), "--status", path, "--capacity", "5mbit", "--json")
     assert code == 0
     assert {row["topic"] for row in json.loads(out)["topics"]} == {"/camera", "/cmd_vel", "/scan"}
-    assert err.startswith(f"arpd: left out: /here, /quiet; {path} has no traffic of theirs across the link, and ")
+    assert err.startswith(f"arpd: left out: /here, /quiet; {path} has no traffic of these topics across the link, and ")
 
 
 def test_the_deadline_is_no_longer_than_a_reader_requests(allocation, config, status):
-    """As in the planner: a longer offer would lose the reader."""
+    """A longer offer would lose the reader."""
     path = status(measured("/scan", requested_deadline_ns=30_000_000))
     _, topics = allocation("--config", config(), "--status", path, "--capacity", "5mbit")
     assert topics["/scan"]["deadline_ns"] == 30_000_000
 
 
 def test_a_real_status_document_is_understood(allocation, config, tmp_path, sample_snapshot):
-    """What the daemon serves is what is read."""
+    """The command reads what the daemon serves."""
     path = tmp_path / "robot.json"
     path.write_text(json.dumps(status_document(sample_snapshot)))
     _, topics = allocation("--config", config("{}"), "--status", path, "--capacity", "5mbit")
@@ -323,7 +323,7 @@ def test_a_real_status_document_is_understood(allocation, config, tmp_path, samp
     ids=range(14),
 )
 def test_a_file_that_is_no_status_exits_1_and_says_how_to_save_one(solve, config, tmp_path, text, wrong):
-    """The file, the place in it, and the command."""
+    """The error names the file, the place in it, and the command."""
     path = tmp_path / "robot.json"
     path.write_text(text, errors="surrogateescape")
     code, out, err = solve("--config", config(), "--status", path, "--capacity", "5mbit")
@@ -333,7 +333,7 @@ def test_a_file_that_is_no_status_exits_1_and_says_how_to_save_one(solve, config
 
 
 def test_a_status_file_that_cannot_be_read_exits_2(solve, config, tmp_path):
-    """It is named, and so is the reason."""
+    """The error has the file and the reason."""
     for path in (tmp_path / "nosuch.json", tmp_path):
         code, out, err = solve("--config", config(), "--status", path, "--capacity", "5mbit")
         assert (code, out) == (2, "")
@@ -342,7 +342,7 @@ def test_a_status_file_that_cannot_be_read_exits_2(solve, config, tmp_path):
 
 
 def test_without_any_topic_it_teaches_what_to_write(solve, config, status):
-    """Exit 78, the file, an example that loads, and the other way."""
+    """It exits 78 with the file, an example that loads, and the other way."""
     path = config("topics: [{name: /a, payload: 1kB}]")
     code, out, err = solve("--config", path, "--capacity", "5mbit")
     assert (code, out) == (78, "")
@@ -357,7 +357,7 @@ def test_without_any_topic_it_teaches_what_to_write(solve, config, status):
 
 
 def test_a_faulty_configuration_exits_78_as_everywhere(solve, config):
-    """The fault has its place."""
+    """The fault has file, line and column."""
     path = config("topics:\n  - {name: /a, payload: 30}\n")
     expected = f"{path}:2:25: topics[0].payload: 30 has no unit; write a size like 64MiB\n"
     assert solve("--config", path, "--capacity", "5mbit") == (78, "", expected)
@@ -395,7 +395,7 @@ def test_what_does_not_fit_together_exits_2_with_what_would(solve, arguments, me
 
 
 def test_a_back_end_that_is_not_installed_exits_2(solve, config, monkeypatch):
-    """Also when it is the file that asks for it."""
+    """The option and the file have the same error."""
     monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     code, _, err = solve("--config", config(SMALL.replace("exact", "cvxpy")), "--capacity", "5mbit")
     assert code == 2
@@ -403,7 +403,7 @@ def test_a_back_end_that_is_not_installed_exits_2(solve, config, monkeypatch):
 
 
 def test_solving_offline_needs_neither_ros_nor_matplotlib(config):
-    """It works on any computer, and starts fast."""
+    """It starts fast and works on any computer."""
     script = (
         "import sys; from arpd.cli.main import main; main(); "
         "print(sorted({'rclpy', 'osqp', 'cvxpy', 'matplotlib', 'psutil'} & set(sys.modules)))"
@@ -425,7 +425,7 @@ def png_size(path):
 
 
 def test_the_plot_is_a_picture_of_the_sweep(solve, tmp_path):
-    """A PNG beside the table, drawn without a display."""
+    """It is a PNG, drawn without a display, and the table is printed."""
     pytest.importorskip("matplotlib")
     path = tmp_path / "sweep.png"
     code, out, err = solve("--config", ROBOT, "--sweep", "0.5mbit:54mbit", "--points", 3, "--plot", path)
@@ -438,7 +438,7 @@ def test_the_plot_is_a_picture_of_the_sweep(solve, tmp_path):
 
 
 def test_the_plot_grows_with_the_topics_and_takes_any_name(solve, config, status, tmp_path):
-    """Many topics stay apart; silent ones and names like formulas do not break it."""
+    """Names of many topics stay apart; silent topics and names like formulas do no harm."""
     pytest.importorskip("matplotlib")
     rows = [measured(f"/t{i}", source_rate_hz=float(i)) for i in range(60)]
     robot = status(*rows, measured("/$x_{$", source_rate_hz=0.0))
@@ -450,7 +450,7 @@ def test_the_plot_grows_with_the_topics_and_takes_any_name(solve, config, status
 
 
 def test_a_plot_that_cannot_be_written_exits_1(solve, config, tmp_path):
-    """The file and the reason."""
+    """The error has the file and the reason."""
     pytest.importorskip("matplotlib")
     path = tmp_path / "nosuch" / "x.png"
     code, _, err = solve("--config", config(), "--sweep", "1mbit:2mbit", "--plot", path)
@@ -458,7 +458,7 @@ def test_a_plot_that_cannot_be_written_exits_1(solve, config, tmp_path):
 
 
 def test_a_missing_matplotlib_is_named_with_its_remedy(solve, config, monkeypatch, tmp_path):
-    """It is an extra; without it nothing is computed in vain."""
+    """The error comes before any computation."""
     monkeypatch.setitem(sys.modules, "arpd.cli.sweep_plot", None)
     code, out, err = solve("--config", config(), "--sweep", "1mbit:2mbit", "--plot", tmp_path / "x.png")
     assert (code, out) == (1, "")
@@ -467,7 +467,7 @@ def test_a_missing_matplotlib_is_named_with_its_remedy(solve, config, monkeypatc
 
 
 def test_at_5_mbit_only_the_large_topics_of_the_demo_robot_yield(allocation):
-    """Lidars, point cloud and camera; everything small keeps its desired rate."""
+    """Lidars, point cloud and camera yield; small topics keep their desired rates."""
     document, topics = allocation("--config", ROBOT, "--capacity", "5mbit")
     assert len(topics) == 12
     assert (document["status"], document["left_out"]) == ("optimal", [])
@@ -475,7 +475,7 @@ def test_at_5_mbit_only_the_large_topics_of_the_demo_robot_yield(allocation):
 
 
 def test_at_half_a_megabit_the_demo_robot_keeps_commands_imu_and_odometry(allocation):
-    """Their floors hold, to the nanosecond of a period; all others give way to the same small part of theirs."""
+    """Their floors hold to the nanosecond of a period; all others keep the same small part of theirs."""
     document, topics = allocation("--config", ROBOT, "--capacity", "0.5mbit")
     kept = {name: row["rate_hz"] / row["min_rate_hz"] for name, row in topics.items()}
     heavy = {"/cmd_vel", "/link/imu", "/link/odom"}
@@ -486,7 +486,7 @@ def test_at_half_a_megabit_the_demo_robot_keeps_commands_imu_and_odometry(alloca
 
 
 def test_the_demo_robots_payloads_are_those_its_nodes_publish():
-    """What the configuration assumes is what rclpy serializes, frame_id included."""
+    """The configuration has the sizes that rclpy serializes, frame_id included."""
     pytest.importorskip("rclpy")
     from geometry_msgs.msg import TwistStamped
     from rclpy.serialization import serialize_message

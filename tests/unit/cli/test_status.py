@@ -34,7 +34,7 @@ def status(capsys, monkeypatch):
 
 
 def test_the_daemon_fits_on_one_screen(status):
-    """Verdict, link, gate, plan, program and every publisher, announced and planned in one cell."""
+    """It has verdict, link, gate, plan, program and every publisher, announced and planned in one cell."""
     answered = document(config_error="arpd.yaml:1:1: x: y; z")
     answered["link"] |= {"loss_ratio": 0.004, "return_delay_seconds": 0.0042}
     answered["topics"][0] |= {
@@ -92,7 +92,7 @@ def test_all_is_well_exits_0(status):
     ids=["not ready", "stuck", "standing by", "no carrier", "outage", "reload refused", "infeasible"],
 )
 def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
-    """On the screen; beside JSON, on stderr."""
+    """The fault is on the screen; with --json it is on stderr."""
     code, out, err = status(answered)
     assert (code, err) == (1, "")
     assert f"\nwrong: {said}" in out
@@ -118,7 +118,7 @@ def test_the_daemons_own_words_are_the_sentences(status):
 
 
 def test_the_demo_robots_status_fits_a_terminal_of_80_by_24():
-    """A dozen topics and an interface that has failed, and nothing scrolls or wraps."""
+    """A dozen topics and a failed interface neither scroll nor wrap."""
     answered = calm(publishers=demo_robot(), interface_state=InterfaceState.NO_CARRIER)
     answered["plan"] |= {"reason": "", "refusals": []}
     answered["events"] = [event(number, "link fell to 4.8 Mbit/s: " + "/a 30 → 2 Hz, " * 9) for number in range(50)]
@@ -142,7 +142,7 @@ def test_readers_that_no_plan_touches_are_counted(status):
 
 
 def test_a_pipe_gets_whole_names_and_five_events(status):
-    """Nothing is cut where something else reads."""
+    """A pipe gets everything uncut."""
     name = "/a" * 60
     answered = calm()
     answered["topics"][0]["topic"] = name
@@ -153,20 +153,20 @@ def test_a_pipe_gets_whole_names_and_five_events(status):
 
 
 def test_columns_in_the_environment_give_a_pipe_a_width(status, monkeypatch):
-    """As `watch` sets it."""
+    """`watch` sets it."""
     monkeypatch.setenv("COLUMNS", "60")
     out = status(calm(publishers=demo_robot()))[1]
     assert max(map(len, out.splitlines())) <= 60
 
 
 def test_json_is_the_daemons_own(status):
-    """What it sent is what is printed."""
+    """The output is the document as the daemon sent it."""
     code, out, _ = status(calm(), "--json")
     assert (code, json.loads(out)) == (0, calm())
 
 
 def test_it_says_how_to_begin_when_nothing_is_managed(status):
-    """An empty table teaches."""
+    """A sentence stands in place of the table."""
     assert "no publisher has announced itself" in status(calm(publishers=()))[1]
 
 
@@ -235,7 +235,7 @@ HOSTILE = ("\x1b[2J", "\r\n\x07", "\u202e", "\x9b31m", "\ud800", "A" * 5000, "\u
 
 
 def leaves(document, path=()):
-    """List the way to every value of a document."""
+    """Return the path to every value of a document."""
     items = document.items() if isinstance(document, dict) else enumerate(document)
     for key, value in items:
         yield (*path, key)
@@ -293,7 +293,7 @@ def test_whatever_answers_neither_breaks_the_screen_nor_steers_the_terminal(answ
 
 
 def test_a_terminal_without_unicode_gets_question_marks(monkeypatch):
-    """A character set without arrows is no traceback."""
+    """A character set without arrows causes no traceback."""
     import io
     import sys
 
@@ -307,14 +307,14 @@ def test_a_terminal_without_unicode_gets_question_marks(monkeypatch):
 
 @pytest.mark.parametrize("body", ['{"api_version": "v1", "ready": false}', json.dumps(calm(is_ready=False))])
 def test_it_exits_1_while_the_daemon_is_not_ready(status, body):
-    """A daemon that answers but does not govern is a failure, and says so even without a screen."""
+    """A daemon that answers but does not govern is a failure, also without a screen."""
     code, out, err = status(body, code=503)
     assert code == 1
     assert "Not ready" in out + err
 
 
 def test_it_exits_1_when_it_cannot_read_the_document(status):
-    """Another version's document is no traceback."""
+    """A document of another version is one line of error."""
     code, _, err = status('{"api_version": "v9", "ready": true, "link": {}}')
     assert code == 1
     assert "another version" in err
@@ -322,14 +322,14 @@ def test_it_exits_1_when_it_cannot_read_the_document(status):
 
 @pytest.mark.parametrize(("body", "code"), [("<html>", 200), ("[]", 200), ("{}", 404), ("503 busy\n", 503)])
 def test_it_exits_3_when_something_else_answers(status, body, code):
-    """Only arpd's own document counts."""
+    """Only arpd's own document counts as an answer."""
     ended, out, err = status(body, code=code)
     assert (ended, out) == (3, "")
     assert "is not arpd" in err
 
 
 def test_it_exits_3_when_nothing_answers(capsys, monkeypatch):
-    """As `systemctl status` does; the message says what to look at, and a proxy in the environment does not matter."""
+    """The message says where to look; a proxy in the environment does not matter."""
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with serving("{}") as url:
         pass
@@ -343,7 +343,7 @@ def test_it_exits_3_when_nothing_answers(capsys, monkeypatch):
 @pytest.mark.parametrize("url", ["localhost:9464", "file:///etc/passwd", "http://[::1", "http://a b/"])
 @pytest.mark.parametrize("command", ["status", "top"])
 def test_what_is_no_http_address_is_refused(capsys, command, url):
-    """Only HTTP is spoken, and nothing is guessed."""
+    """Only http:// and https:// are accepted."""
     assert cli.main([command, "--url", url, *(["--once"] if command == "top" else [])]) in {2, 3, 69}
     err = capsys.readouterr().err
     assert err.startswith("arpd: ")

@@ -63,7 +63,7 @@ def busy():
 
 
 def test_a_frame_answers_the_four_questions():
-    """The verdict first, the link with its ten minutes, the plan with its reason, topics, and what was decided."""
+    """It has the verdict, the link's ten minutes, the plan and its reason, the topics, and the last decisions."""
     lines = drawn(busy(), url="http://robot:9464")
     text = "\n".join(lines)
     assert lines[0].startswith(" arpd 1.2.3 on wlan0, http://robot:9464")
@@ -82,7 +82,7 @@ def test_a_frame_answers_the_four_questions():
 @pytest.mark.parametrize("width", [60, 80, 132, 250])
 @pytest.mark.parametrize("height", [10, 24, 60])
 def test_a_frame_fits_its_terminal(width, height):
-    """Never a line too many or too long, and the verdict is always there."""
+    """No line is too many or too long, and the verdict is always there."""
     lines = drawn(busy(), width=width, height=height)
     assert len(lines) <= height
     assert max(map(len, lines)) <= width
@@ -90,7 +90,7 @@ def test_a_frame_fits_its_terminal(width, height):
 
 
 def test_topics_that_do_not_fit_are_summed_up():
-    """Their number, and the number of those that the link slows."""
+    """The last line has their number, and the number of those that the link slows."""
     lines = drawn(busy(), width=80, height=18)
     shown = [line for line in lines if line.startswith(("/", "…")) and "more" not in line]
     assert f"… and {12 - len(shown)} more" in "\n".join(lines)
@@ -101,21 +101,21 @@ def test_topics_that_do_not_fit_are_summed_up():
 
 
 def test_a_daemon_without_history_has_no_sparklines():
-    """What an older daemon keeps for itself is left out."""
+    """An older daemon without history has numbers only."""
     text = "\n".join(drawn(busy(), None))
     assert not set(BLOCKS) & set(text)
     assert "queue    120 ms" in text
 
 
 def test_a_silent_daemon_is_said_to_be_silent():
-    """For how long, and from when the rest is."""
+    """The frame says for how long, and from when its contents are."""
     lines = drawn(busy(), why_silent="no daemon answers", silent_s=12.4)
     at = time.strftime("%H:%M:%S", time.localtime(1e9))
     assert lines[1] == f"no answer for 12 s, this is from {at}: no daemon answers"
 
 
 def test_a_daemon_before_its_first_tick_has_a_frame():
-    """It answers, and that is all there is."""
+    """The frame says that it is not ready."""
     assert "Not ready" in drawn({"api_version": "v1", "ready": False})[1]
 
 
@@ -146,7 +146,7 @@ def test_whatever_answers_neither_breaks_a_frame_nor_steers_the_terminal(answere
     ],
 )
 def test_a_sparkline_keeps_the_worst_of_what_shares_a_column(samples, columns, shown):
-    """A queue of one second in ten minutes shows."""
+    """A queue of one second in ten minutes is visible."""
     assert sparkline(samples, columns, pick=max) == shown
 
 
@@ -162,7 +162,7 @@ def daemon():
 
 
 def test_once_prints_a_frame_into_a_pipe(daemon):
-    """No control codes, all topics, exit 0."""
+    """The frame has all topics and no control codes."""
     environment = {name: value for name, value in os.environ.items() if name not in {"COLUMNS", "LINES", "FORCE_COLOR"}}
     done = subprocess.run(
         [sys.executable, "-m", "arpd.cli", "top", "--once", "--url", daemon[0]],
@@ -184,7 +184,7 @@ def test_a_daemon_that_keeps_no_history_is_watched_too(capsys):
 
 
 def test_top_exits_69_when_nothing_answers_at_the_start(capsys, top):
-    """With the error that status has, and the terminal untouched."""
+    """The error is that of status, and the terminal stays as it was."""
     with serving("{}") as url:
         pass
     screen = top(url)
@@ -196,14 +196,14 @@ def test_top_exits_69_when_nothing_answers_at_the_start(capsys, top):
 
 @pytest.mark.parametrize("interval", ["0", "nan", "1e9"])
 def test_an_interval_out_of_range_exits_2(capsys, interval):
-    """It is neither a flood nor a standstill."""
+    """The error has the least and the highest value."""
     assert cli.main(["top", "--interval", interval]) == 2
     assert f"--interval {float(interval):g} is out of range; write 0.2 to 3600" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("is_terminal", "kind"), [(False, "xterm"), (True, "dumb")])
 def test_live_needs_a_terminal_that_can_be_drawn_on(capsys, monkeypatch, is_terminal, kind):
-    """A pipe, and a terminal without a cursor to move, are told the way out."""
+    """For a pipe or a dumb terminal the error names --once."""
     monkeypatch.setattr(sys.stdout, "isatty", lambda: is_terminal)
     monkeypatch.setenv("TERM", kind)
     assert cli.main(["top"]) == 2
@@ -288,7 +288,7 @@ def test_top_gives_the_terminal_back(top, daemon, end):
 
 
 def test_top_follows_the_daemon_and_the_size_of_the_terminal(top, daemon):
-    """News and a new size are drawn without being asked for."""
+    """It draws news and a new size by itself."""
     url, answers = daemon
     screen = top(url, "--interval", "0.2")
     screen.await_text("event 29")

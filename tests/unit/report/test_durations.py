@@ -1,4 +1,4 @@
-"""What the daemon times: every duration once, in its bucket, and a snapshot's never change."""
+"""Durations: each counts once, in its bucket, and those of a snapshot never change."""
 
 import pytest
 from hypothesis import given
@@ -13,7 +13,7 @@ BOUNDS = (0.01, 0.1, 1.0)
 
 @given(st.lists(st.lists(st.floats(0.0, 10.0) | st.sampled_from(BOUNDS))))
 def test_every_duration_counts_once(batches):
-    """Up to each bound stand all durations that are no longer, and all of them up to the infinite one."""
+    """A bound counts all durations up to it, and the infinite one counts all."""
     empty = filled = Distribution.over(*BOUNDS)
     for batch in batches:
         filled = filled.including(batch)
@@ -27,7 +27,7 @@ def test_every_duration_counts_once(batches):
 
 @pytest.mark.parametrize("bounds", [(), (1.0, 0.5), (1.0, 1.0)])
 def test_bounds_ascend(bounds):
-    """Bounds in any other order are refused at birth."""
+    """The constructor refuses bounds in another order."""
     with pytest.raises(ValueError, match="do not ascend"):
         Distribution.over(*bounds)
 
@@ -41,7 +41,7 @@ def seen(last_swap, topic="/a"):
 
 
 def test_a_swap_counts_when_it_has_finished_and_once():
-    """However often a publisher announces its last swap; a phase that was not entered has no duration."""
+    """Repeated announcements do not count again; a phase that was not entered has no duration."""
     watch = SwapWatch()
     assert watch.look([seen(None)]) == {}
     assert watch.look([seen(swap(1, matching=3.0, watching=0.2, holding=0.0))]) == {
@@ -54,7 +54,7 @@ def test_a_swap_counts_when_it_has_finished_and_once():
 
 
 def test_draining_counts_when_the_old_writer_is_gone():
-    """It ends after the swap's record was made: the time of all swaps tells, each time it grows."""
+    """It ends after the record of the swap, so the growth of the total counts."""
 
     def drained(seconds, number=1):
         return publisher(
@@ -71,14 +71,14 @@ def test_draining_counts_when_the_old_writer_is_gone():
 
 
 def test_what_was_there_before_the_daemon_is_not_counted():
-    """A swap that a publisher announces when it is first seen may have finished under a daemon before this one."""
+    """A swap in a publisher's first announcement may have finished under an earlier daemon."""
     watch = SwapWatch()
     assert watch.look([seen(swap(7, matching=3.0))]) == {}
     assert watch.look([seen(swap(8, matching=3.5))]) == {"matching": [3.5]}
 
 
 def test_a_publisher_that_restarts_counts_from_its_first_swap_on():
-    """Its numbers start anew, whether it was seen without a swap in between or not."""
+    """Its numbers restart, with or without an announcement in between."""
     watch = SwapWatch()
     watch.look([seen(swap(7, matching=3.0))])
     assert watch.look([seen(swap(1, matching=3.1))]) == {"matching": [3.1]}
@@ -87,7 +87,7 @@ def test_a_publisher_that_restarts_counts_from_its_first_swap_on():
 
 
 def test_a_publisher_that_was_gone_is_first_seen_again():
-    """What happened meanwhile has no known time and is not counted; nothing is remembered of who is gone."""
+    """Swaps in between have no known time and do not count; a publisher that is gone is forgotten."""
     watch = SwapWatch()
     watch.look([seen(swap(1, matching=3.0))])
     watch.look([])
@@ -97,7 +97,7 @@ def test_a_publisher_that_was_gone_is_first_seen_again():
 
 
 def test_durations_of_a_snapshot_never_change():
-    """A tick makes a new value; the one before keeps what it had."""
+    """A tick makes a new value; the old value stays."""
     before = Durations()
     after = before.with_lateness(0.06).with_tick(0.004, solve_s=0.0004, phases={"matching": [3.0, 3.1]})
     assert (before.ticks.up_to[-1][1], after.ticks.up_to[-1][1]) == (0, 1)

@@ -1,4 +1,4 @@
-"""The last ten minutes: sampled once a second, bounded, and never half a sample."""
+"""The last ten minutes: one sample a second, bounded, and never half a sample."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def named(count, *, first=0, **fields):
 
 
 def test_ticks_ten_times_a_second_give_one_sample_a_second(sample_snapshot):
-    """However ticks fall, samples are about a second apart, and none is taken twice after a pause."""
+    """At any rhythm of ticks samples are about a second apart, and a pause causes no double sample."""
     history = History()
     for tick in range(100):
         history.note(at(sample_snapshot, 5.0 + tick * 0.1003))
@@ -43,7 +43,7 @@ def test_ticks_ten_times_a_second_give_one_sample_a_second(sample_snapshot):
 
 
 def test_the_span_is_bounded(sample_snapshot):
-    """After ten minutes the oldest sample goes for each that comes."""
+    """After ten minutes each new sample replaces the oldest."""
     history = History()
     for second in range(700):
         history.note(at(sample_snapshot, float(second)))
@@ -70,7 +70,7 @@ def test_a_sample_holds_what_the_snapshot_said(sample_snapshot):
 
 
 def test_publishers_come_and_go(sample_snapshot):
-    """Before it came and after it left a publisher has nulls; a span after it left it is gone."""
+    """A publisher has nulls before it came and after it left; a span later it is gone."""
     history = History()
     early, late = named(1), named(1, first=1)
     history.note(at(sample_snapshot, 0.0, publishers=early))
@@ -85,7 +85,7 @@ def test_publishers_come_and_go(sample_snapshot):
 
 
 def test_two_nodes_on_one_topic_have_a_column_each(sample_snapshot):
-    """Identity is topic and node."""
+    """Topic and node together identify a publisher."""
     history = History()
     both = (publisher("/a", "/tf", source_rate_hz=5.0), publisher("/b", "/tf", source_rate_hz=7.0))
     history.note(at(sample_snapshot, 0.0, publishers=both))
@@ -93,7 +93,7 @@ def test_two_nodes_on_one_topic_have_a_column_each(sample_snapshot):
 
 
 def test_a_thousand_topics_take_the_room_of_two_hundred(sample_snapshot):
-    """Planned ones come first, the others are counted, and the memory is bounded."""
+    """Planned topics come first, the others are only counted, and the memory is bounded."""
     crowd = (*sample_snapshot.observation.publishers, *named(996))
     history = History()
     tracemalloc.start()
@@ -148,7 +148,7 @@ def test_readers_never_see_half_a_sample(sample_snapshot):
 
 
 def test_the_bytes_are_the_document(sample_snapshot):
-    """What is written topic by topic reads back as the document, empty or not."""
+    """The JSON written topic by topic reads back as the document, also when empty."""
     history = History()
     for _ in range(3):
         assert json.loads(history_json(history.samples, ())) == history_document(history.samples, ())

@@ -36,7 +36,7 @@ from tests.visible import visible
 
 @dataclass
 class World:
-    """What the tests turn: the snapshot, readiness and the clock."""
+    """Snapshot, readiness and clock, as a test sets them."""
 
     snapshot: object = None
     is_ready: bool = True
@@ -163,7 +163,7 @@ def test_a_radio_and_a_queue_that_tell_have_a_series_and_others_have_none(sample
 
 
 def test_every_peer_shows_with_the_age_of_its_last_report(sample_snapshot):
-    """Each peer heard lately has a series and a line in the document; without any, the count says so."""
+    """Each live peer has a series and a line in the document; without any, the count is 0."""
     assert value(sample_snapshot, "arpd_peers") == 2
     assert value(sample_snapshot, "arpd_peer_report_age_seconds", peer="edge-c001") == 12.5
     assert status_document(sample_snapshot)["peers"] == [
@@ -187,7 +187,7 @@ def test_exactly_one_state_of_every_set_holds(sample_snapshot):
 
 
 def test_what_is_not_known_of_the_link_has_no_series(sample_snapshot):
-    """Loss and the way back are absent while nobody tells; zero would say that all is well."""
+    """Loss and return delay are absent while nobody measures them; zero would say that all is well."""
     names = ("arpd_link_loss_ratio", "arpd_link_return_delay_seconds")
     assert [value(sample_snapshot, name) for name in names] == [0.015625, 0.0078125]
     unknown = replace(sample_snapshot.link, loss_ratio=None, return_delay_s=None)
@@ -195,7 +195,7 @@ def test_what_is_not_known_of_the_link_has_no_series(sample_snapshot):
 
 
 def test_attempts_and_failures_have_counters_of_their_own(sample_snapshot):
-    """Attempts hold the failures; what can fail and has not starts at zero."""
+    """Attempts include failures; a failure that never happened counts zero."""
     read = partial(value, sample_snapshot)
     assert (read("arpd_ticks_total"), read("arpd_tick_failures_total")) == (9001, 1)
     assert (read("arpd_config_reloads_total"), read("arpd_config_reload_failures_total")) == (3, 1)
@@ -261,7 +261,7 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
 
 
 def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
-    """Metric, status and page count refusals by reason, and say of which publishers only the rate is governed."""
+    """Metric, status and page count refusals by reason, and name publishers that arpd only paces."""
     publishers = tuple(
         replace(p, refusal="it is TRANSIENT_LOCAL", refusal_reason=RefusalReason.TRANSIENT_LOCAL)
         if p.topic == "/imu"
@@ -281,7 +281,7 @@ def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
 
 
 def test_readers_show_beside_publishers(sample_snapshot):
-    """Metric, status, page and terminal list readers: planned, announced, and why one is left alone."""
+    """Metric, status, page and terminal list readers: planned, announced, and refusing."""
     labels = {"topic": "/camera/image", "node": "/planner"}
     assert value(sample_snapshot, "arpd_readers_managed") == 1
     assert value(sample_snapshot, "arpd_reader_deadline_seconds", **labels) == 0.15
@@ -297,7 +297,7 @@ def test_readers_show_beside_publishers(sample_snapshot):
 
 
 def test_the_lease_shows(sample_snapshot):
-    """How long a plan outlives its daemon is a metric, and on the page; for good is +Inf."""
+    """The time that a plan outlives its daemon is a metric, and on the page; forever is +Inf."""
     assert value(sample_snapshot, "arpd_lease_seconds") == math.inf
     leased = replace(sample_snapshot, lease_s=30.0)
     assert value(leased, "arpd_lease_seconds") == 30.0
@@ -305,7 +305,7 @@ def test_the_lease_shows(sample_snapshot):
 
 
 def test_cross_traffic_shows_wherever_the_capacity_does(sample_snapshot):
-    """Metric, status, page and terminal say what is not arpd's, and what that leaves."""
+    """Metric, status, page and terminal have the cross traffic and what it leaves."""
     assert value(sample_snapshot, "arpd_link_foreign_bytes_per_second") == 62_500.0
     document = status_document(sample_snapshot, now_s=1000.25)
     assert document["link"]["foreign_bytes_per_second"] == 62_500.0
@@ -362,7 +362,7 @@ def test_ready_needs_a_daemon_that_governs(world):
 
 @pytest.mark.parametrize("has_snapshot", [False, True])
 def test_a_hung_tick_is_unhealthy(world, has_snapshot):
-    """When no tick finished for the limit, health fails and says since when."""
+    """When no tick has finished within the limit, health fails with the time."""
     if not has_snapshot:
         world.snapshot = None
     world.now_s += HEALTHY_S
@@ -372,7 +372,7 @@ def test_a_hung_tick_is_unhealthy(world, has_snapshot):
 
 
 def test_the_page_escapes_what_others_named(world):
-    """Names and reasons from the network cannot become markup, and nothing inline could run if they did."""
+    """Names and reasons from the network never become markup, and the policy forbids inline scripts."""
     first, *others = world.snapshot.observation.publishers
     evil = replace(first, node="/<script>alert(1)</script>", refusal='"><img src=x>')
     world.snapshot = replace(observe(world.snapshot, publishers=(evil, *others)), config_error="<b>bad</b>")
@@ -394,7 +394,7 @@ def test_head_gives_headers_only(world):
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "/../etc/passwd", "/metrics/", "/<script>"])
 def test_an_unknown_path_is_a_bare_404(world, path):
-    """Nothing else is there, and the answer repeats nothing of the request."""
+    """The answer repeats nothing of the request."""
     answer = world.get(path)
     assert (answer.status, answer.text) == (404, "404 Not Found\n")
     assert answer.headers["Server"] == "arpd"
@@ -402,7 +402,7 @@ def test_an_unknown_path_is_a_bare_404(world, path):
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "BREW"])
 def test_other_methods_are_not_allowed(world, method):
-    """Only GET and HEAD exist."""
+    """Only GET and HEAD are allowed."""
     answer = world.get("/metrics", method=method)
     assert (answer.status, answer.headers["Allow"]) == (405, "GET, HEAD")
     assert answer.text == "405 Method Not Allowed\n"
@@ -431,7 +431,7 @@ def test_a_fault_while_answering_leaks_nothing_and_is_logged(sample_snapshot, ca
 
 
 def test_idle_connections_give_way_to_newcomers(world):
-    """Whoever connects and says nothing loses the place to the next; threads stay bounded."""
+    """An idle connection loses its place to the next one; threads stay bounded."""
     threads = threading.active_count()
     address = ("127.0.0.1", world.server.port)
     idle = [socket.create_connection(address, timeout=5.0) for _ in range(40)]
@@ -445,7 +445,7 @@ def test_idle_connections_give_way_to_newcomers(world):
 
 
 def test_a_taken_port_is_named_with_the_way_out(world):
-    """Listening where somebody else does fails with the address and the keys to change."""
+    """A taken port fails with the address and the keys to change."""
     second = HttpServer("127.0.0.1", world.server.port, snapshot=lambda: None, registry=CollectorRegistry())
     with pytest.raises(
         HttpAddressError, match=rf"127\.0\.0\.1:{world.server.port}: Address already in use.*http\.port"
@@ -455,7 +455,7 @@ def test_a_taken_port_is_named_with_the_way_out(world):
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
 def test_an_address_of_another_machine_is_refused_clearly(host):
-    """A host that is not this machine's gives our error, not the library's."""
+    """A host of another machine gives our error, not the library's."""
     server = HttpServer(host, 0, snapshot=lambda: None, registry=CollectorRegistry())
     with pytest.raises(HttpAddressError, match=r"http\.host"):
         server.start()
@@ -471,7 +471,7 @@ def test_a_stopped_server_does_not_answer(sample_snapshot):
 
 
 class _Late:
-    """Register without being asked to collect: a broken collector must be found by a scrape only."""
+    """Register without collecting: only a scrape may find a broken collector."""
 
     def __init__(self, inner):
         self._inner = inner

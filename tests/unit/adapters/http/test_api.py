@@ -1,4 +1,4 @@
-"""The API's documents against their schemas, and against what v1 promised before."""
+"""The API's documents against their schemas, and against the keys of earlier versions."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def simulated():
 
 @pytest.fixture
 def documents(sample_snapshot, simulated):
-    """Documents of every kind of daemon, by name: (status, history)."""
+    """Return documents of every kind of daemon, by name: (status, history)."""
     history = History()
     history.note(sample_snapshot)
     told = replace(sample_snapshot, events=(EVENT,))
@@ -83,7 +83,7 @@ def strict(schema):
 
 
 def described(schema, path=""):
-    """Every key that the schema describes, as a path, with its description."""
+    """Yield every key that the schema describes, as a path, with its part of the schema."""
     for key, inner in schema.get("properties", {}).items():
         yield f"{path}{key}", inner
         yield from described(inner, f"{path}{key}.")
@@ -106,7 +106,7 @@ def test_documents_fit_their_schema_and_hold_nothing_else(documents, kind, name)
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_key_says_what_it_means(name):
-    """The schemas are schemas, and each key of theirs has a description."""
+    """The schemas are valid, and each key has a description."""
     Draft202012Validator.check_schema(SCHEMAS[name])
     assert not [
         path for path, inner in described(SCHEMAS[name]) if not inner.get("description", "").endswith((".", ")"))
@@ -114,7 +114,7 @@ def test_every_key_says_what_it_means(name):
 
 
 def test_no_key_of_v1_disappears():
-    """Every key v1 ever had is still described and required; new ones are added to the list, and none is removed."""
+    """Every key that v1 ever had is described and required; the list only grows."""
     now = {f"{name}.{path}" for name, schema in SCHEMAS.items() for path, _ in described(schema)}
     assert now == set(KEYS.read_text().split())
     for name, schema in SCHEMAS.items():
@@ -124,7 +124,7 @@ def test_no_key_of_v1_disappears():
 
 
 def test_the_simulated_run_has_a_past(documents):
-    """The history of a run tells the drop, and as many values as times in every column."""
+    """The history of a run has the drop, and as many values as times in every column."""
     document = json.loads(documents["simulated"][1])
     capacity = document["link"]["capacity_bytes_per_second"]
     assert len(document["times"]) >= 11
@@ -137,5 +137,5 @@ def test_the_simulated_run_has_a_past(documents):
 
 
 def test_the_schemas_are_served():
-    """What the tests hold is what is served."""
+    """The served schemas are those of the tests."""
     assert set(SCHEMAS_BY_PATH) <= PATHS

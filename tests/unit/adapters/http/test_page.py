@@ -31,7 +31,7 @@ VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
 
 @pytest.fixture
 def get(sample_snapshot):
-    """Return what the server answers to a path, under a header or two."""
+    """Return a function that asks the server for a path."""
     history = History()
     for second in range(30):
         history.note(replace(sample_snapshot, finished_at_s=float(second)))
@@ -78,7 +78,7 @@ def test_everything_the_page_names_is_served_and_kept(get):
 
 
 def test_the_page_names_nobody_else():
-    """No address of another host stands in the page, its styles or our scripts, and nothing is inline."""
+    """Page, styles and scripts contain no address of another host, and nothing inline."""
     ours = [WEB / "page.html", *(WEB / "assets").glob("*.*")]
     for path in ours:
         text = path.read_text()
@@ -88,7 +88,7 @@ def test_the_page_names_nobody_else():
 
 
 def test_the_path_of_the_assets_follows_their_content(tmp_path, monkeypatch):
-    """A changed script has another path, so that no browser runs the old one; the same content has the same."""
+    """A changed script has another path, so no browser runs the old one."""
     (tmp_path / "assets").mkdir()
     script = tmp_path / "assets" / "page.js"
     script.write_text("one")
@@ -126,7 +126,7 @@ def test_paths_in_metrics_stay_few():
     ],
 )
 def test_gzip_is_for_those_who_take_it(header, takes):
-    """Only a client that names gzip, and not to refuse it, gets it."""
+    """Only a client that accepts gzip gets it."""
     raw = iter([f"GET / HTTP/1.1\r\nHost: x\r\nAccept-Encoding: {header}\r\n\r\n".encode()])
     assert read_request(lambda _most: next(raw)).takes_gzip is takes
 
@@ -158,7 +158,7 @@ def test_every_place_has_a_value_and_a_format(sample_snapshot):
 
 
 def test_before_the_first_tick_the_page_says_so():
-    """Without a document the page stands, with dashes where values will be."""
+    """Without a document the page has dashes in place of values."""
     page = render_page(None)
     assert "Starting: no tick has finished yet" in visible(page)
     assert set(fields(page)["gate|percent"]) == {"–"}
@@ -198,7 +198,7 @@ def test_markup_from_the_network_is_escaped(sample_snapshot):
     ],
 )
 def test_values_are_written_for_a_reader(form, value, said):
-    """Three digits without exponents, units, and words for what JSON says as null."""
+    """Values have three digits, units and no exponents; null is a word."""
     assert FORMATS[form](value) == said
 
 
