@@ -31,10 +31,9 @@ def aligned(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
     return lines
 
 
-def short_name(name: str) -> str:
+def short_name(name: str, *, longest: int = _LONGEST_NAME) -> str:
     """Cut the front off a long name; its end tells topics apart."""
-    shown = printable(name, longest=250)
-    return shown if len(shown) <= _LONGEST_NAME else f"…{shown[1 - _LONGEST_NAME :]}"
+    return from_end(printable(name, longest=250), longest)
 
 
 def fitted(rows: Sequence[Sequence[str]], *, ranks: Sequence[int], width: int) -> list[str]:

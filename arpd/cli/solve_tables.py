@@ -99,8 +99,8 @@ def _sweep_block(plans: Sequence[OfflinePlan]) -> list[str]:
     ]
     for same in zip(*(plan.topics for plan in plans), strict=True):
         topic = same[0].topic
-        wishes = (format_number(topic.weight), _four(topic.min_rate_hz), _four(topic.desired_rate_hz))
-        rows.append((short_name(topic.name), *wishes, *map(_sweep_cell, same)))
+        asked = (format_number(topic.weight), _four(topic.min_rate_hz), _four(topic.desired_rate_hz))
+        rows.append((short_name(topic.name), *asked, *map(_sweep_cell, same)))
     rows += [
         foot("link used, %", lambda plan: f"{_percent(plan.link_share)} "),
         foot("bound by", lambda plan: _word(plan.allocation.binding)),

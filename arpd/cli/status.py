@@ -67,19 +67,14 @@ def _status(options: argparse.Namespace) -> int:
 
         # A pipe has no width, unless COLUMNS gives it one.
         width, height = shutil.get_terminal_size((_WITHOUT_END, _WITHOUT_END))
-        print(encodable(screen(status, width=width, height=height)))
+        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack an arrow
+        print(screen(status, width=width, height=height))
         return 1 if wrong else 0
     if options.json:
         print(json.dumps(status, indent=2))
     for fault in wrong:
         print(f"arpd: {fault}", file=sys.stderr)
     return 1 if wrong else 0
-
-
-def encodable(shown: str) -> str:
-    """Replace characters that this terminal lacks, such as an arrow."""
-    encoding = sys.stdout.encoding or "utf-8"
-    return shown.encode(encoding, "replace").decode(encoding)
 
 
 def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _WITHOUT_END) -> str:

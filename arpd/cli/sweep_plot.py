@@ -11,8 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator, PercentFormatter
 
+from arpd.cli.columns import short_name
 from arpd.model.allocation import AllocationStatus
-from arpd.model.quantities import format_number, format_share, printable
+from arpd.model.quantities import format_number, format_share
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -175,11 +176,9 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 
 
 def _caption(topic: Topic) -> str:
-    name = printable(topic.name, longest=250)
-    name = name if len(name) <= _LONGEST_NAME else f"…{name[1 - _LONGEST_NAME :]}"
     floor, desired = format_number(topic.min_rate_hz), format_number(topic.desired_rate_hz)
     rates = desired if floor == desired else f"{floor} to {desired}"
-    return f"{name}  {rates} Hz, weight {format_number(topic.weight)}"
+    return f"{short_name(topic.name, longest=_LONGEST_NAME)}  {rates} Hz, weight {format_number(topic.weight)}"
 
 
 def _rate_limits(topics: Sequence[Topic]) -> tuple[float, float]:

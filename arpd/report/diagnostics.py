@@ -13,7 +13,6 @@ from arpd.report.events import Severity
 from arpd.report.situation import Condition, judge, who_confirmed
 
 if TYPE_CHECKING:
-    from arpd.report.events import Event
     from arpd.report.situation import Situation
     from arpd.report.snapshot import Snapshot
 
@@ -72,10 +71,13 @@ def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
     if snapshot is None:
         return tuple(Status(name=name, level=Level.STALE, message="starting") for name in _NAMES)
     situation = judge(snapshot, now_s=now_s)
+    carries = f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}"
+    runs = f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}"
+    loaded = f"in force since {_time(snapshot.config_loaded_at_s)}"
     statuses = (
-        _judged(_LINK, situation, _OF_LINK, _link_message(snapshot), _link_values(snapshot)),
-        _judged(_PLAN, situation, _OF_PLAN, _plan_message(snapshot), _plan_values(snapshot, situation)),
-        _judged(_CONFIGURATION, situation, _OF_CONFIGURATION, _loaded(snapshot), _configuration_values(snapshot)),
+        _judged(_LINK, situation, _OF_LINK, carries, _link_values(snapshot)),
+        _judged(_PLAN, situation, _OF_PLAN, runs, _plan_values(snapshot, situation)),
+        _judged(_CONFIGURATION, situation, _OF_CONFIGURATION, loaded, _configuration_values(snapshot)),
         _events(snapshot),
     )
     if (stale := situation.first_of({Condition.STALE})) is None:
@@ -90,10 +92,6 @@ def _judged(
     if (finding := situation.first_of(conditions)) is None:
         return Status(name=name, level=Level.OK, message=otherwise, values=values)
     return Status(name=name, level=_LEVEL_OF[finding.condition.severity], message=finding.text, values=values)
-
-
-def _link_message(snapshot: Snapshot) -> str:
-    return f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}"
 
 
 def _link_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
@@ -116,10 +114,6 @@ def _link_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _plan_message(snapshot: Snapshot) -> str:
-    return f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}"
-
-
 def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, str], ...]:
     decision = snapshot.decision
     slowed = [
@@ -140,10 +134,6 @@ def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, s
     )
 
 
-def _loaded(snapshot: Snapshot) -> str:
-    return f"in force since {_time(snapshot.config_loaded_at_s)}"
-
-
 def _configuration_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
     return (
         ("file", snapshot.config_path),
@@ -162,12 +152,10 @@ def _events(snapshot: Snapshot) -> Status:
         name=_EVENTS,
         level=max((_LEVEL_OF[event.severity] for event in recent), default=Level.OK),
         message=events[-1].text if events else "nothing has happened yet",
-        values=tuple((_key(event), event.text) for event in reversed(events[-_MOST_EVENTS:])),
+        values=tuple(
+            (f"{_time(event.unix_time_s)} {event.kind}", event.text) for event in reversed(events[-_MOST_EVENTS:])
+        ),
     )
-
-
-def _key(event: Event) -> str:
-    return f"{_time(event.unix_time_s)} {event.kind}"
 
 
 def _time(unix_time_s: float) -> str:

@@ -180,9 +180,6 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-_MISSING = (math.nan,) * len(RATE_SERIES)
-
-
 def history_document(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
     """Return the history as a JSON-safe document.
 
@@ -226,7 +223,7 @@ def _topics(samples: tuple[Sample, ...]) -> Iterator[dict[str, Any]]:
     for identity in sorted(samples[-1].slots):
         slots = (sample.slots.get(identity) for sample in samples)
         rows = [
-            _MISSING if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
+            _NO_RATES if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
             for sample, slot in zip(samples, slots, strict=True)
         ]
         series = {name: _column(row[number] for row in rows) for number, name in enumerate(RATE_SERIES)}

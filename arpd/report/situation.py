@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.interface import state_of
@@ -38,66 +38,45 @@ _PLAN_BEGINS = {EventKind.PLAN, EventKind.MEMORY, EventKind.TOPIC_FOUND}
 
 
 class Condition(StrEnum):
-    """A condition of the daemon: of link and plan, the most important first; then faults beside it, the worst first."""
+    """A condition of the daemon: of link and plan, the most important first; then faults beside it, the worst first.
 
-    STANDING_BY = "standing_by"
-    INTERFACE_ABSENT = "interface_absent"  # it was never there
-    INTERFACE_DOWN = "interface_down"
-    OUTAGE = "outage"
-    MEASURING = "measuring"
-    NOTHING_TO_GOVERN = "nothing_to_govern"
-    DEGRADED = "degraded"
-    OVERFULL = "overfull"
-    LIMITED = "limited"
-    CLEAR = "clear"
-    STALE = "stale"
-    RELOAD_REFUSED = "reload_refused"
-    UNCONFIRMED = "unconfirmed"
-    RESTART_NEEDED = "restart_needed"
+    Attributes
+    ----------
+    severity : of a finding, and of the event that begins the condition
+    headline : a few words that stay the same while the condition does
+    is_wrong : True where somebody should look: `arpd status` exits 1
+    """
 
-    @property
-    def severity(self) -> Severity:
-        """Severity of a finding, and of the event that begins the condition."""
-        return _TRAITS[self].severity
+    severity: Severity
+    headline: str
+    is_wrong: bool
 
-    @property
-    def headline(self) -> str:
-        """A few words that stay the same while the condition does."""
-        return _TRAITS[self].headline
+    STANDING_BY = "standing_by", Severity.WARNING, "Standing by", True
+    INTERFACE_ABSENT = "interface_absent", Severity.WARNING, "The link is down", True  # it was never there
+    INTERFACE_DOWN = "interface_down", Severity.ERROR, "The link is down", True
+    OUTAGE = "outage", Severity.ERROR, "The link carries nothing", True
+    MEASURING = "measuring", Severity.INFO, "No plan yet", False
+    NOTHING_TO_GOVERN = "nothing_to_govern", Severity.INFO, "Nothing to govern", False
+    DEGRADED = "degraded", Severity.WARNING, "Not everything asked for fits", True
+    OVERFULL = "overfull", Severity.WARNING, "The link is overfull", False
+    LIMITED = "limited", Severity.WARNING, "The link is the limit", False
+    CLEAR = "clear", Severity.INFO, "The link is fine", False
+    STALE = "stale", Severity.ERROR, "No tick finishes", True
+    RELOAD_REFUSED = "reload_refused", Severity.ERROR, "Reload refused", True
+    UNCONFIRMED = "unconfirmed", Severity.WARNING, "Plan not confirmed", True
+    RESTART_NEEDED = "restart_needed", Severity.WARNING, "Restart needed", False
+
+    def __new__(cls, name: str, severity: Severity, headline: str, is_wrong: bool) -> Self:  # noqa: FBT001 - the table above names none
+        """Return a member: its name in documents, and its attributes."""
+        condition = str.__new__(cls, name)
+        condition._value_ = name
+        condition.severity, condition.headline, condition.is_wrong = severity, headline, is_wrong
+        return condition
 
     @property
     def phrase(self) -> str:
         """The headline inside a sentence."""
         return self.headline[0].lower() + self.headline[1:]
-
-    @property
-    def is_wrong(self) -> bool:
-        """True where somebody should look: `arpd status` exits 1."""
-        return _TRAITS[self].is_wrong
-
-
-class _Traits(NamedTuple):
-    severity: Severity
-    headline: str
-    is_wrong: bool = False
-
-
-_TRAITS = {
-    Condition.STANDING_BY: _Traits(Severity.WARNING, "Standing by", is_wrong=True),
-    Condition.INTERFACE_ABSENT: _Traits(Severity.WARNING, "The link is not there yet", is_wrong=True),
-    Condition.INTERFACE_DOWN: _Traits(Severity.ERROR, "The link is down", is_wrong=True),
-    Condition.OUTAGE: _Traits(Severity.ERROR, "The link carries nothing", is_wrong=True),
-    Condition.MEASURING: _Traits(Severity.INFO, "No plan yet"),
-    Condition.NOTHING_TO_GOVERN: _Traits(Severity.INFO, "Nothing to govern"),
-    Condition.DEGRADED: _Traits(Severity.WARNING, "Not everything asked for fits", is_wrong=True),
-    Condition.OVERFULL: _Traits(Severity.WARNING, "The link is overfull"),
-    Condition.LIMITED: _Traits(Severity.WARNING, "The link is the limit"),
-    Condition.CLEAR: _Traits(Severity.INFO, "The link is fine"),
-    Condition.STALE: _Traits(Severity.ERROR, "No tick finishes", is_wrong=True),
-    Condition.RELOAD_REFUSED: _Traits(Severity.ERROR, "Reload refused", is_wrong=True),
-    Condition.UNCONFIRMED: _Traits(Severity.WARNING, "Plan not confirmed", is_wrong=True),
-    Condition.RESTART_NEEDED: _Traits(Severity.WARNING, "Restart needed"),
-}
 
 
 @dataclass(frozen=True, slots=True)

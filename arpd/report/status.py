@@ -151,9 +151,9 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
         "queue_delay_seconds": _finite(link.queue_delay_s),
         "delivery_rate_bytes_per_second": _finite(link.delivery_rate_bytes_per_second),
         "packet_overhead_seconds": _finite(link.packet_overhead_s),
-        "loss_ratio": _known(link.loss_ratio),
-        "return_delay_seconds": _known(link.return_delay_s),
-        "radio_bytes_per_second": _known(radio),
+        "loss_ratio": _finite(link.loss_ratio),
+        "return_delay_seconds": _finite(link.return_delay_s),
+        "radio_bytes_per_second": _finite(radio),
         "age_seconds": _finite(link.age_s),
         "evidence": link.evidence,
         "events": _sorted(link.events_by_kind),
@@ -292,10 +292,6 @@ def _sorted(values: Mapping[str, _T]) -> dict[str, _T]:
     return dict(sorted(values.items()))
 
 
-def _known(value: float | None) -> float | None:
-    return None if value is None else _finite(value)
-
-
-def _finite(value: float) -> float | None:
+def _finite(value: float | None) -> float | None:
     """Return None for what JSON cannot say; the module's docstring has the meanings."""
-    return value if math.isfinite(value) else None
+    return None if value is None or not math.isfinite(value) else value

@@ -21,32 +21,6 @@ COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status", "top
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
 
 
-@pytest.fixture
-def run(capsys):
-    """Run the command line; returns exit code, stdout and stderr."""
-
-    def run(*arguments):
-        code: int | str | None
-        try:
-            code = cli.main([str(argument) for argument in arguments])
-        except SystemExit as exiting:
-            code = exiting.code
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
-def config(tmp_path):
-    def config(text):
-        path = tmp_path / "arpd.yaml"
-        path.write_text(text)
-        return path
-
-    return config
-
-
 def test_version_is_the_installed_one(run):
     """`--version` prints the installed version."""
     assert run("--version") == (0, f"arpd {__version__}\n", "")

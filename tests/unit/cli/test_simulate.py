@@ -35,15 +35,12 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture
-def simulate(files, capsys, monkeypatch):
-    """Run ``arpd simulate`` beside the files; returns exit code, stdout and stderr."""
+def simulate(files, run, monkeypatch):
+    """Run ``arpd simulate`` beside the files."""
     monkeypatch.chdir(files)
 
     def simulate(*arguments, config="robot.yaml"):
-        named = () if config is None else ("--config", config)
-        code = cli.main(["simulate", *named, *arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
+        return run("simulate", *(() if config is None else ("--config", config)), *arguments)
 
     return simulate
 
@@ -264,19 +261,17 @@ def test_a_broken_configuration_is_reported_as_by_check(refused, files):
 
 
 @pytest.mark.parametrize("arguments", [(), ("--rate", "0:8mbit", "--trace", "walk.csv")])
-def test_exactly_one_link_must_be_given(simulate, arguments, capsys):
+def test_exactly_one_link_must_be_given(simulate, arguments):
     """The link is a trace or rates, not both."""
-    with pytest.raises(SystemExit) as stopped:
-        simulate(*arguments)
-    assert stopped.value.code == 2
-    assert "--trace" in capsys.readouterr().err
+    code, _, err = simulate(*arguments)
+    assert code == 2
+    assert "--trace" in err
 
 
-def test_every_example_of_the_help_can_be_parsed(capsys):
+def test_every_example_of_the_help_can_be_parsed(run):
     """Every option in the examples exists."""
-    with pytest.raises(SystemExit):
-        cli.main(["simulate", "--help"])
-    examples = re.findall(r"^  arpd (simulate .*?)(?:  .*| \|.*)?$", capsys.readouterr().out, re.MULTILINE)
+    _, out, _ = run("simulate", "--help")
+    examples = re.findall(r"^  arpd (simulate .*?)(?:  .*| \|.*)?$", out, re.MULTILINE)
     assert len(examples) >= 6
     for example in examples:
         options = cli._parser().parse_args(example.split())

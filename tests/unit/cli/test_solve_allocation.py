@@ -7,13 +7,13 @@ import re
 import struct
 import subprocess
 import sys
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from arpd.adapters.config.load import load_settings
-from arpd.cli import main as cli
 from arpd.govern.what_if import spread
 from arpd.report.status import status_document
 
@@ -31,15 +31,9 @@ YIELDING = {"/link/scan/front", "/link/scan/rear", "/link/points", "/link/camera
 
 
 @pytest.fixture
-def solve(capsys):
-    """Run ``arpd solve``; returns exit code, stdout and stderr."""
-
-    def solve(*arguments):
-        code = cli.main(["solve", *map(str, arguments)])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return solve
+def solve(run):
+    """Run ``arpd solve``."""
+    return partial(run, "solve")
 
 
 @pytest.fixture
@@ -53,16 +47,6 @@ def allocation(solve):
         return document, {row["topic"]: row for row in document["topics"]}
 
     return allocation
-
-
-@pytest.fixture
-def config(tmp_path):
-    def config(text=SMALL):
-        path = tmp_path / "arpd.yaml"
-        path.write_text(text)
-        return path
-
-    return config
 
 
 @pytest.fixture

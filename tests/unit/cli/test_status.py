@@ -19,16 +19,14 @@ from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 
 
 @pytest.fixture
-def status(capsys, monkeypatch):
-    """Run ``arpd status`` against a document; returns exit code, stdout and stderr."""
+def status(run, monkeypatch):
+    """Run ``arpd status`` against a document."""
     monkeypatch.delenv("COLUMNS", raising=False)
 
     def status(answered, *options, code=200):
         body = answered if isinstance(answered, str) else json.dumps(answered)
         with serving(body, code) as url:
-            ended = cli.main(["status", "--url", url, *options])
-        captured = capsys.readouterr()
-        return ended, captured.out, captured.err
+            return run("status", "--url", url, *options)
 
     return status
 
