@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _PEER_LOST_S = 10.0  # a peer with nothing to do reports every second or two
-_REPORTED_S = 3.0  # an outage of its own ends with a report
+_REPORTED_S = 3.0  # over a link that carries again, reports arrive
 
 
 class LinkLog:
