@@ -227,7 +227,7 @@ def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]
 
 def reload_refused(snapshot: Snapshot) -> Finding:
     """Return the finding for a refused reload."""
-    return Finding(Condition.RELOAD_REFUSED, f"{snapshot.config_error}; the configuration in force stays")
+    return Finding(Condition.RELOAD_REFUSED, f"{snapshot.config_error} (the configuration in force stays)")
 
 
 def stale(age_s: float) -> Finding:

@@ -50,7 +50,7 @@ def test_the_daemon_fits_on_one_screen(status):
         == f"""\
 arpd 1.2.3 on wlan0, 50 ms ago; memory 512 MiB of 1 GiB available
 wrong: Not everything fits: so.
-wrong: Reload refused: arpd.yaml:1:1: x: y; z; the configuration in force stays.
+wrong: Reload refused: arpd.yaml:1:1: x: y; z (the configuration in force stays).
 
 link     5 Mbit/s (peer, congested), delivering 4.8 Mbit/s
          queueing 120 ms, loss 0.4 %, return delay 4.2 ms

@@ -478,7 +478,7 @@ def test_reloads_are_told_both_ways(log):
     (bad,) = log.tick(
         totals=replace(before, reloads_by_result={"failed": 1}), config_error="/etc/arpd/arpd.yaml:2:3: link.headrom"
     )
-    assert bad.text == "reload refused: /etc/arpd/arpd.yaml:2:3: link.headrom; the configuration in force stays"
+    assert bad.text == "reload refused: /etc/arpd/arpd.yaml:2:3: link.headrom (the configuration in force stays)"
     assert (bad.kind, bad.severity) == (EventKind.RELOAD_FAILED, Severity.ERROR)
     (good,) = log.tick(
         totals=replace(

@@ -142,7 +142,7 @@ def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
     faulty = status_line(changed(observation={"counters": None}, config_error="x", keys_awaiting_restart=("a", "b")))
     assert faulty.startswith("wlan0 is gone; 4.0 Mbit/s")
     assert faulty.endswith(
-        "; reload refused: x; the configuration in force stays; restart needed: the file's a and b are not in force"
+        "; reload refused: x (the configuration in force stays); restart needed: the file's a and b are not in force"
     )
 
 
