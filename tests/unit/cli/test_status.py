@@ -254,6 +254,7 @@ def rich_document():
         }
     ]
     answered["events"] = [event(1, "text")]
+    answered["faults"] = [{"text": "Reload refused: so.", "severity": "error", "wrong": True}]
     answered["topics"][0]["withheld_by_cause"] = {"rate": 3}
     return answered
 
