@@ -107,6 +107,11 @@ def choice(name: str, metric: str, matchers: str = "", *, label: str, is_multipl
     }
 
 
+def evenly(*panels: Json) -> list[tuple[int, Json]]:
+    """Return panels of equal width that fill a line."""
+    return [(COLUMNS // len(panels), panel) for panel in panels]
+
+
 def link_to_dashboard(uid: str, title: str, tooltip: str) -> Json:
     """Return a link at the top of a dashboard that keeps the time range and the data source."""
     return {

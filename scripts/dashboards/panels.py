@@ -1,4 +1,4 @@
-"""Panels of a Grafana dashboard, by what is particular to each."""
+"""Panels of a Grafana dashboard: each function takes what differs between panels of its kind."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import re
 import string
 import zlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from scripts.dashboards.states import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Unpack
 
     from scripts.dashboards.states import StateSet
 
@@ -19,21 +20,48 @@ Json = dict[str, Any]
 
 DATASOURCE: Json = {"type": "prometheus", "uid": "${datasource}"}
 THIS_ROBOT = 'job=~"$job", instance=~"$instance"'
-# A value below the first limit is good, one between them is on its way, one above the second is bad.
 GOOD_TO_BAD = (GREEN, ORANGE, VERMILLION)
 BAD_TO_GOOD = (VERMILLION, ORANGE, GREEN)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Advice:
-    """A panel's description: what it shows, what of that is bad, and what to do then."""
+class Advice(TypedDict):
+    """A panel's description: what it shows, which values are bad, and what to do then."""
 
     shows: str
     bad: str
     then: str
 
-    def __str__(self) -> str:
-        return f"{self.shows}\n\n**Bad:** {self.bad}\n\n**Then:** {self.then}"
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How a panel writes its numbers and colours them.
+
+    Parameters
+    ----------
+    unit : as Grafana names it
+    decimals : digits after the point; None = as many as Grafana chooses
+    limits : values at which the second and the third colour begin
+    most : upper end of a chart; None = its largest value
+    """
+
+    unit: str = "short"
+    decimals: int | None = None
+    limits: tuple[float, float] | None = None
+    colours: tuple[str, str, str] = GOOD_TO_BAD
+    most: float | None = None
+
+    @property
+    def thresholds(self) -> Json:
+        """Grafana's thresholds; without limits, everything is blue."""
+        steps: list[Json] = [{"color": self.colours[0] if self.limits else BLUE, "value": None}]
+        if self.limits:
+            steps += [{"color": colour, "value": at} for colour, at in zip(self.colours[1:], self.limits, strict=True)]
+        return {"mode": "absolute", "steps": steps}
+
+
+COUNT = Scale("short", 0)
+QUEUE_DELAY = Scale("s", 3, (0.1, 0.25))
+GATE = Scale("percentunit", 0, (0.5, 0.95), BAD_TO_GOOD)
 
 
 def query(expression: str, legend: str = "") -> Json:
@@ -59,20 +87,17 @@ def rows(expression: str) -> Json:
 
 def timeseries(
     title: str,
-    advice: Advice,
     queries: Sequence[Json],
+    scale: Scale,
     *,
-    unit: str,
-    decimals: int | None = None,
-    limits: tuple[float, float] | None = None,
-    most: float | None = None,
     is_step: bool = False,
     is_stacked: bool = False,
     is_table: bool = False,
     colours: Json | None = None,
     links: Sequence[Json] = (),
+    **advice: Unpack[Advice],
 ) -> Json:
-    """Return a chart of lines from zero up; ``limits`` are drawn as dashed lines, ``colours`` go by legend."""
+    """Return a chart of lines from zero up; limits are dashed lines, ``colours`` go by legend."""
     custom = {
         "drawStyle": "line",
         "fillOpacity": 30 if is_stacked else 5,
@@ -81,13 +106,13 @@ def timeseries(
         "showPoints": "never",
         "spanNulls": False,
         "stacking": {"group": "A", "mode": "normal" if is_stacked else "none"},
-        "thresholdsStyle": {"mode": "dashed" if limits else "off"},
+        "thresholdsStyle": {"mode": "dashed" if scale.limits else "off"},
     }
-    defaults = _defaults(unit, decimals=decimals, limits=limits, links=links)
+    defaults = _defaults(scale, links)
     defaults.update(color={"mode": "palette-classic"}, custom=custom, min=0)
-    if most is not None:
-        defaults["max"] = most
-    panel = _panel("timeseries", title, advice, queries, defaults=defaults, overrides=_coloured(colours or {}))
+    if scale.most is not None:
+        defaults["max"] = scale.most
+    panel = _panel("timeseries", title, queries, advice, defaults=defaults, overrides=_coloured(colours or {}))
     panel["options"] = {
         "legend": _legend(is_table=is_table, calcs=["lastNotNull", "mean", "max"] if is_table else []),
         "tooltip": {"mode": "multi", "sort": "desc"},
@@ -95,7 +120,7 @@ def timeseries(
     return panel
 
 
-def bars(title: str, advice: Advice, queries: Sequence[Json], *, links: Sequence[Json] = ()) -> Json:
+def bars(title: str, queries: Sequence[Json], *, links: Sequence[Json] = (), **advice: Unpack[Advice]) -> Json:
     """Return a chart of how often something happened in each step of time, at least ten seconds long."""
     custom = {
         "drawStyle": "bars",
@@ -104,35 +129,29 @@ def bars(title: str, advice: Advice, queries: Sequence[Json], *, links: Sequence
         "showPoints": "never",
         "stacking": {"group": "A", "mode": "normal"},
     }
-    defaults = _defaults("short", decimals=0, links=links)
+    defaults = _defaults(COUNT, links)
     defaults.update(color={"mode": "palette-classic-by-name"}, custom=custom, min=0)
-    panel = _panel("timeseries", title, advice, queries, defaults=defaults)
+    panel = _panel("timeseries", title, queries, advice, defaults=defaults)
     panel["interval"] = "10s"
-    panel["options"] = {
-        "legend": _legend(is_table=True, calcs=["sum"]),
-        "tooltip": {"mode": "multi", "sort": "desc"},
-    }
+    panel["options"] = {"legend": _legend(is_table=True, calcs=["sum"]), "tooltip": {"mode": "multi", "sort": "desc"}}
     return panel
 
 
 def stat(
     title: str,
-    advice: Advice,
     queries: Sequence[Json],
+    scale: Scale,
     *,
-    unit: str,
-    decimals: int | None = None,
-    limits: tuple[float, float] | None = None,
-    colours: tuple[str, str, str] = GOOD_TO_BAD,
     states: StateSet | None = None,
     words: Json | None = None,
     missing: str = "",
+    **advice: Unpack[Advice],
 ) -> Json:
     """Return the last value, large; its colour says whether it is good.
 
     ``words`` are value mappings from a number to a text and a colour; ``missing`` stands where there is no value.
     """
-    defaults = _defaults(unit, decimals=decimals, limits=limits, colours=colours)
+    defaults = _defaults(scale)
     if missing:
         defaults["noValue"] = missing
     defaults["color"] = {"mode": "thresholds"}
@@ -140,7 +159,7 @@ def stat(
         defaults["mappings"] = states.mappings
     if words is not None:
         defaults["mappings"] = [{"options": words, "type": "value"}]
-    panel = _panel("stat", title, advice, queries, defaults=defaults)
+    panel = _panel("stat", title, queries, advice, defaults=defaults)
     panel["options"] = {
         "colorMode": "value",
         "graphMode": "none" if states or words or queries[0].get("instant") else "area",
@@ -154,9 +173,11 @@ def stat(
     return panel
 
 
-def timeline(title: str, advice: Advice, parts: Sequence[tuple[Json, StateSet]], *, links: Sequence[Json] = ()) -> Json:
-    """Return a chart of states over time, one row per series; each part has its query and what its numbers mean."""
-    defaults = _defaults("short", decimals=0, links=links)
+def timeline(
+    title: str, parts: Sequence[tuple[Json, StateSet]], *, links: Sequence[Json] = (), **advice: Unpack[Advice]
+) -> Json:
+    """Return a chart of states over time, one row per series; each part has its query and the states of its numbers."""
+    defaults = _defaults(COUNT, links)
     defaults.update(color={"fixedColor": GREY, "mode": "fixed"}, custom={"fillOpacity": 80, "lineWidth": 0})
     overrides = []
     if len({states for _, states in parts}) == 1:
@@ -166,7 +187,7 @@ def timeline(title: str, advice: Advice, parts: Sequence[tuple[Json, StateSet]],
             _override("byFrameRefID", ref_id, mappings=states.mappings)
             for ref_id, (_, states) in zip(string.ascii_uppercase, parts, strict=False)
         ]
-    panel = _panel("state-timeline", title, advice, [each for each, _ in parts], defaults=defaults, overrides=overrides)
+    panel = _panel("state-timeline", title, [each for each, _ in parts], advice, defaults=defaults, overrides=overrides)
     panel["options"] = {
         "alignValue": "left",
         "legend": {**_legend(is_table=False, calcs=[]), "showLegend": False},
@@ -178,13 +199,11 @@ def timeline(title: str, advice: Advice, parts: Sequence[tuple[Json, StateSet]],
     return panel
 
 
-def ranking(
-    title: str, advice: Advice, queries: Sequence[Json], *, unit: str, limits: tuple[float, float] | None = None
-) -> Json:
-    """Return one horizontal bar per series, for the time shown as a whole."""
-    defaults = _defaults(unit, limits=limits)
-    defaults.update(color={"mode": "thresholds"} if limits else {"fixedColor": BLUE, "mode": "fixed"}, min=0)
-    panel = _panel("bargauge", title, advice, queries, defaults=defaults)
+def ranking(title: str, queries: Sequence[Json], scale: Scale, **advice: Unpack[Advice]) -> Json:
+    """Return one horizontal bar per series, for the whole time shown."""
+    defaults = _defaults(scale)
+    defaults.update(color={"mode": "thresholds"} if scale.limits else {"fixedColor": BLUE, "mode": "fixed"}, min=0)
+    panel = _panel("bargauge", title, queries, advice, defaults=defaults)
     panel["options"] = {
         "displayMode": "basic",
         "maxVizHeight": 300,
@@ -207,20 +226,17 @@ class Column:
     Parameters
     ----------
     title : its heading
-    expression : PromQL of its value; empty = the rows of the other columns have what it shows
+    expression : PromQL of its value; empty = a label of the other columns' rows
     label : the label it shows; empty = the value itself
-    unit, decimals, limits, states, missing : how a value is written and coloured, and what stands where none is
-    width : pixels, 0 = whatever is left
-    links : where a click on a value leads
+    missing : text where there is no value
+    width : in pixels; 0 = the space that is left
+    links : targets of a click on a value
     """
 
     title: str
     expression: str = ""
     label: str = ""
-    unit: str = "short"
-    decimals: int | None = None
-    limits: tuple[float, float] | None = None
-    colours: tuple[str, str, str] = GOOD_TO_BAD
+    scale: Scale = Scale()
     states: StateSet | None = None
     missing: str = ""
     width: int = 0
@@ -228,14 +244,14 @@ class Column:
 
     def override(self) -> Json:
         """Return how Grafana is to show the column."""
-        properties: Json = {"unit": self.unit, "noValue": self.missing or "–"}
-        if self.decimals is not None:
-            properties["decimals"] = self.decimals
-        if self.limits is not None:
-            properties["thresholds"] = _thresholds(self.limits, self.colours)
+        properties: Json = {"unit": self.scale.unit, "noValue": self.missing or "–"}
+        if self.scale.decimals is not None:
+            properties["decimals"] = self.scale.decimals
+        if self.scale.limits is not None:
+            properties["thresholds"] = self.scale.thresholds
         if self.states is not None:
             properties["mappings"] = self.states.mappings_of_names if self.label else self.states.mappings
-        if self.limits is not None or self.states is not None:
+        if self.scale.limits is not None or self.states is not None:
             properties["custom.cellOptions"] = {"type": "color-text"}
         if self.width:
             properties["custom.width"] = self.width
@@ -244,16 +260,18 @@ class Column:
         return _override("byName", self.title, **properties)
 
 
-def table(title: str, advice: Advice, columns: Sequence[Column], *, sort_by: str, is_descending: bool) -> Json:
+def table(
+    title: str, columns: Sequence[Column], *, sort_by: str, is_descending: bool, **advice: Unpack[Advice]
+) -> Json:
     """Return a table of now: one row per set of labels that the queries of all columns share."""
     measured = [column for column in columns if column.expression]
     queries = [rows(column.expression) for column in measured]
     values = {column: f"Value #{ref}" for ref, column in zip(string.ascii_uppercase, measured, strict=False)}
     fields = {column.title: column.label or values[column] for column in columns}
     shown = {fields[column.title]: place for place, column in enumerate(columns)}
-    defaults = {**_defaults("short"), "custom": {"align": "auto", "cellOptions": {"type": "auto"}, "inspect": False}}
+    defaults = {**_defaults(Scale()), "custom": {"align": "auto", "cellOptions": {"type": "auto"}, "inspect": False}}
     panel = _panel(
-        "table", title, advice, queries, defaults=defaults, overrides=[column.override() for column in columns]
+        "table", title, queries, advice, defaults=defaults, overrides=[column.override() for column in columns]
     )
     panel["options"] = {
         "cellHeight": "sm",
@@ -276,10 +294,10 @@ def table(title: str, advice: Advice, columns: Sequence[Column], *, sort_by: str
     return panel
 
 
-def alert_list(title: str, advice: Advice) -> Json:
+def alert_list(title: str, **advice: Unpack[Advice]) -> Json:
     """Return the list of arpd's alerts that fire or are about to, as Grafana's alerting knows them."""
     return {
-        "description": str(advice),
+        "description": _description(advice),
         "id": panel_id(title),
         "options": {
             "alertInstanceLabelFilter": '{instance=~"$instance"}',
@@ -303,17 +321,21 @@ def repeated(panel: Json, variable: str) -> Json:
 
 
 def _panel(
-    kind: str, title: str, advice: Advice, queries: Sequence[Json], *, defaults: Json, overrides: Sequence[Json] = ()
+    kind: str, title: str, queries: Sequence[Json], advice: Advice, *, defaults: Json, overrides: Sequence[Json] = ()
 ) -> Json:
     return {
         "datasource": DATASOURCE,
-        "description": str(advice),
+        "description": _description(advice),
         "fieldConfig": {"defaults": defaults, "overrides": list(overrides)},
         "id": panel_id(title),
         "targets": [{**each, "refId": ref} for ref, each in zip(string.ascii_uppercase, queries, strict=False)],
         "title": title,
         "type": kind,
     }
+
+
+def _description(advice: Advice) -> str:
+    return f"{advice['shows']}\n\n**Bad:** {advice['bad']}\n\n**Then:** {advice['then']}"
 
 
 def panel_id(title: str) -> int:
@@ -325,26 +347,13 @@ def _of_this_robot(expression: str) -> str:
     return re.sub(r"\{(.*?)\}", lambda braces: f"{{{', '.join(filter(None, (THIS_ROBOT, braces[1])))}}}", expression)
 
 
-def _defaults(
-    unit: str,
-    *,
-    decimals: int | None = None,
-    limits: tuple[float, float] | None = None,
-    colours: tuple[str, str, str] = GOOD_TO_BAD,
-    links: Sequence[Json] = (),
-) -> Json:
-    defaults: Json = {"thresholds": _thresholds(limits, colours), "unit": unit}
-    if decimals is not None:
-        defaults["decimals"] = decimals
+def _defaults(scale: Scale, links: Sequence[Json] = ()) -> Json:
+    defaults: Json = {"thresholds": scale.thresholds, "unit": scale.unit}
+    if scale.decimals is not None:
+        defaults["decimals"] = scale.decimals
     if links:
         defaults["links"] = list(links)
     return defaults
-
-
-def _thresholds(limits: tuple[float, float] | None, colours: tuple[str, str, str]) -> Json:
-    steps: list[Json] = [{"color": colours[0] if limits else BLUE, "value": None}]
-    steps += [{"color": colour, "value": limit} for colour, limit in zip(colours[1:], limits or (), strict=False)]
-    return {"mode": "absolute", "steps": steps}
 
 
 def _legend(*, is_table: bool, calcs: list[str]) -> Json:
