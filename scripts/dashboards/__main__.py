@@ -1,9 +1,9 @@
-"""Write the Grafana dashboards, or tell whether the files are what would be written.
+"""Write the Grafana dashboards, or check that the files are up to date.
 
 Usage: .venv/bin/python -m scripts.dashboards [--check]
 
-The JSON in etc/grafana/dashboards is what Grafana reads and what is committed; it is made here because three thousand
-lines of it hide what forty panels have in common.
+The JSON in etc/grafana/dashboards is what Grafana reads and what is committed. This script makes it because three
+thousand lines of JSON hide what the panels have in common.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scripts.dashboards.robot import robot
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m scripts.dashboards", description="Write the Grafana dashboards.")
-    parser.add_argument("--check", action="store_true", help="write nothing, exit 1 if a file is not what it would be")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is out of date")
     is_check = parser.parse_args().check
     stale = 0
     for document in (robot(), fleet()):
@@ -27,7 +27,7 @@ def main() -> int:
             continue
         if is_check:
             stale += 1
-            print(f"{path} is not what `python -m scripts.dashboards` writes; run it and commit", file=sys.stderr)
+            print(f"{path} is out of date; run `python -m scripts.dashboards` and commit", file=sys.stderr)
         else:
             path.write_text(text, encoding="utf-8")
             print(path)

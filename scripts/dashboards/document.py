@@ -1,4 +1,4 @@
-"""A Grafana dashboard as a document: its variables, annotations and links, and where its panels stand."""
+"""A Grafana dashboard as a document: its variables, annotations and links, and the places of its panels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).resolve().parents[2] / "etc" / "grafana" / "dashboards"
 COLUMNS = 24
-# What Grafana 10.0 writes; later ones bring it up to date as they read it.
+# What Grafana 10.0 writes; later versions migrate it on reading.
 _SCHEMA_VERSION = 38
 _ON_TIME_RANGE_CHANGE = 2
 _SHARED_CROSSHAIR = 1
@@ -37,7 +37,7 @@ class Section:
     ----------
     title : the heading
     lines : height (grid units) and panels with their widths (of 24 columns) of each line
-    is_collapsed : whether it is shown only when asked for
+    is_collapsed : whether a click opens it
     """
 
     title: str
@@ -80,7 +80,7 @@ def dashboard(
 
 
 def as_json(document: Json) -> str:
-    """Return a document as it is committed: sorted, so that a change shows as what it is."""
+    """Return a document as it is committed: with sorted keys, for small diffs."""
     return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 

@@ -24,7 +24,7 @@ _DROPPED = "sum(rate(arpd_interface_transmit_dropped_packets_total{}[$__rate_int
 
 
 def effect() -> Section:
-    """Return the section on what became of the samples."""
+    """Return the section on the samples: kept, dropped, lost, late."""
     numbers = (
         (4, _OUTAGE_SHARE),
         (4, _WORST_DELAY),
@@ -57,8 +57,8 @@ _OUTAGE_SHARE = stat(
     "Time in outage",
     [instant('avg_over_time(arpd_link_state{state="outage"}[$__range])', "outage")],
     Scale("percentunit", 1, (0.001, 0.05)),
-    shows="Part of the time shown in which the link carried nothing. Ten seconds without any peer end it: "
-    "from then on arpd measures alone.",
+    shows="Part of the time shown in which the link carried nothing. After ten seconds without any "
+    "peer it ends: arpd then measures alone.",
     bad="anything above 0 on a robot that stays in range.",
     then="see 'Link and plan' for when, and whether the capacity was measured alone afterwards.",
 )
@@ -67,9 +67,9 @@ _WORST_DELAY = stat(
     "Queue delay, 95 % below",
     [instant("quantile_over_time(0.95, arpd_link_queue_delay_seconds{}[$__range])", "delay")],
     QUEUE_DELAY,
-    shows="In 95 % of the time shown the queue delayed packets by less than this.",
+    shows="The queue delayed packets by less than this in 95 % of the time shown.",
     bad="above 0.1 s: commands and sensors are late by as much.",
-    then="lower link.headroom; look for foreign traffic.",
+    then="lower link.headroom; look for cross traffic.",
 )
 
 _LINK_USED = stat(
@@ -82,7 +82,7 @@ _LINK_USED = stat(
         )
     ],
     Scale("percentunit", 0),
-    shows="What arrived, as a part of what the link could carry, over the time shown.",
+    shows="What arrived as a share of what the link could carry, over the time shown.",
     bad="low while topics are limited by the link: the estimate is too low, or plans rise late.",
     then="compare with 'What limits the rate of each topic'; all green there means the sources have no more.",
 )
@@ -97,8 +97,8 @@ _SAMPLES_SENT = stat(
         )
     ],
     Scale("percentunit", 0, (0.1, 0.5), BAD_TO_GOOD),
-    shows="Of the messages that applications gave in the time shown, those written to the link.",
-    bad="less than expected for this link. Withheld samples are the older ones: what leaves is fresh.",
+    shows="Share of the applications' messages that was written to the link, over the time shown.",
+    bad="less than expected for this link. Withheld samples are the older ones; the fresh ones leave.",
     then="'Kept of what each source gives' shows which topics pay.",
 )
 
@@ -107,7 +107,7 @@ _DEADLINES_MISSED_NOW = stat(
     [instant(f"sum(increase(arpd_topic_deadlines_missed_total{{{_TOPIC}}}[$__range]))", "missed")],
     Scale("short", 0, (1, 100)),
     shows="Deadlines that publishers offered and missed in the time shown.",
-    bad="more and more while the gate is open; a gate below 100 % makes topics miss what their plan offered.",
+    bad="a growing number while the gate is open. A gate below 100 % makes topics miss their deadlines.",
     then="'Deadlines missed by topic' says which; raise program.deadline_slack if the sources are unsteady.",
 )
 
@@ -115,8 +115,8 @@ _LOST_NOW = stat(
     "Lost on the link",
     [query("arpd_link_loss_ratio{}", "lost")],
     Scale("percentunit", 1, (0.01, 0.1)),
-    shows="Share of the probe packets of late that never arrived; empty while too few were sent to tell.",
-    bad="above 1 %: reliable topics repeat themselves and so fill the link.",
+    shows="Share of recent probe packets that never arrived; empty while too few were sent.",
+    bad="above 1 %: RELIABLE topics send lost samples again, and that fills the link.",
     then="improve the radio: distance, channel, antenna. arpd cannot.",
     missing="not known",
 )
@@ -178,7 +178,7 @@ _KEPT = timeseries(
         )
     ],
     Scale("percentunit", 0),
-    shows="Published rate as a part of the rate at which the application publishes.",
+    shows="Published rate as a share of the application's rate.",
     bad="a topic that matters below the others.",
     then="raise its weight or min_rate_hz.",
     is_table=True,
@@ -188,9 +188,9 @@ _DROPS = timeseries(
     "Drops by cause",
     [query(f"sum by (cause) (rate(arpd_topic_drops_total{{{_TOPIC}}}[$__rate_interval]))", "{{cause}}")],
     Scale("cps", 1),
-    shows="Messages not sent, by why: the plan's rate, the gate below it, a writer that blocked, a write that "
-    "failed, a publisher that closed.",
-    bad="blocked or failed at all; gate for longer than seconds. rate is arpd at work.",
+    shows="Messages not sent, by cause: the plan's rate, the gate, a writer that blocked, a write that failed, "
+    "a publisher that closed.",
+    bad="any blocked or failed; gate for more than a few seconds. rate is arpd at work.",
     then="blocked: a reader does not keep up, or the link loses what RELIABLE repeats. failed: the node's log.",
     is_stacked=True,
     is_table=True,
@@ -208,7 +208,7 @@ _DEADLINES_MISSED = timeseries(
     ],
     Scale("cps", 2),
     shows="Offered deadlines missed by each topic's publishers, and requested ones missed by adaptive readers.",
-    bad="steady misses while the gate is open; at a swap, in an outage and under the gate they are expected.",
+    bad="steady misses while the gate is open; misses are normal at a swap, in an outage and under the gate.",
     then="raise program.deadline_slack, or lower the rate the source claims.",
 )
 
@@ -216,7 +216,7 @@ _COMMANDS = timeseries(
     "Commands on their way back",
     [query("arpd_link_return_delay_seconds{}", "return delay")],
     Scale("s", 3, (0.1, 0.2)),
-    shows="How much longer than at best the way from the peer to the robot takes: what a command waits.",
+    shows="Delay from the peer to the robot above its minimum: the time that a command waits.",
     bad="above 0.1 s: the robot drives on old commands.",
     then="something fills the way back; see 'received' of the link interface.",
     colours={"return delay": BLUE},
@@ -247,7 +247,7 @@ _WAITING = timeseries(
         ),
     ],
     Scale("short", 2),
-    shows="Messages in the pacing queues, and the part of the time that publishers spent inside publish().",
+    shows="Messages in the pacing queues, and the time that publishers spent inside publish().",
     bad="blocked above 0.1 s per second: the middleware's queues are full.",
     then="see 'Queue delay' and 'Drops by cause'; a reader that stopped reading blocks RELIABLE writers.",
     colours={"messages waiting": BLUE, "blocked, seconds per second": VERMILLION},
@@ -261,8 +261,8 @@ _ONE_TOPIC = timeseries(
         query(f"sum(arpd_topic_published_rate_hertz{{{_TOPIC}}})", "published"),
     ],
     _HERTZ,
-    shows="Rates of this topic: of its source, of the plan (none while unpaced), and of what leaves.",
+    shows="Rates of this topic: of its source, in the plan (none while unpaced), and as published.",
     bad="published below planned while the source is above it.",
-    then="the gate is low then, or the writer blocks.",
+    then="look at the gate and at 'Waiting and blocked'.",
     colours={"source": GREY, "planned": PINK, "published": GREEN},
 )

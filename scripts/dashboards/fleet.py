@@ -38,7 +38,7 @@ def fleet() -> Json:
     return dashboard(
         uid="arpd-fleet",
         title="arpd / Fleet",
-        description="Every robot under arpd, side by side: which one needs somebody? A click on a robot opens it.",
+        description="Every robot under arpd, side by side: which one needs attention? A click on a robot opens it.",
         since="now-1h",
         variables=(
             choice("job", "arpd_ready", label="Job", is_multiple=True),
@@ -46,7 +46,7 @@ def fleet() -> Json:
         ),
         sections=(
             Section(
-                title="Which robot needs somebody?",
+                title="Which robot needs attention?",
                 lines=(
                     (4, evenly(_UP, _SILENT, _CUT_OFF, _SHORT, _BEHIND, _ALERTS)),
                     (10, evenly(_ROBOTS)),
@@ -80,7 +80,7 @@ _SILENT = _count(
     "Robots that do not answer",
     "count(up{} == 0)",
     shows="Targets of Prometheus that did not answer the last scrape.",
-    bad="any that is not switched off on purpose.",
+    bad="any robot that should be on.",
     then="is the robot on and in the network? Then `systemctl status arpd` on it.",
 )
 
@@ -95,7 +95,7 @@ _CUT_OFF = _count(
 _SHORT = _count(
     "Plans that give up floors",
     'sum(arpd_allocation_status{status="degraded"})',
-    shows="Robots whose link does not even carry the least their topics asked for.",
+    shows="Robots whose link cannot carry the floors of their topics.",
     bad="any, for longer than a minute.",
     then="open the robot; lower min_rate_hz of what matters least, or improve its link.",
 )
@@ -103,7 +103,7 @@ _SHORT = _count(
 _BEHIND = _count(
     "Robots behind their plan",
     "count(arpd_publishers_managed{} - arpd_publishers_confirmed{} > 0)",
-    shows="Robots of which a publisher does not announce the plan in force.",
+    shows="Robots with a publisher that does not announce the plan in force.",
     bad="any, for longer than ten seconds.",
     then="open the robot and see 'Publishers refused'.",
 )

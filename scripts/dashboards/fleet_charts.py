@@ -50,8 +50,8 @@ _CAPACITY = _lines(
     "Capacity of each robot",
     "8 * arpd_link_capacity_bytes_per_second{}",
     Scale("bps", 1),
-    shows="Bits per second that each link is believed to carry.",
-    bad="all falling together: they share a channel. One alone: its place or its radio.",
+    shows="What each link carries by arpd's estimate, in wire bits per second.",
+    bad="all fall together: they share a channel. One falls alone: its place or its radio.",
     then="click a robot to open it at this time.",
 )
 
@@ -69,7 +69,7 @@ _GATE = _lines(
     "arpd_gate_ratio{}",
     Scale("percentunit", 0, most=1),
     shows="Factor on every paced rate above its floor.",
-    bad="below 50 % for longer than seconds.",
+    bad="below 50 % for more than a few seconds.",
     then="click a robot to open it at this time.",
 )
 
@@ -77,7 +77,7 @@ _LOST = _lines(
     "Lost on the link of each robot",
     "arpd_link_loss_ratio{}",
     Scale("percentunit", 2, (0.01, 0.1)),
-    shows="Share of probe packets that never arrived; nothing while too few were sent to tell.",
+    shows="Share of probe packets that never arrived; nothing while too few were sent.",
     bad="above 1 %.",
     then="improve that robot's radio: distance, channel, antenna.",
 )
@@ -86,7 +86,7 @@ _RETURN_DELAY = _lines(
     "Commands on their way back, each robot",
     "arpd_link_return_delay_seconds{}",
     Scale("s", 3, (0.1, 0.2)),
-    shows="How much longer than at best the way to the robot takes.",
+    shows="Delay from the peer to the robot above its minimum.",
     bad="above 0.1 s: the robot drives on old commands.",
     then="click a robot to open it at this time.",
 )
@@ -100,8 +100,8 @@ def _often(title: str, metric: str, matchers: str = "", **advice: Unpack[Advice]
 _PLANS = _often(
     "New plans of each robot",
     "arpd_levels_total",
-    shows="Plans made, of whatever cause.",
-    bad="more than two a minute for long: that robot's plan flaps.",
+    shows="Plans made, for any cause.",
+    bad="more than two a minute for minutes: that robot's plan flaps.",
     then="click a robot to open it and see 'New plans'.",
 )
 
@@ -110,7 +110,7 @@ _KEPT = _lines(
     f"sum by ({ROBOT}) (rate(arpd_topic_published_messages_total{{}}[$__rate_interval]))"
     f" / (sum by ({ROBOT}) (rate(arpd_topic_offered_messages_total{{}}[$__rate_interval])) > 0)",
     Scale("percentunit", 0),
-    shows="Of the messages that applications gave, those written to the link.",
+    shows="Share of the applications' messages that was written to the link.",
     bad="one robot far below its usual.",
     then="click a robot to open it at this time.",
 )
@@ -120,7 +120,7 @@ _DROPS = _lines(
     f'sum by ({ROBOT}) (rate(arpd_topic_drops_total{{cause=~"blocked|failed"}}[$__rate_interval]))',
     Scale("cps", 2),
     shows="Messages not sent because a writer blocked or a write failed.",
-    bad="any, for longer than seconds.",
+    bad="any, for more than a few seconds.",
     then="click a robot to open it and see 'Drops by cause'.",
 )
 
@@ -128,7 +128,7 @@ _SWAP_FAILURES = _often(
     "Swaps that failed, each robot",
     "arpd_topic_swap_failures_total",
     'reason!="superseded"',
-    shows="QoS swaps that did not end well; superseded ones (a newer plan came first) are left out.",
+    shows="QoS swaps that failed, without superseded ones (a newer plan came first).",
     bad="any, again and again.",
     then="click a robot to open it and see 'Swaps'.",
 )
@@ -143,12 +143,12 @@ _DEADLINES_MISSED = _lines(
 )
 
 _EVENTS = _often(
-    "Events that call for somebody",
+    "Events that need attention",
     "arpd_events_total",
     'event=~"outage|peer_lost|swap_failed|reload_failed|infeasible"',
     shows="Outages, lost peers, failed swaps and reloads, floors given up.",
     bad="any that comes back.",
-    then="click a robot to open it; its page tells each event in a sentence.",
+    then="click a robot to open it; its page says each event in a sentence.",
 )
 
 _TICK = _lines(

@@ -7,7 +7,7 @@ from scripts.dashboards.panels import GATE, QUEUE_DELAY, Scale, alert_list, inst
 from scripts.dashboards.states import BINDING, BLUE, GREEN, GREY, INTERFACE, KIND, LINK, ORANGE, PINK, SKY, STATUS
 
 _ROBOT = "job, instance"
-# What every source together would put on the link if nothing held it back; wire headers are not counted.
+# What all sources would send without limits; wire headers are not counted.
 _DEMAND = """8 * sum(
   arpd_topic_source_rate_hertz{direction!="local"}
   * arpd_topic_payload_bytes{direction!="local"}
@@ -16,7 +16,7 @@ _DEMAND = """8 * sum(
 
 
 def now() -> Section:
-    """Return the section that answers in ten seconds."""
+    """Return the section that shows the robot's state at a glance."""
     numbers = (
         (4, _LINK_STATE),
         (4, _CAPACITY_NOW),
@@ -46,7 +46,7 @@ _CAPACITY_NOW = stat(
     "Capacity",
     [query("8 * arpd_link_capacity_bytes_per_second{}", "capacity")],
     Scale("bps", 1),
-    shows="Wire bits per second that arpd believes the link carries.",
+    shows="What the link carries by arpd's estimate, in wire bits per second.",
     bad="far below what this place usually has; compare with an earlier day.",
     then="move the robot or the access point; raise weights of the topics that matter most.",
 )
@@ -55,9 +55,9 @@ _QUEUE_DELAY_NOW = stat(
     "Queue delay",
     [query("arpd_link_queue_delay_seconds{}", "delay")],
     QUEUE_DELAY,
-    shows="How much longer a packet takes now than in the best moment of the last ten seconds.",
-    bad="above 0.1 s for longer than a second: something fills the link faster than it drains.",
-    then="see whether arpd's own topics do (delivered near capacity) or foreign traffic does.",
+    shows="One-way delay now, above its minimum of the last ten seconds.",
+    bad="above 0.1 s for more than a second: something fills the link faster than it drains.",
+    then="find out what fills it: arpd's topics (delivered is near the capacity), or cross traffic.",
 )
 
 _GATE_NOW = stat(
@@ -66,7 +66,7 @@ _GATE_NOW = stat(
     GATE,
     shows="Factor that holds every paced rate down while the link recovers; 100 % is open.",
     bad="below 50 % for more than a few seconds; it should open by itself when the queue is gone.",
-    then="if it stays low the plan is too large for the link: see 'New plans' and 'Plan changes refused'.",
+    then="if it stays low, the plan is too large for the link: see 'New plans' and 'Plan changes refused'.",
 )
 
 _CONFIRMED_NOW = stat(
@@ -96,8 +96,8 @@ _STATES = timeline(
         (query(STATUS.expression(_ROBOT), "plan"), STATUS),
         (query(BINDING.expression(_ROBOT), "limited by"), BINDING),
     ],
-    shows="Link, its interface, how its capacity is known, whether the plan keeps every floor, what limits it.",
-    bad="vermillion and orange: outage or congestion, floors given up, a capacity that nobody measured.",
+    shows="Link, its interface, the source of its capacity, whether the plan keeps every floor, and what limits it.",
+    bad="vermillion and orange: outage or congestion, floors given up, a capacity that is not measured.",
     then="find the first row that turned bad; the rows below it follow from it.",
 )
 
@@ -105,8 +105,8 @@ _ALERTS = alert_list(
     "Alerts",
     shows="arpd's alerts of this robot that fire or are about to.",
     bad="any that fires; pending ones may still go away.",
-    then="open it: its runbook line says what to do. Empty though 'Alerts firing' is not: switch on 'Manage "
-    "alerts via Alerting UI' in the data source.",
+    then="open it: its runbook line says what to do. If this list is empty and 'Alerts firing' is not, switch "
+    "on 'Manage alerts via Alerting UI' in the data source.",
 )
 
 _CAPACITY = timeseries(
@@ -116,21 +116,21 @@ _CAPACITY = timeseries(
         query("8 * arpd_level_bytes_per_second{}", "plan made for"),
         query("8 * arpd_allocation_capacity_bytes_per_second{}", "may be used now"),
         query("8 * arpd_link_delivery_rate_bytes_per_second{}", "delivered"),
-        query("8 * arpd_link_foreign_bytes_per_second{}", "foreign"),
+        query("8 * arpd_link_foreign_bytes_per_second{}", "cross traffic"),
         query(_DEMAND, "demand"),
     ],
     Scale("bps", 1),
-    shows="What the link carries, what the plan was made for, what all sources would send unhindered (payload "
-    "only), what the peer received, and traffic that is not arpd's.",
+    shows="What the link carries, what the plan was made for, what all sources would send without limits "
+    "(payload only), what the peer received, and cross traffic.",
     bad="delivered below the plan while sources want more, or a plan above the capacity for over two seconds.",
-    then="demand above capacity is what arpd is for. Much foreign traffic: move it off this link.",
+    then="demand above capacity is normal under arpd. Much cross traffic: move it off this link.",
     is_table=True,
     colours={
         "capacity": BLUE,
         "plan made for": PINK,
         "may be used now": SKY,
         "delivered": GREEN,
-        "foreign": ORANGE,
+        "cross traffic": ORANGE,
         "demand": GREY,
     },
 )
@@ -140,7 +140,7 @@ _QUEUE_DELAY = timeseries(
     [query("arpd_link_queue_delay_seconds{}", "queue delay")],
     QUEUE_DELAY,
     shows="One-way delay above its minimum of the last ten seconds.",
-    bad="plateaus above 0.1 s; a short peak as the link falls is how arpd notices.",
+    bad="plateaus above 0.1 s. A short peak is normal when the link falls: arpd measures the fall by it.",
     then="if plateaus last, lower link.headroom so that less of the link is planned.",
     colours={"queue delay": BLUE},
 )

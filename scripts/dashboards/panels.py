@@ -121,7 +121,7 @@ def timeseries(
 
 
 def bars(title: str, queries: Sequence[Json], *, links: Sequence[Json] = (), **advice: Unpack[Advice]) -> Json:
-    """Return a chart of how often something happened in each step of time, at least ten seconds long."""
+    """Return a chart of the number of events in each step of time, at least ten seconds long."""
     custom = {
         "drawStyle": "bars",
         "fillOpacity": 80,
@@ -149,7 +149,7 @@ def stat(
 ) -> Json:
     """Return the last value, large; its colour says whether it is good.
 
-    ``words`` are value mappings from a number to a text and a colour; ``missing`` stands where there is no value.
+    ``words`` map a number to a text and a colour; ``missing`` is the text where there is no value.
     """
     defaults = _defaults(scale)
     if missing:
@@ -295,7 +295,7 @@ def table(
 
 
 def alert_list(title: str, **advice: Unpack[Advice]) -> Json:
-    """Return the list of arpd's alerts that fire or are about to, as Grafana's alerting knows them."""
+    """Return the list of arpd's alerts that fire or are pending, as Grafana's alerting knows them."""
     return {
         "description": _description(advice),
         "id": panel_id(title),
@@ -339,7 +339,7 @@ def _description(advice: Advice) -> str:
 
 
 def panel_id(title: str) -> int:
-    """Return a number that stays when other panels come and go, so that links to the panel and diffs stay, too."""
+    """Return a number that depends on the title alone: links and diffs survive when other panels come and go."""
     return zlib.crc32(title.encode()) % 1_000_000 + 1
 
 

@@ -1,8 +1,8 @@
 """State sets of arpd as one number each, with the words and colours a panel shows for it.
 
-A state set is one series per state, 1 for the one that holds. A state timeline wants one series whose value says which.
-The colours are those of Okabe and Ito, which people with any common colour blindness can tell apart; states that call
-for somebody are vermillion and orange, and every state is named in words, too.
+A state set is one series per state, 1 for the current one. A state timeline wants one series whose value is the state.
+The colours are those of Okabe and Ito, which people with any common colour blindness can tell apart. States that need
+attention are vermillion and orange, and every state also has words.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ ORANGE, VERMILLION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StateSet:
-    """A family of series of which one is 1.
+    """A family of series, one of them 1.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class StateSet:
     states: tuple[tuple[str, str, str], ...]
 
     def expression(self, by: str, matchers: str = "") -> str:
-        """Return PromQL for the number of the state that holds, one series per value of the labels ``by``."""
+        """Return PromQL for the number of the current state, one series per value of the labels ``by``."""
         each = " or ".join(
             f'{number} * {self.metric}{{{self.label}="{state}"{", " if matchers else ""}{matchers}}}'
             for number, (state, _, _) in enumerate(self.states, 1)

@@ -28,7 +28,7 @@ _SWAPS = bars(
     ],
     shows="QoS swaps begun, and those that failed, by reason.",
     bad="any failure but superseded (a newer plan came first); many swaps without a change of the link.",
-    then="unmatched and incompatible: a reader requests what cannot be offered. undelivered: the link was too "
+    then="unmatched and incompatible: a reader requests what no writer can offer. undelivered: the link was too "
     "slow to drain the old writer.",
 )
 
@@ -38,9 +38,9 @@ _PLAN_REACHES = bars(
         query("sum(increase(arpd_applies_total{}[$__rate_interval]))", "calls"),
         query("sum by (reason) (increase(arpd_apply_failures_total{}[$__rate_interval]))", "failed: {{reason}}"),
     ],
-    shows="Calls that set the parameters of a node, and those that failed.",
+    shows="Calls that set a node's parameters, and those that failed.",
     bad="timeout or unreachable again and again: a node hangs, or its executor does not spin.",
-    then="look at that node's log; the others have their plan meanwhile.",
+    then="look at that node's log; the other nodes have their plan.",
 )
 
 _GENERATIONS = timeseries(
@@ -51,7 +51,7 @@ _GENERATIONS = timeseries(
         query("sum(arpd_publishers_refused{})", "refused"),
     ],
     COUNT,
-    shows="Publishers the plan covers, those that announce it, and those that stand refused.",
+    shows="Publishers that the plan covers, that announce it, and that are refused.",
     bad="confirmed below managed for more than ten seconds.",
     then="see 'Publishers refused' and 'The plan reaches the nodes'.",
     is_step=True,
@@ -69,9 +69,9 @@ _PHASE_TIMES = ranking(
     "Time in each phase of a swap",
     [instant(_phase_quantile(0.5), "{{phase}}, half"), instant(_phase_quantile(0.95), "{{phase}}, 95 %")],
     Scale("s", limits=(3.6, 5)),
-    shows="Median, and what 95 % stay below, of each phase over the time shown; 0 where no swap was in it. "
-    "Matching takes 3 s at least, so that every reader is there, and publishing goes on meanwhile.",
-    bad="matching above 5 s; holding near 0.3 s, for samples wait meanwhile; draining near 4 s.",
+    shows="Median and 95th percentile of each phase over the time shown; 0 for phases without a swap. Matching "
+    "takes at least 3 s, so that every reader is matched, and the old writer publishes meanwhile.",
+    bad="matching above 5 s; holding near 0.3 s, because samples wait; draining near 4 s.",
     then="long draining: the link is full. Long matching: discovery is slow, look at the peer's CPU.",
 )
 
@@ -84,7 +84,7 @@ _SWAP_COST = ranking(
         )
     ],
     Scale("s"),
-    shows="Seconds that the ten busiest topics spent in swaps in the time shown.",
+    shows="Time that the ten busiest topics spent in swaps, over the time shown.",
     bad="one topic far above the others.",
     then="its source or its readers change all the time; widen governor.deadband, or give it a fixed rate.",
 )
@@ -95,9 +95,9 @@ def _reader_swaps(result: str) -> str:
 
 
 _READERS = bars(
-    "Handovers of readers",
+    "Reader swaps",
     [query(_reader_swaps('result="ok"'), "replaced"), query(_reader_swaps('result!="ok"'), "failed")],
-    shows="Readers of AdaptiveSubscriptions that were replaced by one of other QoS, or should have been.",
+    shows="Swaps of AdaptiveSubscriptions' readers for readers with other QoS, and those that failed.",
     bad="failed, again and again.",
     then="see the log of the reader's node.",
 )

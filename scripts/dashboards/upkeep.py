@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def daemon() -> Section:
-    """Return the section on whether arpd itself is well."""
+    """Return the section on the health of arpd itself."""
     return Section(
         title="The daemon itself",
         lines=(
@@ -81,9 +81,8 @@ _SOLVES = bars(
         ),
         query("increase(arpd_cross_check_disagreements_total{}[$__rate_interval])", "disagreements"),
     ],
-    shows="Solver failures, plans for which not everything asked for fits, and answers that the exact solver "
-    "contradicted.",
-    bad="disagreements or failures; infeasible only says that the floors exceed the link.",
+    shows="Solver failures, programs whose floors do not fit, and answers that the exact solver contradicted.",
+    bad="disagreements or failures; infeasible only means that the floors exceed the link.",
     then="infeasible: lower min_rate_hz. The others: the exact answer was used; please report it.",
 )
 
@@ -91,9 +90,9 @@ _CPU = timeseries(
     "CPU of the daemon",
     [query("rate(process_cpu_seconds_total{}[$__rate_interval])", "cores")],
     Scale("percentunit", 1),
-    shows="Part of one core that arpd uses.",
+    shows="Share of one core that arpd uses.",
     bad="above 50 % on a Pi for long.",
-    then="see 'Scrape' and 'HTTP requests' for who asks too often, and 'Not believed' for a flood.",
+    then="'Scrape' and 'HTTP requests' show whether somebody asks too often, 'Messages refused' shows a flood.",
     colours={"cores": BLUE},
 )
 
@@ -101,20 +100,20 @@ _MEMORY = timeseries(
     "Memory",
     [query("process_resident_memory_bytes{}", "daemon"), query("arpd_memory_available_bytes{}", "available to all")],
     Scale("bytes", 0),
-    shows="Memory of the daemon, and what the robot computer has left.",
-    bad="a daemon that grows for hours; available below program.memory_reserve, when depths are cut.",
+    shows="Memory of the daemon, and what the robot's computer has left.",
+    bad="a daemon that grows for hours; less available than program.memory_reserve: arpd then cuts depths.",
     then="growth: please report it. Little left: find the process (`systemd-cgtop -m`).",
     colours={"daemon": BLUE, "available to all": GREEN},
 )
 
 _SCRAPE = timeseries(
     "Scrape",
-    [query("scrape_duration_seconds{}", "scrape"), query("arpd_snapshot_age_seconds{}", "age of the picture")],
+    [query("scrape_duration_seconds{}", "scrape"), query("arpd_snapshot_age_seconds{}", "age of the snapshot")],
     Scale("s", 3, (0.5, 1)),
-    shows="Time Prometheus's scrape took, and how old the picture was that it got.",
-    bad="scrapes near their timeout; a picture older than 1 s: ticks have stopped.",
+    shows="Duration of Prometheus's scrape, and age of the snapshot that it got.",
+    bad="scrapes near their timeout; a snapshot older than 1 s: ticks have stopped.",
     then="if ticks have stopped, `journalctl -u arpd`; the watchdog restarts it after 10 s.",
-    colours={"scrape": BLUE, "age of the picture": GREY},
+    colours={"scrape": BLUE, "age of the snapshot": GREY},
 )
 
 _HTTP = timeseries(
@@ -130,11 +129,11 @@ _HTTP = timeseries(
 )
 
 _NOT_BELIEVED = timeseries(
-    "Not believed",
+    "Messages refused",
     [query("sum by (reason) (rate(arpd_messages_refused_total{}[$__rate_interval]))", "{{reason}}")],
     Scale("cps", 2),
-    shows="Messages from the ROS network that arpd did not believe, by reason, per second.",
-    bad="source, rate or quota: a node speaks in another's name, or floods.",
+    shows="Messages from the ROS network that arpd refused, by reason, per second.",
+    bad="source, rate or quota: a node uses another node's name, or floods.",
     then="find the node (`ros2 node list`); SROS 2 shuts it out (etc/sros2).",
     is_stacked=True,
 )
@@ -174,8 +173,8 @@ _UP = stat(
     "Answers Prometheus",
     [instant("avg_over_time(up{}[$__range])", "answered")],
     Scale("percentunit", 1, (0.95, 0.999), BAD_TO_GOOD),
-    shows="Part of the scrapes in the time shown that arpd answered.",
-    bad="below 100 %: the daemon, the robot or the way to it was down; the charts have gaps there.",
+    shows="Share of the scrapes that arpd answered, over the time shown.",
+    bad="below 100 %: the daemon, the robot or the way to it was down; the charts have gaps.",
     then="`systemctl status arpd` on the robot; the target's error in Prometheus under Status, Targets.",
 )
 
@@ -184,7 +183,7 @@ _EVENTS = bars(
     [query("sum by (event) (increase(arpd_events_total{}[$__rate_interval]))", "{{event}}")],
     shows="Events of arpd's decision log; their sentences are on the robot's page and in the journal.",
     bad="outage, peer_lost, swap_failed, reload_failed, infeasible.",
-    then="`journalctl -u arpd ARPD_EVENT=outage` tells when and why in plain words.",
+    then="`journalctl -u arpd ARPD_EVENT=outage` says when and why in plain words.",
 )
 
 _EVENTS_IN_ALL = ranking(
@@ -192,8 +191,8 @@ _EVENTS_IN_ALL = ranking(
     [instant("sort_desc(sum by (event) (increase(arpd_events_total{}[$__range])))", "{{event}}")],
     Scale("short"),
     shows="How often each kind of event occurred in the time shown.",
-    bad="many of plan and confirmed on a link that stands still; any failure.",
-    then="see 'New plans' for what caused them.",
+    bad="many of plan and confirmed on a steady link; any failure.",
+    then="see 'New plans' for the causes.",
 )
 
 _RELOADS = bars(

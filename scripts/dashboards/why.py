@@ -23,7 +23,7 @@ _BOUND_BY = timeline(
     "What limits the rate of each topic",
     [(query(RATE_BINDING.expression("topic, node", 'topic=~"$topic"'), "{{topic}} {{node}}"), RATE_BINDING)],
     shows="The constraint that keeps each topic from a higher rate.",
-    bad="floor (the link does not even carry the least it asked for), or link on a topic that matters.",
+    bad="floor (the link carries no more than that), or link on a topic that matters.",
     then="raise its weight, lower floors of others, or make its messages smaller.",
 )
 
@@ -39,7 +39,7 @@ _SHARES = timeseries(
     "Share of link time each topic gets",
     [query('sum by (topic, node) (arpd_topic_share_ratio{topic=~"$topic"})', "{{topic}} {{node}}")],
     Scale("percentunit", 1),
-    shows="What part of the link's time the plan gives to each topic; together at most the headroom.",
+    shows="Share of link time that the plan gives to each topic; together at most the headroom.",
     bad="a topic of little use that takes much.",
     then="lower its weight or its max_rate_hz.",
     is_stacked=True,
@@ -55,7 +55,7 @@ _ESTIMATE_AGE = timeseries(
     ],
     Scale("s", 1, (30, 60)),
     shows="Time since the evidence behind the capacity, and since the last report of each peer.",
-    bad="reports older than 1 s, or an estimate older than a minute: a change of the link would go unseen.",
+    bad="reports older than 1 s, or an estimate older than a minute: arpd would not see a change of the link.",
     then="see whether arpd-peer runs on the other end and reaches the robot.",
 )
 
@@ -63,25 +63,25 @@ _ESTIMATOR_EVENTS = bars(
     "Changes of the estimate",
     [query("sum by (event) (increase(arpd_estimator_events_total{}[$__rate_interval]))", "{{event}}")],
     shows="How often each rule changed the capacity: down on a queue, undo when that was wrong, agree and "
-    "carried as the link shows more, outage and resume.",
-    bad="down and undo in turn: delay comes and goes without the capacity doing so.",
-    then="look for another sender in bursts (foreign traffic), or a radio that roams.",
+    "carried when the link shows more, outage and resume.",
+    bad="down and undo in turn: the delay changes and the capacity does not.",
+    then="look for cross traffic that comes in bursts, or a radio that roams.",
 )
 
 _NEW_PLANS = bars(
     "New plans",
     [query("sum by (cause) (increase(arpd_levels_total{}[$__rate_interval]))", "{{cause}}")],
-    shows="Plans made, by what caused them.",
+    shows="Plans made, by cause.",
     bad="down and up in turn, more than two a minute: the plan flaps.",
-    then="it calms down by itself, as the time between plans doubles up to 40 s; else lower link.headroom.",
+    then="wait: the time between plans doubles, up to 40 s. If it goes on, lower link.headroom.",
 )
 
 _PLANS_REFUSED = bars(
     "Plan changes refused",
     [query("sum by (reason) (increase(arpd_refusals_total{}[$__rate_interval]))", "{{reason}}")],
-    shows="Ticks in which another plan was wanted, but too soon after the last (dwell) or beyond the swaps "
+    shows="Ticks in which arpd wanted another plan, but too soon after the last (dwell) or beyond the swaps "
     "allowed per minute (budget).",
-    bad="budget at all; dwell for minutes.",
+    bad="any budget; dwell for minutes.",
     then="dwell passes by itself; raise governor.swaps_per_minute if swaps are quick.",
 )
 
@@ -89,10 +89,10 @@ _PUBLISHERS_REFUSED = timeseries(
     "Publishers refused",
     [query("arpd_publishers_refused{}", "{{reason}}")],
     COUNT,
-    shows="Publishers that do not take the QoS asked of them, by reason. middleware and transient_local last: "
-    "these are paced and gated only.",
+    shows="Publishers that do not take the QoS asked of them, by reason. middleware and transient_local are "
+    "permanent: these are paced and gated only.",
     bad="incompatible, unmatched or failed.",
-    then="arpd status names publisher and reader; most often a reader requests a deadline nobody can offer.",
+    then="`arpd status` names publisher and reader; most often a reader requests a deadline that is too short.",
     is_step=True,
     is_stacked=True,
 )
@@ -119,7 +119,7 @@ _INTERFACE = timeseries(
         query("8 * sum(rate(arpd_interface_receive_bytes_total{}[$__rate_interval]))", "received"),
     ],
     Scale("bps", 1),
-    shows="Everything the interface sends and receives, arpd's or not.",
+    shows="All that the interface sends and receives, cross traffic included.",
     bad="sending above the capacity, or packets dropped on the way out.",
     then="find the sender that arpd does not know (`ss`, `nethogs`); see 'Lost on the way' for drops.",
     colours={"sent": GREEN, "received": BLUE},
