@@ -1,4 +1,4 @@
-"""Adaptation against everything a user would do instead: the demo robot over links that change.
+"""Compare arpd with everything a user would do instead: the demo robot over links that change.
 
 Usage: .venv/bin/python -m scripts.bench.adapt [--quick] [--rounds N] [--only LINK,...] [--side SIDE,...] [--json FILE]
        .venv/bin/python -m scripts.bench.adapt --side SIDE,... --into FILE
@@ -6,14 +6,13 @@ Usage: .venv/bin/python -m scripts.bench.adapt [--quick] [--rounds N] [--only LI
 
 Needs root, as the simulated link does.
 
-Twelve topics between two network namespaces, real rclpy and Fast DDS, a real rate-limited link. Each side is a run of
-its own with a robot of its own, over the same schedule; their order is random in every round. A sample that has not
-arrived four seconds after the end never does. Ages are those of the newest sample at the reader, 20 times a second.
+Twelve topics between two network namespaces, real rclpy and Fast DDS, a real rate-limited link. Each side has a run
+and a robot of its own, over the same schedule; the order of sides is random in every round. A sample counts as lost if
+it has not arrived four seconds after the end. Ages are those of the newest sample at the reader, 20 times a second.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -22,6 +21,7 @@ import shutil
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,19 +33,20 @@ from scripts.bench.adapt_plot import draw
 from scripts.bench.adapt_report import table
 from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
 from scripts.bench.adapt_watch import Processors, Reassembly
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.record import conditions, keep, options_of, read
 from scripts.netns.simlink import SimLink
 from scripts.robot.oracle import write_truth
 from scripts.robot.run import robot, run
 
 if TYPE_CHECKING:
+    from argparse import ArgumentParser
     from collections.abc import Iterator, Sequence
 
     from scripts.bench.adapt_links import Link
 
 
 def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
-    """Let one side's robot work over one link, and return what came of it."""
+    """Run one side's robot over one link, and return the figures of the run."""
     folder.mkdir(parents=True)
     truth = folder / "truth.json"
     start_rate = link.rates.rate_at(0.0)
@@ -69,7 +70,7 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
             loss_at=link.loss_at,
             on_change=lambda rate, loss: write_truth(truth, capacity_bytes_per_second=rate, loss=loss),
         )
-        results = [json.loads(path.read_text()) for path in (folder / "planner.json", folder / "base_driver.json")]
+        results = [read(path) for path in (folder / "planner.json", folder / "base_driver.json")]
         final, fragments = side.final, reassembly.figures()
     samples = {topic: values for result in results for topic, values in result["samples"].items()}
     return {
@@ -84,7 +85,7 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
 def measure(
     chosen: Sequence[Link], sides: Sequence[str], rounds: int, seed: int, logs: Path
 ) -> Iterator[dict[str, Any]]:
-    """Yield every run as it ends; in each round, links and the sides of each come in random order."""
+    """Yield every run as it ends; in each round the order of links and sides is random."""
     rng = random.Random(seed)
     turns = [
         (number, link, side)
@@ -108,7 +109,7 @@ def measure(
 
 
 def line(done: dict[str, Any]) -> str:
-    """Say in a line what came of a run."""
+    """Return a run's figures in a line."""
     figures = done["all"]
     p99, age = (math.inf if figures[name] is None else figures[name] for name in ("latency_p99_s", "age_p99_s"))
     return (
@@ -141,73 +142,63 @@ def assembled(
 
 
 def renewed(old: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
-    """Return a document in which the fresh runs stand for those of the same links and sides, and that says so.
+    """Return a document in which fresh runs replace those of the same links and sides; its key ``apart`` names them.
 
     Raises
     ------
     ValueError
-        If the links are not the same: what their sides did could not be compared.
+        If a link has changed: its sides would not be comparable.
     """
     courses = {link["name"]: json.dumps(link) for link in old["links"]}
     if other := [link["name"] for link in fresh["links"] if courses.get(link["name"]) != json.dumps(link)]:
         raise ValueError(f"{', '.join(other)}: not the links of the document")
-    places = {(run["link"], run["side"]) for run in fresh["runs"]}
-    kept = [run for run in old["runs"] if (run["link"], run["side"]) not in places]
+    replaced = {(run["link"], run["side"]) for run in fresh["runs"]}
+    kept = [run for run in old["runs"] if (run["link"], run["side"]) not in replaced]
     apart = {"sides": list(fresh["sides"]), "conditions": fresh["conditions"]}
     return {**old, "runs": [*kept, *fresh["runs"]], "apart": apart}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a short step down with two sides, as CI runs it")
+    parser = options_of(__doc__, "adapt", quick="a short step down with two sides, as CI runs it", has_plot=True)
     parser.add_argument("--rounds", type=int, default=1, metavar="N", help="times everything runs (default 1)")
     parser.add_argument("--only", default="", metavar="LINK,...", help="these links")
     parser.add_argument("--side", default="", metavar="SIDE,...", help=f"these sides of {', '.join(SIDES)}")
     parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of bursts and order (default %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="where the results go")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="where the picture goes")
     parser.add_argument("--logs", type=Path, metavar="DIR", help="folder for logs of runs that fail")
     parser.add_argument("--into", type=Path, metavar="FILE", help="replace the runs of these sides in a document")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing: print the table of this file")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing; print the table of this file")
     options = parser.parse_args()
     if options.report:
-        read = json.loads(options.report.read_text(encoding="utf-8"))
-        print(table(read))
+        reported = read(options.report)
+        print(table(reported))
         if options.plot:
-            draw(read, options.plot)
+            draw(reported, options.plot)
         return
     known = {link.name: link for link in ((quick_link(),) if options.quick else links(options.seed))}
     chosen = _chosen(parser, "--only", options.only, known)
     every = (DEFAULTS, ARPD) if options.quick else SIDES
     sides = list(_chosen(parser, "--side", options.side, {side: side for side in every}))
-    is_partial = options.quick or bool(options.only) or bool(options.side)
-    to_json, to_plot = (
-        target(path, name, is_partial=is_partial)
-        for path, name in ((options.json, "adapt.json"), (options.plot, "adapt.png"))
-    )
     logs = options.logs or Path(tempfile.mkdtemp(prefix="arpd-adapt-"))
-    about, runs = conditions(), list[dict[str, Any]]()
+    about = conditions()
     rounds = 1 if options.quick else options.rounds
-    for done in measure(chosen, sides, rounds, seed=options.seed, logs=logs):
-        runs.append(done)
+    runs = list(measure(chosen, sides, rounds, seed=options.seed, logs=logs))
     found = assembled(chosen, sides, runs, about, options.seed)
     if options.into:
-        found = renewed(json.loads(options.into.read_text(encoding="utf-8")), json.loads(json.dumps(found)))
-        to_json = options.into
+        found = renewed(read(options.into), json.loads(json.dumps(found)))
+        options.json = options.into
+    is_partial = options.quick or bool(options.only) or bool(options.side)
     if runs:
         print(table(found))
-        keep(found, to_json)
     wrong = [f"{done['link']}, {done['side']}: {what}" for done in runs for what in check(done)]
     if len(runs) < rounds * len(chosen) * len(sides):
-        wrong.append(f"only {len(runs)} of {rounds * len(chosen) * len(sides)} runs came to their end; logs in {logs}")
+        wrong.append(f"only {len(runs)} of {rounds * len(chosen) * len(sides)} runs ended; logs in {logs}")
+    if runs:
+        keep(found, options, "adapt", is_partial=is_partial, draw=None if wrong else partial(draw, found))
     if wrong:
         sys.exit("adapt: " + "\n       ".join(wrong))
-    if to_plot:
-        draw(found, to_plot)
-        print(to_plot)
 
 
-def _chosen(parser: argparse.ArgumentParser, option: str, text: str, known: dict[str, Any]) -> list[Any]:
+def _chosen(parser: ArgumentParser, option: str, text: str, known: dict[str, Any]) -> list[Any]:
     names = [name for name in text.split(",") if name] or list(known)
     if unknown := [name for name in names if name not in known]:
         parser.error(f"{option}: no {', '.join(unknown)}; there are {', '.join(known)}")

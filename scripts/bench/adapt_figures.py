@@ -1,4 +1,4 @@
-"""What one run of `adapt.py` brought, per topic and in all, from what its readers and its processes noted."""
+"""The figures of one run of `adapt.py`, per topic and for all, from the notes of its readers and processes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ TIMELINE_S = 0.5
 
 
 def pooled(samples: Sequence[tuple[Sequence[float], int]], q: float) -> float | None:
-    """Return a percentile over all topics in which every topic weighs the same; None = never.
+    """Return a percentile over all topics in which every topic has the same weight; None = never.
 
     Parameters
     ----------
-    samples : per topic the values there are, and how many there should be: the others are never
+    samples : per topic the values, and how many samples were due: the missing ones count as never
     q : 0..1
     """
     values = np.array([value for known, _ in samples for value in known])
@@ -32,35 +32,34 @@ def pooled(samples: Sequence[tuple[Sequence[float], int]], q: float) -> float | 
     topics = sum(1 for known, all_ in samples if all_ or known)
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
-    place = int(np.searchsorted(reached, q * topics - 1e-9))
-    return round(float(values[order[place]]), 4) if place < len(values) else None
+    rank = int(np.searchsorted(reached, q * topics - 1e-9))
+    return round(float(values[order[rank]]), 4) if rank < len(values) else None
 
 
 def due(topic: TopicResult) -> int:
-    """Return how many samples should have arrived: those offered and not withheld, lost on the robot or after it."""
+    """Return the number of samples that should arrive: those offered and not withheld, even if the robot lost them."""
     return max(topic.sent, topic.offered - topic.withheld, topic.received)
 
 
 def document(
     topics: Sequence[TopicResult], samples: Mapping[str, Mapping[str, Sequence[float]]], duration_s: float
 ) -> dict[str, Any]:
-    """Return a run's figures as JSON has them: None where a value is never.
+    """Return a run's figures for JSON; None = never.
 
     Parameters
     ----------
-    topics : the counts
-    samples : per topic every latency (``latencies_s``) and every age (``ages_s``), as the readers noted them
-    duration_s : how long the sources published (s)
+    samples : per topic every latency (``latencies_s``) and every age (``ages_s``) that its reader noted
+    duration_s : time that the sources published (s)
     """
     return {
         "all": _all(topics, samples, duration_s),
-        "topics": {topic.topic: _topic(topic, samples[topic.topic], duration_s) for topic in topics},
+        "topics": {topic.topic: _topic(topic, samples, duration_s) for topic in topics},
         "ages_over_time_s": over_time([samples[topic.topic]["ages_s"] for topic in topics]),
     }
 
 
 def over_time(ages_s: Sequence[Sequence[float]]) -> list[float]:
-    """Return the mean age over all topics in every TIMELINE_S (s)."""
+    """Return the mean age over all topics in each TIMELINE_S (s)."""
     per_bin = round(TIMELINE_S / AGE_PERIOD_S)
     bins = min(map(len, ages_s), default=0) // per_bin
     return [
@@ -70,7 +69,7 @@ def over_time(ages_s: Sequence[Sequence[float]]) -> list[float]:
 
 
 def beyond_period(ages_s: Sequence[float], source_rate_hz: float) -> list[float]:
-    """Return how much older than one period of its source the newest sample was: 0 on a perfect link (s)."""
+    """Return each age above one period of the source: 0 on a perfect link (s)."""
     return [max(0.0, age_s - 1.0 / source_rate_hz) for age_s in ages_s]
 
 
@@ -82,55 +81,49 @@ def late_share(latencies_s: Sequence[float], sent: int) -> float:
 def _all(
     topics: Sequence[TopicResult], samples: Mapping[str, Mapping[str, Sequence[float]]], duration_s: float
 ) -> dict[str, Any]:
-    latencies = [(samples[topic.topic]["latencies_s"], due(topic)) for topic in topics]
-    survivors = [(values, len(values)) for values, _ in latencies]
-    ages = [(samples[topic.topic]["ages_s"], 0) for topic in topics]
-    beyond = [(beyond_period(values, t.source_rate_hz), 0) for (values, _), t in zip(ages, topics, strict=True)]
+    survivors = [(samples[topic.topic]["latencies_s"], 0) for topic in topics]
+    beyond = [(beyond_period(samples[topic.topic]["ages_s"], topic.source_rate_hz), 0) for topic in topics]
     commands = next(topic for topic in topics if topic.topic == COMMAND_TOPIC)
+    return {
+        **_shared(topics, samples, duration_s),
+        "survivors_max_s": pooled(survivors, 1.0),
+        "beyond_p99_s": pooled(beyond, 0.99),
+        "command_late_share": late_share(samples[COMMAND_TOPIC]["latencies_s"], due(commands)),
+    }
+
+
+def _topic(
+    topic: TopicResult, samples: Mapping[str, Mapping[str, Sequence[float]]], duration_s: float
+) -> dict[str, Any]:
+    counts = ("source_rate_hz", "expected", "offered", "withheld", "sent", "received")
+    return {**{name: getattr(topic, name) for name in counts}, **_shared([topic], samples, duration_s)}
+
+
+def _shared(
+    topics: Sequence[TopicResult], samples: Mapping[str, Mapping[str, Sequence[float]]], duration_s: float
+) -> dict[str, Any]:
+    """Return the figures that one topic has as well as all together."""
+    latencies = [(samples[topic.topic]["latencies_s"], due(topic)) for topic in topics]
+    survivors = [(values, 0) for values, _ in latencies]
+    ages = [(samples[topic.topic]["ages_s"], 0) for topic in topics]
     has_lost = any(due(topic) > topic.received for topic in topics)
+    offered, expected = sum(t.offered for t in topics), sum(t.expected for t in topics)
     return {
         "latency_p50_s": pooled(latencies, 0.5),
         "latency_p99_s": pooled(latencies, 0.99),
         "latency_max_s": None if has_lost else pooled(latencies, 1.0),
         "survivors_p99_s": pooled(survivors, 0.99),
-        "survivors_max_s": pooled(survivors, 1.0),
         "age_p50_s": pooled(ages, 0.5),
         "age_p99_s": pooled(ages, 0.99),
-        "beyond_p99_s": pooled(beyond, 0.99),
         "goodput_bytes_per_second": round(sum(topic.delivered_bytes for topic in topics) / duration_s),
         "loss_ratio": _ratio(sum(due(t) - t.received for t in topics), sum(map(due, topics))),
-        "withheld_ratio": _ratio(sum(t.withheld for t in topics), sum(t.offered for t in topics)),
-        "stalled_ratio": round(
-            max(0.0, 1.0 - _ratio(sum(t.offered for t in topics), sum(t.expected for t in topics))), 5
-        ),
-        "command_late_share": late_share(samples[COMMAND_TOPIC]["latencies_s"], due(commands)),
-    }
-
-
-def _topic(topic: TopicResult, samples: Mapping[str, Sequence[float]], duration_s: float) -> dict[str, Any]:
-    latencies = [(samples["latencies_s"], due(topic))]
-    return {
-        "source_rate_hz": topic.source_rate_hz,
-        "expected": topic.expected,
-        "offered": topic.offered,
-        "withheld": topic.withheld,
-        "sent": topic.sent,
-        "received": topic.received,
-        "latency_p50_s": pooled(latencies, 0.5),
-        "latency_p99_s": pooled(latencies, 0.99),
-        "latency_max_s": None if due(topic) > topic.received else pooled(latencies, 1.0),
-        "survivors_p99_s": pooled([(samples["latencies_s"], 0)], 0.99),
-        "age_p50_s": pooled([(samples["ages_s"], 0)], 0.5),
-        "age_p99_s": pooled([(samples["ages_s"], 0)], 0.99),
-        "goodput_bytes_per_second": round(topic.delivered_bytes / duration_s),
-        "loss_ratio": _ratio(due(topic) - topic.received, due(topic)),
-        "withheld_ratio": round(topic.withheld_ratio, 5),
-        "stalled_ratio": round(topic.stalled_ratio, 5),
+        "withheld_ratio": _ratio(sum(t.withheld for t in topics), offered),
+        "stalled_ratio": _ratio(max(0, expected - offered), expected),
     }
 
 
 def check(run: Mapping[str, Any]) -> list[str]:
-    """Return what is nonsense about a run; empty when nothing is."""
+    """Return the faults that make a run worthless."""
     wrong = [f"{name} was never received" for name, topic in run["topics"].items() if not topic["received"]]
     wrong += [f"{name} was never offered" for name, topic in run["topics"].items() if not topic["offered"]]
     if len(run["topics"]) != 12:

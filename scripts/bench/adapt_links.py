@@ -1,4 +1,4 @@
-"""The links of `adapt.py`: each stays as it is for five seconds, then changes."""
+"""The links of `adapt.py`: each is steady for five seconds, then changes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scripts.bench.adapt_walk import DURATION_S, TRACE
 
 MBIT = 125_000.0  # bytes/s
 CALM_S = 5.0
-OUTAGE_BYTES_PER_SECOND = 10.0  # loss alone would be no outage: a lost packet has crossed the link
+OUTAGE_BYTES_PER_SECOND = 10.0  # loss alone is no outage: a lost packet has crossed the link
 _GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
 _BAD_LOSSES = (0.5, 1.0)
 SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run, and are of both kinds
@@ -21,15 +21,14 @@ SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the lon
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Link:
-    """What happens to one link.
+    """The course of one link.
 
     Parameters
     ----------
-    name : how tables and ``--only`` call it
-    what : what happens to it, in words
-    rates : rate over time
+    name : its name in tables and for ``--only``
+    what : its course in words
     losses : probability of loss over time, by ascending start; none before the first
-    duration_s : how long the sources publish (s)
+    duration_s : time that the sources publish (s)
     """
 
     name: str
@@ -39,9 +38,9 @@ class Link:
     duration_s: float = DURATION_S
 
     def loss_at(self, elapsed_s: float) -> float:
-        """Probability that a packet is lost at this time (0..1)."""
-        place = bisect_right(self.losses, elapsed_s, key=lambda step: step.start_s)
-        return self.losses[place - 1].loss if place else 0.0
+        """Return the probability that a packet is lost at this time (0..1)."""
+        begun = bisect_right(self.losses, elapsed_s, key=lambda step: step.start_s)
+        return self.losses[begun - 1].loss if begun else 0.0
 
     @property
     def mean_bytes_per_second(self) -> float:
@@ -52,7 +51,7 @@ class Link:
 
 
 def links(seed: int) -> tuple[Link, ...]:
-    """Return every link; the seed decides when the bursts come."""
+    """Return every link; the seed sets the times of the bursts."""
     trace = read_trace(TRACE)
     outage = ((0.0, 20 * MBIT), (8.0, OUTAGE_BYTES_PER_SECOND), (13.0, 20 * MBIT))
     return (
@@ -87,12 +86,7 @@ def links(seed: int) -> tuple[Link, ...]:
 
 def quick_link() -> Link:
     """Return the short step down of ``--quick``."""
-    return Link(
-        name="step-down",
-        what="20 → 5 Mbit/s",
-        rates=_rates((0.0, 20 * MBIT), (2.0, 5 * MBIT)),
-        duration_s=6.0,
-    )
+    return Link(name="step-down", what="20 → 5 Mbit/s", rates=_rates((0.0, 20 * MBIT), (2.0, 5 * MBIT)), duration_s=6.0)
 
 
 def _rates(*steps: tuple[float, float]) -> RateSchedule:
@@ -100,7 +94,7 @@ def _rates(*steps: tuple[float, float]) -> RateSchedule:
 
 
 def _ramp() -> RateSchedule:
-    """Down from 20 to 3 Mbit/s by equal ratios in steps of 0.5 s, a rest, and up again."""
+    """Fall from 20 to 3 Mbit/s by equal ratios in steps of 0.5 s, rest, and rise again."""
     steps = [(0.0, 20 * MBIT)]
     ratio = (3 / 20) ** (1 / 20)
     steps += [(CALM_S + 0.5 * k, 20 * MBIT * ratio ** (k + 1)) for k in range(20)]
@@ -109,7 +103,7 @@ def _ramp() -> RateSchedule:
 
 
 def _bursts(rng: random.Random) -> list[LossStep]:
-    """Let bad times come and go; the last is over before the run is, so that what is under way can arrive."""
+    """Return random bursts of loss; the last ends before the run does, so that samples under way can arrive."""
     steps: list[LossStep] = []
     now_s = CALM_S
     while True:

@@ -1,4 +1,4 @@
-"""The picture of `adapt.py`: per link its rate, the age of what the reader has, and the p99 of every side."""
+"""The picture of `adapt.py`: for each link its rate, the age of the newest sample, and the p99 of every side."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.adapt_figures import TIMELINE_S
 from scripts.bench.adapt_targets import figures_of
+from scripts.bench.picture import picture
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-_STYLES = {
+_STYLES: dict[str, dict[str, Any]] = {
     "defaults": {"color": "tab:red", "linewidth": 1.2},
     "keep-last-1": {"color": "tab:pink", "linewidth": 0.9},
     "keep-last-5000": {"color": "tab:brown", "linewidth": 0.9},
@@ -24,38 +25,26 @@ _LEAST_S, _NEVER_S = 0.01, 60.0
 
 
 def draw(document: Mapping[str, Any], path: Path) -> None:
-    """Draw one row per link; of several rounds, the first over time and the medians of the p99."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
+    """Draw one row per link: over time the first round, as p99 the medians of all rounds."""
+    from matplotlib.lines import Line2D
 
     links, sides = document["links"], list(document["sides"])
     figures = figures_of(document)
-    figure, rows = plt.subplots(
-        len(links),
-        3,
-        figsize=(13, 0.9 + 1.9 * len(links)),
-        squeeze=False,
-        layout="constrained",
-        gridspec_kw={"width_ratios": (3, 4, 4)},
-    )
-    for link, (rate, age, p99) in zip(links, rows, strict=True):
-        _draw_link(link, rate)
-        _draw_ages(document, link["name"], age)
-        _draw_p99({side: figures[link["name"], side] for side in sides if (link["name"], side) in figures}, p99)
-        for axes in (rate, age):
-            axes.set_xlim(0, link["duration_s"])
-    rows[0][0].set_title("link (Mbit/s); red: loss")
-    rows[0][1].set_title("age of the newest sample, mean of 12 topics (s)")
-    rows[0][2].set_title("p99 (s)   ● latency   ◇ age")
-    for axes in rows[-1][:2]:
-        axes.set_xlabel("s")
-    handles = [plt.Line2D([], [], label=side, **_line(side)) for side in sides]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(sides), frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    size, ratios = (13, 0.9 + 1.9 * len(links)), {"width_ratios": (3, 4, 4)}
+    with picture(path, len(links), 3, figsize=size, squeeze=False, gridspec_kw=ratios) as (figure, rows):
+        for link, (rate, age, p99) in zip(links, rows, strict=True):
+            _draw_link(link, rate)
+            _draw_ages(document, link["name"], age)
+            _draw_p99({side: figures[link["name"], side] for side in sides if (link["name"], side) in figures}, p99)
+            for axes in (rate, age):
+                axes.set_xlim(0, link["duration_s"])
+        rows[0][0].set_title("link (Mbit/s); red: loss")
+        rows[0][1].set_title("age of the newest sample, mean of 12 topics (s)")
+        rows[0][2].set_title("p99 (s)   ● latency   ◇ age")
+        for axes in rows[-1][:2]:
+            axes.set_xlabel("s")
+        handles = [Line2D([], [], label=side, **_STYLES[side]) for side in sides]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(sides), frameon=False)
 
 
 def _draw_link(link: Mapping[str, Any], axes: Any) -> None:
@@ -75,26 +64,22 @@ def _draw_ages(document: Mapping[str, Any], link: str, axes: Any) -> None:
     for run in document["runs"]:
         if run["link"] == link and run["round"] == 1:
             ages = run["ages_over_time_s"]
-            axes.plot([TIMELINE_S * (k + 0.5) for k in range(len(ages))], ages, **_line(run["side"]))
+            axes.plot([TIMELINE_S * (k + 0.5) for k in range(len(ages))], ages, **_STYLES[run["side"]])
     axes.set_yscale("log")
     axes.set_ylim(0.04, 20)
     axes.grid(visible=True, color="0.9")
 
 
 def _draw_p99(figures: Mapping[str, Mapping[str, float]], axes: Any) -> None:
-    for place, (side, found) in enumerate(figures.items()):
+    for row, (side, found) in enumerate(figures.items()):
         color = _STYLES[side]["color"]
         latency_s, age_s = (min(_NEVER_S, found[name]) for name in ("latency_p99_s", "age_p99_s"))
-        axes.plot([latency_s, age_s], [place, place], color=color, linewidth=1, alpha=0.5)
-        axes.plot(latency_s, place, marker="o", color=color, clip_on=False)
-        axes.plot(age_s, place, marker="D", color=color, markerfacecolor="white", clip_on=False)
+        axes.plot([latency_s, age_s], [row, row], color=color, linewidth=1, alpha=0.5)
+        axes.plot(latency_s, row, marker="o", color=color, clip_on=False)
+        axes.plot(age_s, row, marker="D", color=color, markerfacecolor="white", clip_on=False)
     axes.set_xscale("log")
     axes.set_xlim(_LEAST_S, _NEVER_S)
     axes.set_xticks([0.01, 0.1, 1, 10, _NEVER_S], ["0.01", "0.1", "1", "10", "never"])
     axes.set_yticks(range(len(figures)), list(figures))
     axes.invert_yaxis()
     axes.grid(visible=True, axis="x", color="0.9")
-
-
-def _line(side: str) -> dict[str, Any]:
-    return dict(_STYLES[side])

@@ -1,4 +1,4 @@
-"""Write the tables of `adapt.py` from its document alone, as text and for docs/results.md and README.md."""
+"""The tables of `adapt.py`, from its document alone: as text, for docs/results.md and for README.md."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Any
 from scripts.bench.adapt_sides import ARPD, DEFAULTS, ORACLE, PAPER
 from scripts.bench.adapt_targets import SUFFICES, TARGETS, figures_of, judge, seconds, topics_of
 from scripts.bench.record import described
+from scripts.bench.report import markdown_table, percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from scripts.bench.adapt_targets import Verdict
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
 
 
 def _mbit(bytes_per_second: float) -> str:
@@ -35,32 +32,33 @@ _COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("age p99", "age_p99_s", seconds),
     ("beyond period", "beyond_p99_s", seconds),
     ("Mbit/s", "goodput_bytes_per_second", _mbit),
-    ("lost %", "loss_ratio", _percent),
-    ("withheld %", "withheld_ratio", _percent),
-    ("stalled %", "stalled_ratio", _percent),
-    ("late cmd %", "command_late_share", _percent),
+    ("lost %", "loss_ratio", percent),
+    ("withheld %", "withheld_ratio", percent),
+    ("stalled %", "stalled_ratio", percent),
+    ("late cmd %", "command_late_share", percent),
     ("unassembled", "unassembled", _count),
     ("swaps", "swaps", _count),
-    ("run %", "cpu_run", _percent),
-    ("relay %", "cpu_relay", _percent),
-    ("peer %", "cpu_peer", _percent),
-    ("sources %", "cpu_sources", _percent),
-    ("machine %", "cpu_machine", _percent),
+    ("run %", "cpu_run", percent),
+    ("relay %", "cpu_relay", percent),
+    ("peer %", "cpu_peer", percent),
+    ("sources %", "cpu_sources", percent),
+    ("machine %", "cpu_machine", percent),
 )
-_STARVED = 0.9  # of the machine: above, /imu's 50 ms of history no longer outlast the planner's waits
+_LETTERS = dict(zip(TARGETS, "ABCDEFGH", strict=True))
+_STARVED = 0.9  # of the machine: above this, the planner waits longer than the 50 ms of /imu's history
 _LEGEND = (
-    "A lost sample, or one that has not come four seconds after the end, never arrives, so a p99 with more than 1 % "
-    "lost is never; beside it, the p99 of those that came. Age: of the newest sample at the reader, which even on "
-    "a perfect link is up to a period of its source ({slowest}); beyond period: how much more than that, at p99. "
-    "Withheld: pacing chose a fresher sample. Stalled: not published because publish() blocked, or the processor was "
-    "busy. Late commands took over 100 ms or were lost. Unassembled: datagrams of which the receiving kernel missed "
-    "fragments; while they fill its memory for that, no large sample arrives. CPU in per cent of a core, "
-    "machine: of all its cores."
+    "A sample counts as lost if it has not arrived four seconds after the end, and a lost sample never arrives: with "
+    "more than 1 % lost, the p99 is never. Beside it is the p99 of the samples that came. Age: of the newest sample at "
+    "the reader; on a perfect link it grows up to a period of its source ({slowest}). Beyond period: the p99 of the "
+    "age above that. Withheld: pacing chose a fresher sample. Stalled: not published because publish() blocked or the "
+    "processor was busy. Late commands took over 100 ms or were lost. Unassembled: datagrams with fragments that the "
+    "receiving kernel missed; while they fill its memory for fragments, no large sample arrives. CPU in per cent of a "
+    "core; machine: of all its cores."
 )
 
 
 def table(document: Mapping[str, Any]) -> str:
-    """Return every figure of every link and side, p99 latency and age of every topic, and the targets, as text."""
+    """Return all figures of each link and side, p99 latency and age of each topic, and the targets, as text."""
     figures = figures_of(document)
     heads = [head for head, _, _ in _COLUMNS]
     widths = [max(9, len(head) + 1) for head in heads]
@@ -68,8 +66,8 @@ def table(document: Mapping[str, Any]) -> str:
     for link in document["links"]:
         name = link["name"]
         sides = [side for side in document["sides"] if (name, side) in figures]
-        lines += [f"{name}: {link['what']}", f"{'':<15}" + "".join(map(_right, heads, widths))]
-        lines += [f"{side:<15}" + "".join(map(_right, _cells(figures[name, side]), widths)) for side in sides]
+        lines += [f"{name}: {link['what']}", f"{'':<15}" + "".join(map(str.rjust, heads, widths))]
+        lines += [f"{side:<15}" + "".join(map(str.rjust, _cells(figures[name, side]), widths)) for side in sides]
         lines += ["", f"{'p99 latency / age':<26}" + "".join(f"{side:>20}" for side in sides)]
         for topic, by_side in topics_of(document, name).items():
             lines.append(f"{topic:<26}" + "".join(f"{_p99s(by_side[side]):>20}" for side in sides))
@@ -82,14 +80,13 @@ def table(document: Mapping[str, Any]) -> str:
 def markdown(document: Mapping[str, Any]) -> str:
     """Return the block of docs/results.md."""
     verdicts = judge(document)
-    links = {link["name"]: link for link in document["links"]}
     lines = [
-        "Latency and age over all twelve topics, each weighing the same; a lost sample never arrives:",
+        "Latency and age over all twelve topics, each with the same weight; a lost sample never arrives:",
         "",
         *_crossed(document, list(document["sides"])),
         "",
         *(f"- **{name}**: {what}" for name, what in document["sides"].items()),
-        *(f"- `{name}`: {link['what']}" for name, link in links.items()),
+        *(f"- `{link['name']}`: {link['what']}" for link in document["links"]),
         "",
         _spread(document) + f" ({described(dict(document))}).{_apart(document)}",
         "",
@@ -97,7 +94,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         *_target_table(verdicts),
         "",
-        *(f"- {letter}: {what}" for letter, what in zip("ABCDEFGH", TARGETS.values(), strict=True)),
+        *(f"- {_LETTERS[target]}: {what}" for target, what in TARGETS.items()),
         "",
         SUFFICES,
         "",
@@ -116,59 +113,44 @@ def markdown(document: Mapping[str, Any]) -> str:
 
 def summary(document: Mapping[str, Any]) -> str:
     """Return the small table at the top of README.md."""
-    return "\n".join(
-        _crossed(document, [side for side in (DEFAULTS, PAPER, ARPD, ORACLE) if side in document["sides"]])
-    )
+    sides = [side for side in (DEFAULTS, PAPER, ARPD, ORACLE) if side in document["sides"]]
+    return "\n".join(_crossed(document, sides))
 
 
 def _crossed(document: Mapping[str, Any], sides: list[str]) -> list[str]:
     figures = figures_of(document)
-    lines = [
-        "| p99 latency / p99 age | " + " | ".join(sides) + " |",
-        "|---|" + "---:|" * len(sides),
-    ]
-    for link in document["links"]:
-        cells = []
-        for side in sides:
-            found = figures.get((link["name"], side))
-            cell = "" if found is None else _p99s(found)
-            cells.append(f"**{cell}**" if side == ARPD and cell else cell)
-        lines.append(f"| {link['name']} | " + " | ".join(cells) + " |")
-    return lines
+
+    def cell(link: str, side: str) -> str:
+        shown = _p99s(figures[link, side]) if (link, side) in figures else ""
+        return f"**{shown}**" if side == ARPD and shown else shown
+
+    rows = [[link["name"], *(cell(link["name"], side) for side in sides)] for link in document["links"]]
+    return markdown_table("lr", ["p99 latency / p99 age", *sides], rows)
 
 
 def _target_table(verdicts: list[Verdict]) -> list[str]:
-    by_place = {(one.link, one.target): one for one in verdicts}
-    lines = ["| | " + " | ".join("ABCDEFGH") + " |", "|---|" + ":-:|" * len(TARGETS)]
-    rows = dict.fromkeys(one.link for one in verdicts)
-    return lines + [f"| {link} | {' | '.join(_mark(by_place[link, target]) for target in TARGETS)} |" for link in rows]
+    marks = {(one.link, one.target): _mark(one) for one in verdicts}
+    links = dict.fromkeys(one.link for one in verdicts)
+    rows = [[link, *(marks[link, target] for target in TARGETS)] for link in links]
+    return markdown_table("lc", ["", *_LETTERS.values()], rows)
 
 
 def _shortfalls(verdicts: list[Verdict]) -> list[str]:
-    """Say every target that was not met, with its numbers."""
-    letters = dict(zip(TARGETS, "ABCDEFGH", strict=True))
-    missed = [one for one in verdicts if not one.is_met]
-    ours, physics = ([one for one in missed if one.is_possible is is_possible] for is_possible in (True, False))
+    """Name every target that was not met, with its numbers."""
     lines = []
-    for title, those in (("Missed", ours), ("Met by no side", physics)):
-        if those:
-            lines.append(
-                f"{title}: " + "; ".join(f"{one.link} {letters[one.target]} ({one.why})" for one in those) + "."
-            )
-            lines.append("")
+    for title, is_possible in (("Missed", True), ("Met by no side", False)):
+        missed = [one for one in verdicts if not one.is_met and one.is_possible is is_possible]
+        if missed:
+            named = "; ".join(f"{one.link} {_LETTERS[one.target]} ({one.why})" for one in missed)
+            lines += [f"{title}: {named}.", ""]
     return lines[:-1] or ["Every target is met."]
 
 
 def _details(document: Mapping[str, Any]) -> list[str]:
     figures = figures_of(document)
-    lines = ["| link | side | " + " | ".join(head for head, _, _ in _COLUMNS) + " |"]
-    lines.append("|---|---|" + "---:|" * len(_COLUMNS))
-    for link in document["links"]:
-        for side in document["sides"]:
-            if (link["name"], side) in figures:
-                cells = _cells(figures[link["name"], side])
-                lines.append(f"| {link['name']} | {side} | " + " | ".join(cells) + " |")
-    return lines
+    keys = [(link["name"], side) for link in document["links"] for side in document["sides"]]
+    rows = [[*key, *_cells(figures[key])] for key in keys if key in figures]
+    return markdown_table("llr", ["link", "side", *(head for head, _, _ in _COLUMNS)], rows)
 
 
 def _cells(figures: Mapping[str, float]) -> list[str]:
@@ -188,7 +170,7 @@ def _missed(verdict: Verdict) -> str:
 
 
 def _spread(document: Mapping[str, Any]) -> str:
-    """Say how far rounds lie apart, and how busy the machine was."""
+    """Return the difference between rounds, and how busy the machine was."""
     rounds = max((run["round"] for run in document["runs"]), default=0)
     busy = [run["cpu"]["machine"] for run in document["runs"]]
     machine = f"the machine was {100 * min(busy):.0f} to {100 * max(busy):.0f} % busy" if busy else "nothing ran"
@@ -207,7 +189,7 @@ def _spread(document: Mapping[str, Any]) -> str:
 
 
 def _apart(document: Mapping[str, Any]) -> str:
-    """Say which sides were measured again after the others, and when."""
+    """Return the sides that were measured again after the others, and when."""
     if not (apart := document.get("apart")):
         return ""
     return f" Measured again after the others: {', '.join(apart['sides'])} ({described(apart)})."
@@ -217,7 +199,3 @@ def _slowest(document: Mapping[str, Any]) -> str:
     topics = document["runs"][0]["topics"] if document["runs"] else {}
     name, topic = min(topics.items(), key=lambda item: item[1]["source_rate_hz"], default=("", None))
     return f"{seconds(1.0 / topic['source_rate_hz'])} for {name}" if topic else "no topic"
-
-
-def _right(text: str, width: int) -> str:
-    return f"{text:>{width}}"

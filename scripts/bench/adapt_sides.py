@@ -1,4 +1,4 @@
-"""The sides of `adapt.py`: what a user could do about a link that changes."""
+"""The sides of `adapt.py`: what a user can do about a link that changes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD, Manner
 from scripts.robot.run import CONFIG, PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from scripts.bench.adapt_links import Link
 
-#: Every side by name, and what it is.
+#: Name and description of every side.
 SIDES = {
     "defaults": "rclpy's defaults, KEEP_LAST 10",
     "keep-last-1": "KEEP_LAST 1",
@@ -40,26 +39,27 @@ def manner(side: str, link: Link, truth: Path) -> Manner:
     Parameters
     ----------
     side : one of SIDES
-    link : what it will meet; all but arpd and the oracle may know something of it before
-    truth : the file in which the oracle is told
+    link : its course; "paper" and "throttle" use it beforehand
+    truth : file that tells the oracle the state of the link
     """
-    makers: dict[str, Callable[[], Manner]] = {
-        "defaults": lambda: RCLPY_DEFAULTS,
-        "keep-last-1": lambda: Manner(depth=1),
-        "keep-last-5000": lambda: Manner(depth=5000),
-        "paper": lambda: papers_optimum(link.rates.rate_at(0.0)),
-        "throttle": lambda: throttle(link.mean_bytes_per_second),
-        "arpd": lambda: WITH_ARPD,
-        "oracle": lambda: Manner(daemon=("scripts.robot.oracle", "--truth", str(truth))),
-    }
-    return makers[side]()
+    if side == "paper":
+        return papers_optimum(link.rates.rate_at(0.0))
+    if side == "throttle":
+        return throttle(link.mean_bytes_per_second)
+    return {
+        "defaults": RCLPY_DEFAULTS,
+        "keep-last-1": Manner(depth=1),
+        "keep-last-5000": Manner(depth=5000),
+        "arpd": WITH_ARPD,
+        "oracle": Manner(daemon=("scripts.robot.oracle", "--truth", str(truth))),
+    }[side]
 
 
 def papers_optimum(capacity_bytes_per_second: float) -> Manner:
     """Return Eq. (4)'s one R and one D for all topics.
 
-    Rmax, "the maximum rate when only one topic is used", is that of a message of the topics' mean size, so that all N
-    topics at Rmax/N fill the link exactly. The few bytes of acknowledgements, three seconds apart, are left out.
+    Rmax, "the maximum rate when only one topic is used", is computed for a message of the topics' mean size: all N
+    topics at Rmax/N fill the link exactly. Acknowledgements are left out: a few bytes every three seconds.
     """
     traffic = assumed_traffic(load_settings(CONFIG, interfaces=None))
     mean_bytes = fmean(plain_wire_bytes(topic.payload_bytes) for topic in traffic)
@@ -75,13 +75,13 @@ def papers_optimum(capacity_bytes_per_second: float) -> Manner:
 
 
 def plain_wire_bytes(payload_bytes: float) -> float:
-    """Return what a sample of plain rclpy costs on the wire: a datagram of up to 64 kB, in fragments of IP (bytes)."""
+    """Return the wire bytes of a sample of plain rclpy: a datagram of up to 64 kB, in fragments of IP."""
     datagram = UDP_BYTES + DATA_BYTES + payload_bytes
     return datagram + math.ceil(datagram / (MTU_BYTES - IPV4_BYTES)) * (ETHERNET_BYTES + IPV4_BYTES)
 
 
 def throttle(mean_bytes_per_second: float) -> Manner:
-    """Return the rates that `arpd solve` prints for a capacity, with rclpy's own depth."""
+    """Return the rates that `arpd solve` prints for a capacity, with rclpy's depth."""
     settings = load_settings(CONFIG, interfaces=None)
     plan = OfflinePlanner(settings, assumed_traffic(settings)).plan(mean_bytes_per_second)
     return Manner(rates_hz={row.topic.name.removeprefix(PREFIX): row.rate_hz for row in plan.topics})

@@ -1,4 +1,4 @@
-"""What issue 8 asks of arpd on every link, judged from the figures, and what physics leaves of it."""
+"""The targets of arpd on every link, judged from the figures, and which of them any side could meet."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TARGETS = {
     "age/oracle": "p99 age at most twice the oracle's",
 }
 SUFFICES = (
-    "The paper's optimum suffices where its p99 is within twice the oracle's: who knows the link at every moment gains "
+    "The paper's optimum suffices where its p99 is at most twice the oracle's: there, full knowledge of the link gains "
     "little over it. No worse means at most 10 % more."
 )
 _WORST_LATE, _LEAST_GOODPUT, _NO_WORSE = 0.01, 0.85, 1.1
@@ -39,10 +39,9 @@ class Verdict:
 
     Parameters
     ----------
-    link, target : which
     is_met : whether arpd meets it
-    is_possible : whether any side that was measured does; of those, the oracle knows the link, and none does more
-    why : the numbers, in words
+    is_possible : whether any measured side meets it; no side knows more of the link than the oracle
+    why : the numbers in words
     """
 
     link: str
@@ -53,17 +52,17 @@ class Verdict:
 
 
 def figures_of(document: Mapping[str, Any]) -> dict[tuple[str, str], dict[str, float]]:
-    """Return the medians over the rounds, by link and side; what is never is infinite."""
+    """Return the medians over the rounds, by link and side; never is infinite."""
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for run in document["runs"]:
         cpu = {f"cpu_{name}": share for name, share in run["cpu"].items()}
         others = {"swaps": run["swaps"], "unassembled": run["reassembly"]["failed"]}
         found.setdefault((run["link"], run["side"]), []).append({**run["all"], **cpu, **others})
-    return {place: _medians(runs) for place, runs in found.items()}
+    return {key: _medians(runs) for key, runs in found.items()}
 
 
 def topics_of(document: Mapping[str, Any], link: str) -> dict[str, dict[str, dict[str, float]]]:
-    """Return the same of every topic on one link, by topic and side."""
+    """Return the medians of every topic on one link, by topic and side."""
     found: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for run in document["runs"]:
         if run["link"] == link:
@@ -96,31 +95,23 @@ def _of_link(link: str, figures: Figures) -> list[Verdict]:
             "paper": (name, paper[name] * _NO_WORSE if suffices else paper[name] / 3),
             "oracle": (name, 2 * oracle[name]),
         }
-        if math.isinf(ours[name]) and math.isinf(oracle[name]):  # both lose too much: what did arrive is compared
+        if math.isinf(ours[name]) and math.isinf(oracle[name]):  # both lose too much: compare what arrived
             bounds["oracle"] = ("survivors_p99_s", 2 * oracle["survivors_p99_s"])
         for whose, (figure, bound_s) in bounds.items():
             target = f"{what}/{whose}"
             verdicts.append(_at_most(target, link, figures, figure=figure, bound=bound_s, show=seconds))
     late = "command_late_share"
     verdicts.append(_at_most("commands", link, figures, figure=late, bound=_WORST_LATE, show=_percent))
-    goodput = "goodput_bytes_per_second"
-    bound = _LEAST_GOODPUT * oracle[goodput]
-    verdicts.append(
-        Verdict(
-            link=link,
-            target="goodput/oracle",
-            is_met=ours[goodput] >= bound,
-            is_possible=True,
-            why=f"{_percent(ours[goodput] / oracle[goodput] if oracle[goodput] else 0.0)} of the oracle's",
-        )
-    )
+    goodput, most = (side["goodput_bytes_per_second"] for side in (ours, oracle))
+    is_met, why = goodput >= _LEAST_GOODPUT * most, f"{_percent(goodput / most if most else 0.0)} of the oracle's"
+    verdicts.append(Verdict(link=link, target="goodput/oracle", is_met=is_met, is_possible=True, why=why))
     return sorted(verdicts, key=lambda verdict: list(TARGETS).index(verdict.target))
 
 
 def _at_most(
     target: str, link: str, figures: Figures, *, figure: str, bound: float, show: Callable[[float], str]
 ) -> Verdict:
-    # A bound that is never is met by whatever comes, not by what never comes.
+    # An infinite bound is met by any finite value, not by never.
     values = {side: found[figure] for (where, side), found in figures.items() if where == link}
     meeting = [side for side, value in values.items() if math.isfinite(value) and value <= bound]
     allowed = show(bound) if math.isfinite(bound) else "whatever arrives"
@@ -129,7 +120,7 @@ def _at_most(
 
 
 def seconds(value: float) -> str:
-    """Return a time as tables show it."""
+    """Return a time for a table."""
     if not math.isfinite(value):
         return "never"
     return f"{value * 1e3:.0f} ms" if value < 1.0 else f"{value:.1f} s"

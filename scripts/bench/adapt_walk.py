@@ -1,10 +1,10 @@
-"""A walk with a Wi-Fi robot, made from a seed: the trace `adapt.py` plays as `wifi-walk`.
+"""Make the trace that `adapt.py` plays as `wifi-walk`: a walk with a Wi-Fi robot, from a seed.
 
 Usage: .venv/bin/python -m scripts.bench.adapt_walk [--seed N] [--to FILE]
 
-Log-distance path loss with shadowing that changes with the place (Gudmundson 1991) and short fades when somebody steps
-between robot and access point give a signal-to-noise ratio; it gives the MCS of 802.11n (20 MHz, one stream, 800 ns
-guard interval); of the MCS's rate, a channel shared with neighbours leaves about a third.
+The signal-to-noise ratio comes from log-distance path loss, shadowing that changes with the place (Gudmundson 1991) and
+short fades when a person steps between robot and access point. The ratio gives the MCS of 802.11n (20 MHz, one stream,
+800 ns guard interval). A channel shared with neighbours leaves about a third of the MCS's rate.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LOSS_AT_1_M_DB, _EXPONENT = 40.0, 3.3  # 2.4 GHz, indoors through some walls
 _SHADOWING_DB, _DECORRELATION_M = 4.0, 3.0
 _NEAR_M, _FAR_M = 6.0, 28.0
 _FADE_EVERY_S, _FADE_DB, _FADE_S = 6.0, (6.0, 14.0), (0.4, 1.2)
-_TIGHT_DB = 1.0  # so close above its least ratio, an MCS loses packets that retries do not save
+_TIGHT_DB = 1.0  # above its least ratio; within this, an MCS loses packets in spite of retries
 _TIGHT_LOSS = 0.02
 
 
@@ -58,7 +58,7 @@ def walk(seed: int = SEED) -> list[tuple[float, float, float]]:
 
 
 def distance_m(now_s: float) -> float:
-    """Return how far from the access point the robot is: it stands, goes away and comes back (m)."""
+    """Return the distance to the access point: the robot stands, goes away and comes back (m)."""
     if now_s < _CALM_S:
         return _NEAR_M
     turned = (now_s - _CALM_S) / (DURATION_S - _CALM_S)
@@ -66,7 +66,7 @@ def distance_m(now_s: float) -> float:
 
 
 def carried(snr_db: float) -> tuple[float, float]:
-    """Return what the best MCS for this signal-to-noise ratio carries (bit/s), and what it loses (0..1)."""
+    """Return rate (bit/s) and loss (0..1) of the best MCS for this signal-to-noise ratio."""
     usable = [(rate, least_db) for rate, least_db in _MCS if snr_db >= least_db] or [_MCS[0]]
     rate_mbit, least_db = usable[-1]
     is_tight = snr_db - least_db < _TIGHT_DB
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def text(seed: int = SEED) -> str:
-    """Return the trace as a file has it."""
+    """Return the text of the trace file."""
     head = f"# made by scripts/bench/adapt_walk.py --seed {seed}\ntime_s,rate_bit_per_s,loss\n"
     return head + "".join(f"{time_s:g},{rate:.0f},{loss:g}\n" for time_s, rate, loss in walk(seed))
 

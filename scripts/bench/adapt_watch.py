@@ -1,4 +1,4 @@
-"""What `adapt.py` reads of processes and of the kernel while a run lasts."""
+"""Readings of processes and of the kernel during a run of `adapt.py`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _SOCKETS = Path("/proc/thread-self/net/sockstat")  # of this thread's namespace,
 
 
 class Processors:
-    """CPU time of a robot's processes and of the machine while its sources publish."""
+    """Measure the CPU time of a robot's processes and of the machine while its sources publish."""
 
     def __init__(self) -> None:
         self._readings: list[tuple[float, dict[str, float], tuple[float, float]]] = []
 
     def read(self, side: Side) -> None:
-        """Note what everybody has used so far."""
+        """Note the CPU time that each process has used so far."""
         used = {}
         for name, process in side.processes.items():
             with suppress(psutil.Error):
@@ -37,7 +37,7 @@ class Processors:
         self._readings.append((time.monotonic(), used, (sum(machine), machine.idle + machine.iowait)))
 
     def shares(self) -> dict[str, float]:
-        """Return cores used between first and last reading, and which part of the whole machine was busy (0..1)."""
+        """Return cores used between first and last reading, and the busy share of the whole machine (0..1)."""
         (began_s, before, (all_before, idle_before)), *_, (ended_s, after, (all_after, idle_after)) = self._readings
         cores = {name: (after[name] - before[name]) / (ended_s - began_s) for name in after if name in before}
         return {
@@ -48,14 +48,10 @@ class Processors:
 
 
 class Reassembly:
-    """How a host's kernel fares with the fragments of large samples.
+    """Count the datagrams that a receiving host's kernel cannot reassemble.
 
-    A datagram of which fragments are missing keeps its memory for 30 s (ipfrag_time); when 4 MB (ipfrag_high_thresh)
-    are full of such, no fragmented sample arrives any more, whatever the link carries.
-
-    Parameters
-    ----------
-    host : the one that receives
+    A datagram with missing fragments keeps its memory for 30 s (ipfrag_time). Once such datagrams fill 4 MB
+    (ipfrag_high_thresh), no fragmented sample arrives.
     """
 
     def __init__(self, host: Host) -> None:
@@ -64,13 +60,13 @@ class Reassembly:
         self._peak_bytes = 0
 
     def read(self) -> None:
-        """Note the memory that incomplete datagrams take now."""
+        """Note the memory of incomplete datagrams."""
         sockets = inside(self._host.namespace, _SOCKETS.read_text)
         frag = next(line.split() for line in sockets.splitlines() if line.startswith("FRAG:"))
         self._peak_bytes = max(self._peak_bytes, int(frag[frag.index("memory") + 1]))
 
     def figures(self) -> dict[str, int]:
-        """Return the datagrams that could not be put together, and the most memory incomplete ones took (bytes)."""
+        """Return the number of incomplete datagrams, and their largest memory (bytes)."""
         return {"failed": self._failed() - self._failed_before, "peak_bytes": self._peak_bytes}
 
     def _failed(self) -> int:

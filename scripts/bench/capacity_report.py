@@ -1,4 +1,4 @@
-"""Show for docs/results.md how well the capacity is estimated, from the results of `estimate.py` and `link.py`."""
+"""The quality of the capacity estimate for docs/results.md, from the results of `estimate.py` and `link.py`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.estimate_report import TARGETS, Target
 from scripts.bench.record import described
+from scripts.bench.report import markdown_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-#: What the real link shows of a target's figure: scenarios of `link.py`, and the figure there.
+#: Figure of a target on the real link: scenarios of `link.py` (none = all), and the figure's name there.
 _REAL = {
     "reaction of the estimate to 20→5": (("20→5",), "reaction_s"),
     "reaction of the gate to 20→5": (("20→5",), "gate_half_s"),
@@ -24,15 +25,11 @@ _REAL = {
     "outage, gate closed within": (("outage",), "gate_closed_s"),
     "outage, recovery to 80 %": (("outage",), "recovery_s"),
 }
-_WAYS = {
-    "arpd": "arpd",
-    "average": "the average of the throughput",
-    "maximum": "its maximum over 8 s",
-}
+_WAYS = {"arpd": "arpd", "average": "the average of the throughput", "maximum": "its maximum over 8 s"}
 
 
 def markdown(estimate: dict[str, Any], link: dict[str, Any]) -> str:
-    """Return a row per target, which of them were missed, and how far throughput alone gets."""
+    """Return a row per target, the missed targets, and the results of estimates from throughput alone."""
     measured = {entry["target"]: entry for entry in estimate["targets"]}
     targets = [target for target in TARGETS if target.title in measured]
     rounds = max((run["round"] for run in link["runs"]), default=0)
@@ -40,24 +37,17 @@ def markdown(estimate: dict[str, Any], link: dict[str, Any]) -> str:
     for target in targets:
         what, limit = _parts(target)
         simulated = _middle_and_worst(target, measured[target.title]["median"], measured[target.title]["worst"])
-        rows.append(f"| {what} | {limit} | {simulated} | {_real(target, what, link['runs'])} |")
+        rows.append([what, limit, simulated, _real(target, what, link["runs"])])
     missed = [target for target in targets if not measured[target.title]["met"]]
-    return "\n".join(
-        [
-            (
-                f"`scripts/bench/estimate.py` in virtual time, {estimate['seeds']} seeds, a robot that wants more than "
-                f"the link carries ({described(estimate)}); `scripts/bench/link.py` with real rclpy over namespaces "
-                f"and a token bucket, the demo robot, {_times(rounds)} ({described(link)}): median (worst)."
-            ),
-            "",
-            "| | target | simulated | real link |",
-            "|---|---|---:|---:|",
-            *rows,
-            "",
-            _on_targets(missed, len(targets), measured),
-            _on_throughput(estimate["scenarios"]),
-        ]
+    head = (
+        f"`scripts/bench/estimate.py` in virtual time, {estimate['seeds']} seeds, a robot that wants more than the "
+        f"link carries ({described(estimate)}); `scripts/bench/link.py` with real rclpy over namespaces and a token "
+        f"bucket, the demo robot, {'one run' if rounds == 1 else f'{rounds} runs'} each ({described(link)}): "
+        "median (worst)."
     )
+    lines = [head, "", *markdown_table("llr", ["", "target", "simulated", "real link"], rows), ""]
+    lines += [_on_targets(missed, len(targets), measured), _on_throughput(estimate["scenarios"])]
+    return "\n".join(lines)
 
 
 def _parts(target: Target) -> tuple[str, str]:
@@ -95,35 +85,28 @@ def _figure(figures: dict[str, Any], name: str) -> float | None:
     return None if value is None else float(value)
 
 
-def _times(rounds: int) -> str:
-    return "one run each" if rounds == 1 else f"{rounds} runs each"
-
-
 def _on_targets(missed: Sequence[Target], count: int, measured: dict[str, dict[str, Any]]) -> str:
-    if not missed:
-        return f"Simulated, all {count} targets are met by the median and by the worst seed."
     by_median = [t for t in missed if not t.keeps(measured[t.title]["median"])]
     by_worst = [t for t in missed if t not in by_median]
-    text = f"Simulated, {count - len(missed)} of {count} targets are met by the median and by the worst seed."
-    if by_worst:
-        text += f" The worst seed misses: {'; '.join(_parts(target)[0] for target in by_worst)}."
-    if by_median:
-        text += f" The median, too, misses: {'; '.join(_parts(target)[0] for target in by_median)}."
+    met = f"{count - len(missed)} of {count}" if missed else f"all {count}"
+    text = f"Simulated, the median and the worst seed meet {met} targets."
+    for who, those in (("The worst seed", by_worst), ("The median, too,", by_median)):
+        if those:
+            text += f" {who} misses: {'; '.join(_parts(target)[0] for target in those)}."
     return text
 
 
 def _on_throughput(scenarios: dict[str, dict[str, list[dict[str, float | None]]]]) -> str:
     """Compare with estimates from throughput alone, over all scenarios."""
-    said = []
+    compared = []
     for way, words in _WAYS.items():
-        played = [ways[way] for ways in scenarios.values() if way in ways]
-        if not played:
-            continue
-        goodput = _over(played, "utilisation", median)
-        queue = _over(played, "queue peak", max)
-        said.append(f"{words} {_share(goodput)} of the oracle's goodput with {_queues(queue)}")
+        if played := [ways[way] for ways in scenarios.values() if way in ways]:
+            goodput = f"{100 * _over(played, 'utilisation', median):.0f} % of the oracle's goodput"
+            queue_s = _over(played, "queue peak", max)
+            queues = f"queues of up to {queue_s:.1f} s" if math.isfinite(queue_s) else "endless queues"
+            compared.append(f"{words} {goodput} with {queues}")
     return (
-        f"Over all {len(scenarios)} scenarios, the medians of their seeds: {'; '.join(said)} "
+        f"Medians of the seeds over all {len(scenarios)} scenarios: {'; '.join(compared)} "
         "(scripts/bench/results/estimate.png)."
     )
 
@@ -131,18 +114,10 @@ def _on_throughput(scenarios: dict[str, dict[str, list[dict[str, float | None]]]
 def _over(
     played: Sequence[list[dict[str, float | None]]], figure: str, of_all: Callable[[Sequence[float]], float]
 ) -> float:
-    """Sum up a figure: the median of each scenario's seeds, then ``of_all`` scenarios; never is infinite."""
+    """Return ``of_all`` over the scenarios' medians of a figure; never is infinite."""
     medians = [
         median([math.inf if value is None else value for value in values])
         for every in played
         if (values := [metrics[figure] for metrics in every if figure in metrics])
     ]
     return of_all(medians)
-
-
-def _share(value: float) -> str:
-    return f"{100 * value:.0f} %"
-
-
-def _queues(longest_s: float) -> str:
-    return f"queues of up to {longest_s:.1f} s" if math.isfinite(longest_s) else "queues without end"

@@ -1,4 +1,4 @@
-"""Processes of a benchmark, spoken to in lines of JSON: the parent commands and listens, the child answers."""
+"""Processes of a benchmark that talk in lines of JSON: the parent sends commands, the child answers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ChildError(Exception):
-    """A child died, or does not answer."""
+    """A child has ended, or does not answer."""
 
 
 class Child:
@@ -30,9 +30,8 @@ class Child:
 
     Parameters
     ----------
-    link, host : where it runs
     argv : module and its arguments
-    environment : laid over that of the link
+    environment : replaces variables of the link's environment
     """
 
     def __init__(self, link: SimLink, host: HostName, *argv: str, environment: dict[str, str] | None = None) -> None:
@@ -47,10 +46,10 @@ class Child:
             text=True,
             cwd=REPO,
         )
-        self._said: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()
 
-    def tell(self, **command: Any) -> None:
+    def send(self, **command: Any) -> None:
         """Send a command."""
         assert self.process.stdin is not None
         try:
@@ -58,23 +57,23 @@ class Child:
         except BrokenPipeError as error:
             raise ChildError(f"{self.name} ended") from error
 
-    def hear(self, timeout_s: float = 60.0) -> dict[str, Any]:
+    def receive(self, timeout_s: float = 60.0) -> dict[str, Any]:
         """Wait for the child's next line."""
         try:
-            said = self._said.get(timeout=timeout_s)
+            said = self._answers.get(timeout=timeout_s)
         except queue.Empty as error:
-            raise ChildError(f"{self.name} says nothing for {timeout_s:.0f} s") from error
+            raise ChildError(f"{self.name} has not answered for {timeout_s:.0f} s") from error
         if said is None:
             raise ChildError(f"{self.name} ended with code {self.process.wait()}")
         return said
 
     def ask(self, **command: Any) -> dict[str, Any]:
         """Send a command and wait for its answer."""
-        self.tell(**command)
-        return self.hear()
+        self.send(**command)
+        return self.receive()
 
     def end(self) -> None:
-        """End the process, at once if need be."""
+        """End the process; kill it if it does not end in 5 s."""
         assert self.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.close()
@@ -88,31 +87,30 @@ class Child:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             if line.startswith("{"):
-                self._said.put(json.loads(line))
-        self._said.put(None)
+                self._answers.put(json.loads(line))
+        self._answers.put(None)
 
 
 def commands() -> queue.SimpleQueue[dict[str, Any] | None]:
-    """Return what the parent says, in the child; None when it is gone."""
-    told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+    """Return the queue of the parent's commands, in the child; None means that the parent is gone."""
+    orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
 
     def listen() -> None:
         for line in sys.stdin:
-            told.put(json.loads(line))
-        told.put(None)
+            orders.put(json.loads(line))
+        orders.put(None)
 
     threading.Thread(target=listen, daemon=True).start()
-    return told
+    return orders
 
 
-def say(**fact: Any) -> None:
+def answer(**fact: Any) -> None:
     """Answer the parent, in the child."""
     print(json.dumps(fact), flush=True)
 
 
-def sent_bytes(link: SimLink, host: Host, interface: str | None = None) -> int:
-    """Bytes an interface of the host sent so far; its end of the link when none is named."""
-    del link  # it must be alive
+def sent_bytes(host: Host, interface: str | None = None) -> int:
+    """Return the bytes that an interface of a host has sent; by default its end of the link."""
     name = interface or host.interface
     text = inside(host.namespace, lambda: Path("/proc/thread-self/net/dev").read_text(encoding="utf-8"))
     for line in text.splitlines():
@@ -122,13 +120,13 @@ def sent_bytes(link: SimLink, host: Host, interface: str | None = None) -> int:
 
 
 def kernel_count(host: Host, protocol: str, name: str) -> int:
-    """Return what a host's kernel has counted of a protocol so far (/proc/net/snmp, the counters of RFC 1213).
+    """Return a counter of a host's kernel (/proc/net/snmp, the counters of RFC 1213).
 
     Parameters
     ----------
-    protocol, name : as /proc/net/snmp calls them, like ``Udp`` and ``RcvbufErrors``
+    protocol, name : as in /proc/net/snmp, for example ``Udp`` and ``RcvbufErrors``
     """
-    # This thread's namespace, which /proc/net is not.
+    # /proc/net is the namespace of the process, not of this thread.
     lines = inside(host.namespace, Path("/proc/thread-self/net/snmp").read_text).splitlines()
     names, values = (line.split() for line in lines if line.startswith(f"{protocol}:"))
     return int(values[names.index(name)])

@@ -1,29 +1,26 @@
-"""How well the capacity is known, and what that is worth: arpd, an oracle and two estimates from throughput alone.
+"""Compare capacity estimates and their effect: arpd, an oracle and two estimates from throughput alone.
 
 Usage: .venv/bin/python scripts/bench/estimate.py [--quick] [--only SCENARIO,...] [--way WAY,...] [--seeds N]
 
-Every way governs the same robot on the same simulated link in virtual time, through the daemon's own tick; only what
-tells it the capacity differs. scripts/bench/estimate_scenarios.py has the links and robots,
-scripts/bench/estimate_metrics.py the definition of every figure. The oracle knows rate, queue, foreign traffic and
-per-packet overhead at every tick, and is held to headroom, hold and dwell as the others are.
+Every way governs the same robot on the same simulated link in virtual time, through the daemon's own tick; only the
+source of the capacity differs. scripts/bench/estimate_scenarios.py has the links and robots,
+scripts/bench/estimate_metrics.py the definition of every figure. The oracle knows rate, queue, cross traffic and
+per-packet overhead at every tick; headroom, hold and dwell bind it as they bind the others.
 
 With --only, --way or --quick nothing is written unless --json or --plot name a file.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -31,11 +28,14 @@ from arpd.adapters.sim.baselines import Oracle, ThroughputAverage, WindowMaximum
 from arpd.cli.progress import progress
 from arpd.daemon.scenario import ScenarioResult, run
 from scripts.bench.estimate_metrics import Metrics, measure
+from scripts.bench.estimate_plot import draw
 from scripts.bench.estimate_report import TARGETS, scenario_table, target_table
 from scripts.bench.estimate_scenarios import SCENARIOS
-from scripts.bench.record import RESULTS, conditions, keep, target
+from scripts.bench.record import conditions, keep, options_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from arpd.daemon.scenario import EstimatorMaker
     from arpd.model.settings import Settings
 
@@ -52,7 +52,7 @@ Key = tuple[str, str, int]  # scenario, way, seed
 
 
 def maker(way: str, settings: Settings) -> EstimatorMaker | None:
-    """Return what makes the estimator of a way; None is arpd's own."""
+    """Return the maker of a way's estimator; None for arpd's own."""
     makers: dict[str, EstimatorMaker] = {
         ORACLE: Oracle,
         "average": lambda _truth: ThroughputAverage(settings.link),
@@ -82,7 +82,7 @@ def play(key: Key) -> ScenarioResult:
 def measure_all(
     names: list[str], ways: list[str], seeds: int, on_picture: Callable[[str, dict[str, ScenarioResult]], None]
 ) -> dict[str, dict[str, list[Metrics]]]:
-    """Return metrics by scenario and way, one entry per seed; hand over the first seed's runs for the picture."""
+    """Return metrics by scenario and way, one entry per seed; call ``on_picture`` with the first seed's runs."""
     keys: list[Key] = [(name, way, seed) for name in names for seed in range(1, seeds + 1) for way in ways]
     found: dict[str, dict[str, list[Metrics]]] = {}
     with ProcessPoolExecutor(PROCESSES) as pool, progress("simulating", total=len(keys)) as shown:
@@ -131,30 +131,27 @@ def _number(value: float) -> float | None:
 
 
 def _chosen(text: str, known: tuple[str, ...], what: str) -> list[str]:
-    chosen = [part.strip() for part in text.split(",")]
-    # A prefix names all that begin with it.
-    matches = {part: [name for name in known if name.startswith(part)] for part in chosen}
-    for part, names in matches.items():
+    chosen: list[str] = []
+    for part in (part.strip() for part in text.split(",")):
+        names = [part] if part in known else [name for name in known if name.startswith(part)]
         if not names:
             sys.exit(f"{part!r} is no {what}; there are: {', '.join(known)}")
-    return list(dict.fromkeys(name for part in chosen for name in ([part] if part in known else matches[part])))
+        chosen += names
+    return list(dict.fromkeys(chosen))
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seeds, fewer scenarios, arpd and oracle")
-    parser.add_argument("--only", metavar="SCENARIO,...", help="these scenarios, by name or the start of it")
+    quick = f"{QUICK_SEEDS} seeds, fewer scenarios, arpd and oracle"
+    parser = options_of(__doc__, "estimate", quick=quick, has_plot=True)
+    parser.add_argument("--only", metavar="SCENARIO,...", help="these scenarios, by name or its beginning")
     parser.add_argument("--way", metavar="WAY,...", help=f"these of {', '.join(WAYS)}")
     parser.add_argument("--seeds", type=int, metavar="N", help=f"seeds from 1 to N (default {SEEDS})")
-    parser.add_argument("--json", type=Path, metavar="FILE", help=f"default {RESULTS / 'estimate.json'}")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help=f"default {RESULTS / 'estimate.png'}")
     options = parser.parse_args()
     names = list(QUICK) if options.quick else list(SCENARIOS)
     names = _chosen(options.only, tuple(SCENARIOS), "scenario") if options.only else names
     ways = [ARPD, ORACLE] if options.quick else list(WAYS)
     ways = _chosen(options.way, WAYS, "way") if options.way else ways
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    is_partial = bool(options.quick or options.only or options.way)
     noted = conditions()
     pictures: dict[str, dict[str, ScenarioResult]] = {}
     started_s = time.monotonic()
@@ -165,15 +162,9 @@ def main() -> int:
         print("\n" + target_table(found, ARPD))
     if not all(every[0]["goodput"] > 0.0 for ways in found.values() for every in ways.values()):
         sys.exit("estimate: nothing was delivered in some scenario")
-    keep(
-        {"conditions": noted} | document(found, seeds, took_s),
-        target(options.json, "estimate.json", is_partial=is_partial),
-    )
-    if plot_path := target(options.plot, "estimate.png", is_partial=is_partial):
-        from scripts.bench.estimate_plot import draw
-
-        draw(pictures, plot_path)
-        print(plot_path)
+    is_partial = bool(options.quick or options.only or options.way)
+    found_document = {"conditions": noted} | document(found, seeds, took_s)
+    keep(found_document, options, "estimate", is_partial=is_partial, draw=partial(draw, pictures))
     return 0
 
 

@@ -1,37 +1,38 @@
-"""The figures of `scripts/bench/estimate.py`, and how each is defined; moments are sampled at 10 Hz.
+"""The figures of `scripts/bench/estimate.py` and their definitions; moments are sampled at 10 Hz.
 
-Everything but the start-up is looked at: the window is from 10 s to the end of the run.
+The window is from 10 s to the end of the run, without the start-up.
 
-error p50, p90      |Rmax estimated / Rmax true - 1| of the robot's average packet, half and 90 % of the moments stay
-                    below; Rmax = 1 / (t_ovh + bytes / capacity). Where packets cost nothing but their bytes that is the
-                    error of the capacity. Moments without service (rate 0) have none. The true t_ovh of a link that
-                    aggregates is that of a full aggregate.
+error p50, p90      |Rmax estimated / Rmax true - 1| of the robot's average packet at p50 and p90 of the moments;
+                    Rmax = 1 / (t_ovh + bytes / capacity). If packets cost only their bytes, that is the error of the
+                    capacity. Moments without service (rate 0) do not count. The true t_ovh of a link that aggregates
+                    is that of a full aggregate.
 reaction, estimate  from the fall until the estimate is within 25 % of the new truth and stays there for a second (s)
 reaction, gate      from the fall until gate x level fits into the new truth and stays so for a second (s)
 rise, estimate      from the rise until the estimate is above 80 % of the new truth and stays there for a second (s)
-rise, goodput       from the rise until what was delivered in the last second is above 80 % of the oracle's mean over
-                    the last 10 s of the run; at least about a second, for that is how long it is averaged (s)
-queue peak, p99     longest queue on the robot's side, and what 99 % of the moments stay below (s). Where an outage
-                    stalls the link every queue lasts until its end; so moments without service do not count
-utilisation         payload delivered in the window, over what the oracle delivered in it on the same seed; who lets a
-                    queue stand delivers more than the oracle, and later: to be read beside the queue
+rise, goodput       from the rise until the delivery of the last second is above 80 % of the oracle's mean over the last
+                    10 s of the run; at least about a second, because it is averaged over one (s)
+queue peak, p99     longest queue on the robot's side, and its p99 (s). When an outage stalls the link, every queue
+                    lasts until its end, so moments without service do not count
+utilisation         payload delivered in the window, over the oracle's on the same seed. A standing queue delivers more
+                    than the oracle, but later: compare with the queue
 levels, swaps       plans made, and writers replaced (all topics together), per minute of the window
-measuring           wire bytes of probes and reports, both directions, over what the link could carry in the window
+measuring           wire bytes of probes and reports, both directions, over the capacity of the link in the window
 closed within       worst of the outages: from its start until the gate is at most 0.1 (s)
-queue in            worst of the outages: longest queue from 0.5 s after its start to the first moment after it (s).
-                    Where the link stalls only that moment counts: it has what was sent before the gate closed, and the
-                    floors and heartbeats of the whole outage, which even the oracle sends
-queue over oracle   worst of the outages: that, less the oracle's (s)
+queue in            worst of the outages: longest queue from 0.5 s after its start to the first moment after it (s). If
+                    the link stalls, only that moment counts: its queue holds the samples from before the gate closed
+                    and the floors and heartbeats of the whole outage, which even the oracle sends
+queue over oracle   worst of the outages: "queue in" less the oracle's (s)
 queue after         worst of the outages: longest queue in the 5 s after it (s)
-recovery            worst of the outages: from its end until what was delivered in the last second is above 80 % of the
-                    mean of the 5 s before the outage; at least about a second, as above (s)
+recovery            worst of the outages: from its end until the delivery of the last second is above 80 % of the mean
+                    of the 5 s before the outage; at least about a second, as above (s)
 
-What never happens is infinite; JSON has null for it.
+An event that never happens is infinite, and null in JSON.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.result import percentile
@@ -54,7 +55,7 @@ Metrics = dict[str, float]
 
 
 def measure(scenario: Scenario, result: ScenarioResult, oracle: ScenarioResult | None) -> Metrics:
-    """Return every figure that means something in this scenario; utilisation needs the oracle's run."""
+    """Return every figure that applies to this scenario; utilisation needs the oracle's run."""
     moments, end_s = result.moments, scenario.duration_s
     summary = summarize(result, start_s=WARM_UP_S, end_s=end_s)
     served = [m for m in between(moments, WARM_UP_S, end_s) if m.truth_bytes_per_second > 0]
@@ -83,12 +84,8 @@ def measure(scenario: Scenario, result: ScenarioResult, oracle: ScenarioResult |
         found |= _outages(scenario, moments)
     if oracle is not None:
         if scenario.outages:
-            found["queue over oracle"] = max(
-                ours - theirs
-                for ours, theirs in zip(
-                    _queues_within(scenario, moments), _queues_within(scenario, oracle.moments), strict=True
-                )
-            )
+            ours, theirs = (_queues_within(scenario, each) for each in (moments, oracle.moments))
+            found["queue over oracle"] = max(map(operator.sub, ours, theirs))
         reference = summarize(oracle, start_s=WARM_UP_S, end_s=end_s).goodput_bytes_per_second
         found["utilisation"] = summary.goodput_bytes_per_second / reference
         for rise_s in scenario.rises:
@@ -98,7 +95,7 @@ def measure(scenario: Scenario, result: ScenarioResult, oracle: ScenarioResult |
 
 
 def _errors(scenario: Scenario, moments: Sequence[Moment]) -> list[float]:
-    """Errors of Rmax for the packet the robot sends on average, overhead included."""
+    """Return the errors of Rmax for the robot's average packet, overhead included."""
     robot = [topic for topic in scenario.robot if topic.direction is Direction.SENSING]
     sizes = [wire_size(topic.payload_bytes, rate_hz=topic.rate_hz) for topic in robot]
     packets = sum(topic.rate_hz * count for topic, (_, count) in zip(robot, sizes, strict=True))
@@ -143,7 +140,7 @@ def _estimate(moment: Moment) -> float:
 
 
 def _until(moments: Sequence[Moment], holds: Callable[[Moment], bool], *, holds_s: float = _HOLDS_S) -> float:
-    """Return how long it takes until something holds, and goes on to for a while; infinite if it never does (s)."""
+    """Return the time until ``holds`` begins to hold for ``holds_s`` (s); infinite if it never does."""
     since_s = None
     for moment in moments:
         if not holds(moment):
@@ -156,7 +153,7 @@ def _until(moments: Sequence[Moment], holds: Callable[[Moment], bool], *, holds_
 
 
 def _delivering(moments: Sequence[Moment], start_s: float, end_s: float, rate: float) -> float:
-    """Return how long after ``start_s`` a whole second has delivered at this rate (s)."""
+    """Return the time after ``start_s`` until a whole second has delivered at this rate (s)."""
     window = round(1.0 / _MOMENT_S)
     return next(
         (

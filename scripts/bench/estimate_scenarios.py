@@ -1,4 +1,4 @@
-"""The links and robots that `scripts/bench/estimate.py` plays; everything that is random comes from the seed."""
+"""The links and robots of `scripts/bench/estimate.py`; all randomness comes from the seed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 MBIT = 125_000.0  # bytes
 
-#: A thousand full packets, what a Linux interface queues (txqueuelen 1000): deep enough that no queue is short only for
-#: lack of room. At 5 Mbit/s that is 2.4 s, at 1 Mbit/s 12 s.
+#: A thousand full packets, as a Linux interface queues (txqueuelen 1000): deep enough that no queue is limited by room.
+#: At 5 Mbit/s that is 2.4 s, at 1 Mbit/s 12 s.
 QUEUE_BYTES = 1_500_000
 
-#: The same where this host cannot see it: in a Wi-Fi adapter's firmware, or in an access point.
+#: The same queue out of this host's sight: in a Wi-Fi adapter's firmware, or in an access point.
 UNSEEN_QUEUE = LinkModel(queue_bytes=0, firmware_bytes=QUEUE_BYTES)
 
 #: The demo robot publishes 12 Mbit/s; with two more of its cameras 27, so that no link here carries everything.
@@ -33,8 +33,8 @@ CAMERA = next(topic for topic in demo_topics() if topic.name == "/camera/image/c
 BUSY_ROBOT = (*demo_topics(), *(replace(CAMERA, name=f"/camera/{side}/compressed") for side in ("left", "right")))
 #: Without its camera it publishes 4 Mbit/s.
 LIGHT_ROBOT = tuple(topic for topic in demo_topics() if topic is not CAMERA)
-#: The demo robot's weights, and floors that fit into 0.4 Mbit/s: with the demo's, a link of 1 Mbit/s would be too slow
-#: for the floors alone, and its queue the floors' and not the estimate's fault.
+#: The demo robot's weights, and floors that fit into 0.4 Mbit/s: the demo's floors alone exceed a link of 1 Mbit/s, so
+#: its queue would come from the floors and not from the estimate.
 LOW_FLOORS = replace(
     demo_settings(),
     default_topic=TopicSettings(min_rate_hz=0.2),
@@ -44,7 +44,7 @@ LOW_FLOORS = replace(
         "/link/odom": TopicSettings(weight=4.0, min_rate_hz=10.0),
     },
 )
-#: Twelve topics of 100 bytes at 200 Hz: 2,400 samples/s, and none that is a train by itself.
+#: Twelve topics of 100 bytes at 200 Hz: 2,400 samples/s, and no sample is a train by itself.
 SMALL_ROBOT = (
     *(SimTopic(name=f"/small/{i}", payload_bytes=100, rate_hz=200.0) for i in range(11)),
     SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=20.0, direction=Direction.ACTUATION),
@@ -53,17 +53,15 @@ SMALL_ROBOT = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
-    """One link, one robot, and what of the run is looked at.
+    """One link, one robot, and the times of the figures.
 
     Parameters
     ----------
-    duration_s : length of the run (s)
     schedule : rate of the link, from the seed
-    model : what the link is besides
-    foreign : what else it carries
-    robot : what is published
-    falls, rises : when the rate falls, or rises, for a figure of its own (run time, s)
-    outages : when nothing arrives (run time, s, s)
+    model : other properties of the link
+    foreign : cross traffic
+    falls, rises : times of changes with a figure of their own (run time, s)
+    outages : spans in which nothing arrives (run time, s, s)
     """
 
     duration_s: float
@@ -86,12 +84,8 @@ def steps(text: str) -> Callable[[int], RateSchedule]:
 
 
 def of_rates(rates_mbit: list[float], every_s: float) -> RateSchedule:
-    return RateSchedule(
-        steps=tuple(
-            RateStep(start_s=round(k * every_s, 9), rate_bytes_per_second=rate * MBIT)
-            for k, rate in enumerate(rates_mbit)
-        )
-    )
+    steps_of = ((round(k * every_s, 9), rate * MBIT) for k, rate in enumerate(rates_mbit))
+    return RateSchedule(steps=tuple(RateStep(start_s=at_s, rate_bytes_per_second=rate) for at_s, rate in steps_of))
 
 
 def ramp(_seed: int) -> RateSchedule:
@@ -101,7 +95,7 @@ def ramp(_seed: int) -> RateSchedule:
 
 
 def noisy(seed: int) -> RateSchedule:
-    """Every 0.5 s another rate around 15 Mbit/s: its logarithm is an AR(1) of deviation 0.2 and correlation 0.7."""
+    """Change the rate around 15 Mbit/s every 0.5 s: its logarithm is an AR(1), deviation 0.2, correlation 0.7."""
     random = Random(f"noisy {seed}")
     deviation, correlation = 0.2, 0.7
     level, rates = 0.0, []
@@ -112,7 +106,7 @@ def noisy(seed: int) -> RateSchedule:
 
 
 def busy_air(seed: int) -> RateSchedule:
-    """20 Mbit/s; from 20 to 40 s another station takes 60 % of the air time, in bursts and pauses of 0.1 to 1 s."""
+    """Hold 20 Mbit/s; from 20 to 40 s a station takes 60 % of the air time, in bursts and pauses of 0.1 to 1 s."""
     random = Random(f"air {seed}")
     stations, at_s = [], 20.0
     while at_s < 40.0:
@@ -123,17 +117,20 @@ def busy_air(seed: int) -> RateSchedule:
 
 
 def oscillation(period_s: float, duration_s: float) -> Callable[[int], RateSchedule]:
-    """20 and 5 Mbit/s in turn, each for half of the period; the first 20 s stay at 20."""
+    """Alternate 20 and 5 Mbit/s, each for half of the period; the first 20 s stay at 20."""
     halves = math.ceil((duration_s - 20.0) / (period_s / 2))
-    marks = [(0.0, 20.0)] + [(20.0 + k * period_s / 2, 5.0 if k % 2 == 0 else 20.0) for k in range(halves)]
-    schedule = RateSchedule(steps=tuple(RateStep(start_s=at_s, rate_bytes_per_second=r * MBIT) for at_s, r in marks))
-    return lambda _seed: schedule
+    return _at((20.0 + k * period_s / 2, 5.0 if k % 2 == 0 else 20.0) for k in range(halves))
 
 
 def stalling(spans: tuple[tuple[float, float], ...]) -> Callable[[int], RateSchedule]:
-    """20 Mbit/s, and no service at all in the spans: what is sent then waits."""
-    marks = [(0.0, 20.0)] + [mark for start_s, end_s in spans for mark in ((start_s, 0.0), (end_s, 20.0))]
-    schedule = RateSchedule(steps=tuple(RateStep(start_s=at_s, rate_bytes_per_second=r * MBIT) for at_s, r in marks))
+    """Hold 20 Mbit/s, without any service in the spans: what is sent then waits."""
+    return _at(mark for start_s, end_s in spans for mark in ((start_s, 0.0), (end_s, 20.0)))
+
+
+def _at(marks: Iterable[tuple[float, float]]) -> Callable[[int], RateSchedule]:
+    """Return a schedule that begins at 20 Mbit/s and has another rate (Mbit/s) from each time on (s)."""
+    steps_of = [RateStep(start_s=at_s, rate_bytes_per_second=mbit * MBIT) for at_s, mbit in ((0.0, 20.0), *marks)]
+    schedule = RateSchedule(steps=tuple(steps_of))
     return lambda _seed: schedule
 
 

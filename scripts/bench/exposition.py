@@ -1,16 +1,15 @@
-"""What `/metrics` costs with many topics, beside prometheus_client alone, and what being scraped costs the tick.
+"""Time `/metrics` with many topics, beside prometheus_client alone, and the lateness of ticks under scrapes.
 
 Usage: .venv/bin/python scripts/bench/exposition.py [--quick] [--json FILE]
 
-First, the time to make the text: arpd's from a snapshot, and the same samples from a registry of gauges and counters of
-prometheus_client's own, written by its own encoder, by turns. Second, a daemon that ticks ten times a second and serves
-HTTP, in a process of its own: left alone, scraped by one process and by four, by turns. Every scraper asks again a
-quarter of a second after it last asked, or at once if the answer took longer: sixty times as often as Prometheus.
+First, the time to write the text, by turns: arpd's from a snapshot, and the same samples from prometheus_client's own
+gauges and counters, by its own encoder. Second, a daemon in a process of its own that ticks ten times a second and
+serves HTTP, by turns without scrapers, with one and with four. A scraper asks again a quarter of a second after its
+last request, or at once if the answer took longer: sixty times as often as Prometheus.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -30,7 +29,7 @@ from arpd.adapters.http.metrics import SnapshotCollector
 from arpd.cli.progress import progress
 from arpd.daemon.tick import TICK_S
 from scripts.bench.exposition_daemon import crowded_daemon
-from scripts.bench.record import REPO, conditions, keep, target
+from scripts.bench.record import REPO, conditions, keep, options_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,7 +44,7 @@ ROUNDS, ROUND_S = 8, 10.0
 QUICK_ROUNDS, QUICK_ROUND_S = 1, 3.0
 EVERY_S = 0.25
 CROWD, QUICK_CROWD = 1000, 100
-#: Runs in a process of its own, with nothing but what it needs; asks for what Prometheus asks for.
+#: Runs in a process of its own with few imports; sends Prometheus's request.
 SCRAPER = """
 import http.client, json, sys, time
 url, accept, every_s, for_s = sys.argv[1], sys.argv[2], float(sys.argv[3]), float(sys.argv[4])
@@ -64,7 +63,7 @@ print(json.dumps(spent))
 
 
 def as_many(registry: CollectorRegistry) -> CollectorRegistry:
-    """Return a registry of prometheus_client's own metrics with as many samples, names and labels."""
+    """Return a registry of prometheus_client's own metrics with the same samples, names and labels."""
     disable_created_metrics()  # arpd has none either
     bare = CollectorRegistry()
     for family in registry.collect():
@@ -81,7 +80,7 @@ def as_many(registry: CollectorRegistry) -> CollectorRegistry:
 
 
 def race(topics: int, turns: int) -> dict[str, Any]:
-    """Time both sides in both formats, by turns and in turning order."""
+    """Time both sides in both formats, by turns in rotating order."""
     snapshot = crowded_daemon(topics).snapshot
     registry = CollectorRegistry()
     registry.register(SnapshotCollector(lambda: snapshot))
@@ -118,7 +117,7 @@ def race(topics: int, turns: int) -> dict[str, Any]:
 
 
 class DaemonProcess:
-    """A daemon with a crowd of topics."""
+    """A daemon with many topics, in a process of its own."""
 
     def __init__(self, topics: int) -> None:
         self._process = subprocess.Popen(
@@ -129,40 +128,34 @@ class DaemonProcess:
             cwd=REPO,
             env={**os.environ, "PYTHONPATH": str(REPO)},
         )
-        self.url: str = self._heard()["url"]
+        self.url: str = self._answer()["url"]
 
     def since_last(self) -> dict[str, Any]:
-        """Return how late the ticks since the last call began, and how long they took (s)."""
+        """Return lateness and duration of the ticks since the last call (s)."""
         assert self._process.stdin is not None
         print(file=self._process.stdin, flush=True)
-        return self._heard()
+        return self._answer()
 
     def stop(self) -> None:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(10.0)
 
-    def _heard(self) -> dict[str, Any]:
+    def _answer(self) -> dict[str, Any]:
         assert self._process.stdout is not None
-        heard: dict[str, Any] = json.loads(self._process.stdout.readline())
-        return heard
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+        return answer
 
 
 def under(daemon: DaemonProcess, scrapers: int, for_s: float) -> dict[str, Any]:
-    """Let the daemon tick for a while, scraped by so many processes."""
-    accept = FORMATS["OpenMetrics"]
+    """Let the daemon tick for a while under so many scrapers."""
+    command = [sys.executable, "-c", SCRAPER, daemon.url, FORMATS["OpenMetrics"], str(EVERY_S), str(for_s)]
     running = [
-        subprocess.Popen(
-            [sys.executable, "-c", SCRAPER, daemon.url, accept, str(EVERY_S), str(for_s)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(scrapers)
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(scrapers)
     ]
     for each in running:
         assert each.stdout is not None
-        each.stdout.readline()  # it has imported what it needs
+        each.stdout.readline()  # its imports are done
     daemon.since_last()
     spent: list[float] = []
     if running:
@@ -177,10 +170,10 @@ def under(daemon: DaemonProcess, scrapers: int, for_s: float) -> dict[str, Any]:
 
 
 def ticking(topics: int, rounds: int, for_s: float) -> dict[str, Any]:
-    """Measure ticks with and without scrapers, by turns and in turning order."""
+    """Measure ticks with and without scrapers, by turns in rotating order."""
     daemon = DaemonProcess(topics)
     try:
-        time.sleep(5.0)  # until the plan is made and announced
+        time.sleep(5.0)  # until the plan is confirmed
         found: dict[int, list[dict[str, Any]]] = {scrapers: [] for scrapers in SCRAPERS}
         order = list(SCRAPERS)
         for _ in range(rounds):
@@ -198,7 +191,7 @@ def ticking(topics: int, rounds: int, for_s: float) -> dict[str, Any]:
 
 
 def digest(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the rounds of one number of scrapers."""
+    """Return the figures over all rounds with one number of scrapers."""
     late_s = sorted(late for each in rounds for late in each["late_s"])
     tick_s = sorted(tick for each in rounds for tick in each["tick_s"])
     scrape_s = sorted(second for each in rounds for second in each["scrape_s"])
@@ -236,11 +229,9 @@ def table(races: Sequence[dict[str, Any]], ticks: dict[str, Any]) -> str:
         ),
     ]
     for scrapers, found in ticks["by_scrapers"].items():
-        scraped = (
-            ""
-            if not found["scrapes"]
-            else f"{found['scrape_median_s'] * 1e3:>19.0f}{found['scrape_p99_s'] * 1e3:>7.0f}"
-        )
+        scraped = ""
+        if found["scrapes"]:
+            scraped = f"{found['scrape_median_s'] * 1e3:>19.0f}{found['scrape_p99_s'] * 1e3:>7.0f}"
         lines.append(
             f"{scrapers:>9}{found['ticks']:>7}{found['late_share']:>8.1%}{found['lateness_mean_s'] * 1e3:>15.2f}"
             f"{found['lateness_p99_s'] * 1e3:>7.1f}{found['lateness_worst_s'] * 1e3:>7.1f}"
@@ -250,10 +241,7 @@ def table(races: Sequence[dict[str, Any]], ticks: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="up to a hundred topics, half a minute")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/exposition.json")
-    options = parser.parse_args()
+    options = options_of(__doc__, "exposition", quick="up to a hundred topics, half a minute").parse_args()
     noted = conditions()
     races = []
     sizes = QUICK_TURNS if options.quick else TURNS
@@ -266,7 +254,7 @@ def main() -> None:
         ticks = ticking(crowd, rounds, round_s)
     print(table(races, ticks))
     document = {"conditions": noted, "races": races, "ticking": ticks}
-    keep(document, target(options.json, "exposition.json", is_partial=options.quick))
+    keep(document, options, "exposition", is_partial=options.quick)
 
 
 if __name__ == "__main__":

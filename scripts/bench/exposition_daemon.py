@@ -1,8 +1,8 @@
-"""A daemon of a crowd of topics, for `exposition.py`: ticks for real, serves HTTP, and says how late its ticks were.
+"""A daemon with many topics, for `exposition.py`: it ticks in real time, serves HTTP, and reports its lateness.
 
-The crowd stands in for ROS: publishers, ten to a node, announce themselves once a second, a tenth of them between two
-ticks, at rates that differ a little each time, so that every tick solves anew. What announcements cost to receive and
-decode is not in it.
+A simulated crowd of publishers replaces ROS, ten publishers to a node. Each announces itself once a second, a tenth of
+them between two ticks, at rates that change a little each time, so that every tick solves a new program. The cost to
+receive and decode announcements is not included.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _DROPS = MappingProxyType({"rate": 170_000, "gate": 1_234})
 
 
 class Crowd:
-    """The daemon's `arpd.daemon.world.World` of so many publishers, each with everything a publisher announces."""
+    """A `arpd.daemon.world.World` with so many publishers, each with all that a publisher announces."""
 
     def __init__(self, topics: int) -> None:
         self._random = random.Random(topics)
         self._publishers = [self._publisher(number, topics) for number in range(topics)]
-        self._told_s = [0.0] * topics
+        self._announced_s = [0.0] * topics
         self._turn = 0
         self._tx_bytes = 0
 
@@ -78,10 +78,11 @@ class Crowd:
         )
 
     def observe(self, now_s: float) -> Observation:
-        """Return everything one tick sees."""
+        """Return the observation of one tick."""
         self._turn = (self._turn + 1) % 10
-        for place in range(self._turn, len(self._publishers), 10):
-            self._publishers[place], self._told_s[place] = self._announce(self._publishers[place]), now_s
+        for number in range(self._turn, len(self._publishers), 10):
+            self._publishers[number] = self._announce(self._publishers[number])
+            self._announced_s[number] = now_s
         self._tx_bytes += int(0.1 * _CAPACITY)
         return Observation(
             now_s=now_s,
@@ -96,8 +97,8 @@ class Crowd:
             ),
             reports=(),
             publishers=tuple(
-                replace(publisher, age_s=now_s - told_s)
-                for publisher, told_s in zip(self._publishers, self._told_s, strict=True)
+                replace(publisher, age_s=now_s - announced_s)
+                for publisher, announced_s in zip(self._publishers, self._announced_s, strict=True)
             ),
             memory=MemoryState(total_bytes=2**32, available_bytes=2**31),
             sensing_topics=len(self._publishers),
@@ -113,36 +114,28 @@ class Crowd:
         )
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:  # noqa: ARG002 - as the world has it
-        """Let every node announce what it is asked for."""
-        asked = {
-            (step.node, topic): (step.generation, row) for step in transitions for topic, row in step.topics.items()
+        """Let every node announce what the plan asks of it."""
+        asked: dict[tuple[str, str], dict[str, Any]] = {
+            (step.node, topic): {
+                "generation": step.generation,
+                "rate_hz": row.rate_hz,
+                "depth": row.depth,
+                "deadline_ns": row.deadline_ns,
+            }
+            for step in transitions
+            for topic, row in step.topics.items()
         }
         if asked:
-            self._publishers = [
-                self._obey(publisher, *found)
-                if (found := asked.get((publisher.node, publisher.topic))) is not None
-                else publisher
-                for publisher in self._publishers
-            ]
-
-    @staticmethod
-    def _obey(publisher: PublisherState, generation: int, row: Any) -> PublisherState:
-        return replace(
-            publisher,
-            generation=generation,
-            rate_hz=row.rate_hz,
-            depth=row.depth,
-            deadline_ns=row.deadline_ns,
-        )
+            self._publishers = [replace(each, **asked.get((each.node, each.topic), {})) for each in self._publishers]
 
     def set_gate(self, gate: float) -> None:
-        """Nobody listens."""
+        """Ignore the gate."""
 
     def probe(self, request: ProbeRequest) -> None:
-        """Nobody listens."""
+        """Send nothing."""
 
     def reconfigure(self, graph: GraphSettings) -> None:
-        """Nothing is pinned."""
+        """Pin nothing."""
 
     def results(self) -> Mapping[str, int]:
         """Count parameter calls by result."""
@@ -154,26 +147,25 @@ class Crowd:
 
 
 def crowded_daemon(topics: int, *, ticks: int = 40) -> Daemon:
-    """Return a daemon that has a plan for so many topics in force."""
-    settings = Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY))
-    daemon = Daemon(Crowd(topics), settings, interface="wlan0")
+    """Return a daemon with a plan for so many topics in force."""
+    daemon = _daemon(topics)
     for tick in range(ticks):
         daemon.tick(0.1 * tick)
     return daemon
 
 
+def _daemon(topics: int) -> Daemon:
+    settings = Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY))
+    return Daemon(Crowd(topics), settings, interface="wlan0")
+
+
 def main() -> None:
-    """Tick and serve until stdin closes; for every line of it, say what the ticks since the last one were like."""
+    """Tick and serve until stdin closes; answer each of its lines with the ticks since the last one."""
     logging.disable(logging.WARNING)
-    daemon = Daemon(
-        Crowd(int(sys.argv[1])), Settings(link=LinkSettings(capacity_bytes_per_second=_CAPACITY)), interface="wlan0"
-    )
+    daemon = _daemon(int(sys.argv[1]))
     lateness_s: list[float] = []
     ticks_s: list[float] = []
     add, note_lateness = daemon.record.add, daemon.record.note_lateness
-
-    def snapshot() -> Snapshot | None:
-        return daemon.snapshot
 
     def watch_ticks(picture: Snapshot, **sources: Any) -> None:
         add(picture, **sources)
@@ -196,19 +188,20 @@ def main() -> None:
             print(json.dumps({"late_s": late, "tick_s": took, "planned": planned}), flush=True)
         signals.stop = True
 
-    def load() -> Settings:
-        return daemon.settings
-
     with (
         tempfile.TemporaryDirectory() as folder,
         contextlib.suppress(KeyboardInterrupt),
-        serving(HttpSettings(host="127.0.0.1", port=0), snapshot, directory=Path(folder), resting=resting) as url,
+        serving(
+            HttpSettings(host="127.0.0.1", port=0), lambda: daemon.snapshot, directory=Path(folder), resting=resting
+        ) as url,
     ):
         print(json.dumps({"url": url}), flush=True)
         threading.Thread(target=answer, daemon=True).start()
         garbage = Garbage()
         garbage.take_over()
-        Supervisor(daemon, signals, Notifier(), load=load, resting=resting, tidy=garbage.collect_if_due).run()
+        Supervisor(
+            daemon, signals, Notifier(), load=lambda: daemon.settings, resting=resting, tidy=garbage.collect_if_due
+        ).run()
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""Coverage-guided fuzzing of everything arpd reads that it did not write.
+"""Fuzz all of arpd's readers of outside input, guided by coverage.
 
 Usage: .venv/bin/python scripts/bench/fuzz.py [--seconds S | --quick] [--target NAME] [--corpus FOLDER] [--json FILE]
        .venv/bin/python scripts/bench/fuzz.py --target NAME --input FILE
 
 Needs atheris: .venv/bin/pip install '.[fuzz]' (x86-64 Linux; no part of arpd needs it).
 
-Each target of `fuzz_targets.py` runs in a process of its own for so many seconds, and goes on after a crash. An input
-for each different crash is kept beside the results, and the command printed that repeats it. Edges are those of arpd's
-Python and of the parsers it uses; what is native in pydantic or rclpy is run, but not seen by the fuzzer.
+Each target of `fuzz_targets.py` runs in a process of its own for so many seconds, and goes on after a crash. For each
+different crash, the run keeps one input beside the results and prints the command that repeats it. Edges are those of
+arpd's Python and of its parsers; native code in pydantic or rclpy runs without coverage.
 """
 
 from __future__ import annotations
@@ -25,27 +25,26 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from arpd.cli.progress import progress
+from scripts.bench.fuzz_targets import TARGETS
+from scripts.bench.record import RESULTS, conditions, keep, options_of
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from scripts.bench.fuzz_target import Fuzzable
 
-REPO = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(REPO))
-
-from arpd.cli.progress import progress  # noqa: E402 - the path comes first
-from scripts.bench.fuzz_targets import TARGETS  # noqa: E402 - the path comes first
-from scripts.bench.record import RESULTS, conditions, keep, target  # noqa: E402 - the path comes first
-
 INSTRUMENTED = ["arpd", "yaml", "json", "h11"]
 _PROGRESS = re.compile(r"^#(\d+)\s.*cov: (\d+) ft: (\d+) corp: (\d+)", re.MULTILINE)
-_RSS_MIB = 2048  # libFuzzer ends a target that takes more
+_RSS_MIB = 2048  # libFuzzer ends a target with more memory than this,
+_TIMEOUT_S = 30  # or with an input that takes longer than this
 _QUICK_S = 2.0
-_TIMEOUT_S = 30  # or an input that takes longer
 
 
 class Notes:
-    """What a target's process found, kept in a file, because libFuzzer ends the process without a word to Python."""
+    """The findings of a target's process, in a file, because libFuzzer ends the process without notice to Python."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -54,12 +53,12 @@ class Notes:
         self._crashes = 0
 
     def feed(self, code: Fuzzable, data: bytes) -> None:
-        """Run one input; note what it raised, and how long it took if that is the longest so far."""
+        """Run one input; note its exception, and its time if that is the longest so far."""
         self._found["executions"] += 1
         started_s = time.thread_time()
         try:
             code.feed(data)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is what is looked for
+        except Exception as error:  # noqa: BLE001 - the fuzzer looks for any exception
             self._note_crash(error, data)
         took_s = time.thread_time() - started_s
         if took_s > self._found["slowest_s"]:
@@ -121,8 +120,8 @@ def _quoted(word: str) -> str:
     return '"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"'
 
 
-def fuzz(name: str, seconds: float, corpus: Path | None, keep: Path) -> dict[str, Any]:
-    """Fuzz one target for so long; return what was found."""
+def fuzz(name: str, seconds: float, corpus: Path | None, crashes: Path) -> dict[str, Any]:
+    """Fuzz one target for so long; return the findings."""
     with tempfile.TemporaryDirectory(prefix=f"arpd-fuzz-{name}-") as folder:
         workdir = Path(folder)
         seeds = (corpus or workdir) / "corpus" / name
@@ -133,13 +132,13 @@ def fuzz(name: str, seconds: float, corpus: Path | None, keep: Path) -> dict[str
             [*command, "--workdir", folder, "--corpus", str(seeds)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL
         )
         assert process.stderr is not None
-        said = process.stderr.read().decode(errors="replace")
+        printed = process.stderr.read().decode(errors="replace")
         _, status, usage = os.wait4(process.pid, 0)
         notes = workdir / "notes.json"
-        progress = _PROGRESS.findall(said)
-        if not notes.exists() or not progress:
-            raise SystemExit(f"fuzz: {name} did not run\n{said[-2000:]}")
-        executions, edges, features, corpus_size = map(int, progress[-1])
+        steps = _PROGRESS.findall(printed)
+        if not notes.exists() or not steps:
+            raise SystemExit(f"fuzz: {name} did not run\n{printed[-2000:]}")
+        executions, edges, features, corpus_size = map(int, steps[-1])
         found: dict[str, Any] = json.loads(notes.read_text())
         found |= {
             "executions": executions,
@@ -151,9 +150,9 @@ def fuzz(name: str, seconds: float, corpus: Path | None, keep: Path) -> dict[str
         }
         for artifact in workdir.glob("native-*"):  # a segmentation fault, a hang, too much memory
             what = f"native {artifact.name.removeprefix('native-').partition('-')[0]}, wait status {status}"
-            found["crashes"][what] = {"count": 1, "input": artifact.name, "message": said[-500:]}
+            found["crashes"][what] = {"count": 1, "input": artifact.name, "message": printed[-500:]}
         for crash in found["crashes"].values():
-            kept = keep / f"{name}-{crash['input']}"
+            kept = crashes / f"{name}-{crash['input']}"
             kept.parent.mkdir(parents=True, exist_ok=True)
             kept.write_bytes((workdir / crash["input"]).read_bytes())
             crash["input"] = str(kept.resolve())
@@ -172,22 +171,18 @@ def row(name: str, found: dict[str, Any]) -> str:
 def repeat(name: str, source: Path) -> None:
     """Run one kept input again, with the traceback."""
     TARGETS[name].load().feed(source.read_bytes())
-    print(f"{name}: {source} is taken or refused as it should be")
+    print(f"{name}: {source} is accepted or refused correctly")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="for each target (default %(default)g)"
-    )
-    parser.add_argument("--quick", action="store_true", help="two seconds for each target")
+    parser = options_of(__doc__, "fuzz", quick="two seconds for each target")
+    each = "for each target (default %(default)g)"
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help=each)
     parser.add_argument("--target", choices=TARGETS, action="append", help="may be given again (default: all)")
-    parser.add_argument("--corpus", type=Path, metavar="FOLDER", help="keep what was found interesting from run to run")
+    parser.add_argument("--corpus", type=Path, metavar="FOLDER", help="keep interesting inputs from run to run")
     parser.add_argument("--input", type=Path, metavar="FILE", help="run this input once, without atheris")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/fuzz.json")
-    parser.add_argument(
-        "--crashes", type=Path, default=RESULTS / "crashes", metavar="FOLDER", help="where inputs are kept"
-    )
+    crashes = "folder for inputs that crash"
+    parser.add_argument("--crashes", type=Path, default=RESULTS / "crashes", metavar="FOLDER", help=crashes)
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--workdir", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
@@ -218,7 +213,7 @@ def report(names: Sequence[str], options: argparse.Namespace) -> None:
                 print(f"  {what}, {crash['count']}×: {crash['message'].splitlines()[:1]}")
                 print(f"  .venv/bin/python scripts/bench/fuzz.py --target {name} --input {crash['input']}")
     is_partial = options.quick or len(names) < len(TARGETS)
-    keep({"conditions": noted, "targets": targets}, target(options.json, "fuzz.json", is_partial=is_partial))
+    keep({"conditions": noted, "targets": targets}, options, "fuzz", is_partial=is_partial)
     if any(found["crashes"] for found in targets.values()):
         sys.exit(1)
 

@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import json
 import math
+from typing import TYPE_CHECKING
 
 from scripts.bench.fuzz_target import FAULT, Fuzzable, insist, memory_file
 from scripts.bench.record import REPO
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
 
 def config() -> Fuzzable:
-    """Feed a configuration: it becomes settings, or faults of one clear line each."""
+    """Feed a configuration: arpd makes settings of it, or names each fault in one clear line."""
     import yaml
 
     from arpd.adapters.config.load import load_settings
     from arpd.adapters.config.schema import SECTIONS
-    from arpd.model.errors import ConfigError
-
-    path = memory_file()
-
-    def feed(data: bytes) -> None:
-        path.write_bytes(data)
-        try:
-            load_settings(path, interfaces=lambda: ("wlan0",))
-        except ConfigError as error:
-            insist(bool(error.faults) and all(map(FAULT.fullmatch, error.faults)), f"a clear fault: {error.faults}")
 
     keys = {key for section in SECTIONS.values() for key in section.model_fields}
     shipped = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_bytes())
     seeds = [
-        yaml.safe_dump(shipped).encode(),  # without its comments: short inputs are many inputs
+        yaml.safe_dump(shipped).encode(),  # without comments: the fuzzer runs more short inputs than long ones
         b"link: {interface: wlan0, capacity: 8mbit}\nrelay: {topics: [{name: /camera, overflow: queue}]}\n",
         b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
         b"- " * 100,
@@ -50,11 +45,12 @@ def config() -> Fuzzable:
         ".nan",
         "none",
     )
+    feed = _feed_config(lambda path: load_settings(path, interfaces=lambda: ("wlan0",)))
     return Fuzzable(feed=feed, seeds=tuple(seeds), words=(*sorted(keys), *words))
 
 
 def status_file() -> Fuzzable:
-    """Feed a saved status: it becomes publishers, or one line says why not."""
+    """Feed a saved status: arpd makes publishers of it, or refuses it in one line."""
     from arpd.cli.status_file import read_status
     from arpd.model.errors import ArpdError
 
@@ -84,7 +80,7 @@ def status_file() -> Fuzzable:
 
 
 def trace() -> Fuzzable:
-    """Feed a link trace: it becomes rates and losses, or one line says why not."""
+    """Feed a link trace: arpd makes rates and losses of it, or refuses it in one line."""
     from arpd.adapters.sim.trace import read_trace
     from arpd.model.errors import TraceError
 
@@ -110,18 +106,8 @@ def trace() -> Fuzzable:
 
 
 def web_config() -> Fuzzable:
-    """Feed a web-config: it becomes a protection, or faults of one clear line each."""
+    """Feed a web-config: arpd makes a protection of it, or names each fault in one clear line."""
     from arpd.adapters.http.web_config import load_protection
-    from arpd.model.errors import ConfigError
-
-    path = memory_file()
-
-    def feed(data: bytes) -> None:
-        path.write_bytes(data)
-        try:
-            load_protection(path)
-        except ConfigError as error:
-            insist(bool(error.faults) and all(map(FAULT.fullmatch, error.faults)), f"a clear fault: {error.faults}")
 
     seeds = (
         b"tls_server_config: {cert_file: a.pem, key_file: a.key, min_version: TLS12}\n",
@@ -129,10 +115,22 @@ def web_config() -> Fuzzable:
         b"http_server_config: {headers: {X-Frame-Options: deny}}\n",
     )
     words = (
-        "client_ca_file: ",
-        "client_auth_type: ",
-        "RequireAndVerifyClientCert",
-        "client_allowed_sans: [",
+        *("client_ca_file: ", "client_auth_type: ", "RequireAndVerifyClientCert", "client_allowed_sans: ["),
         "max_version",
     )
-    return Fuzzable(feed=feed, seeds=seeds, words=words)
+    return Fuzzable(feed=_feed_config(load_protection), seeds=seeds, words=words)
+
+
+def _feed_config(load: Callable[[Path], object]) -> Callable[[bytes], None]:
+    from arpd.model.errors import ConfigError
+
+    path = memory_file()
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            load(path)
+        except ConfigError as error:
+            insist(bool(error.faults) and all(map(FAULT.fullmatch, error.faults)), f"a clear fault: {error.faults}")
+
+    return feed

@@ -1,4 +1,4 @@
-"""The fuzz target that is a connection to the HTTP server."""
+"""The fuzz target for connections to the HTTP server."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scripts.bench.fuzz_target import BrokenPromiseError, Fuzzable, insist
 
 
 def http() -> Fuzzable:
-    """Feed one connection's bytes: every answer is one of arpd's own, and repeats nothing of what came."""
+    """Feed one connection's bytes: every answer is one of arpd's own, and repeats nothing of the input."""
     import logging
     import socket
 
@@ -29,7 +29,7 @@ def http() -> Fuzzable:
         def emit(self, record: logging.LogRecord) -> None:
             failures.append(record)
 
-    logging.getLogger("arpd.adapters.http").addHandler(Failures(logging.ERROR))  # where what a connection raises goes
+    logging.getLogger("arpd.adapters.http").addHandler(Failures(logging.ERROR))  # gets exceptions of connections
     protections = (Protection(), Protection(users={b"ops": b"$2b$04$"}))
     now_s = 0.0
 
@@ -45,21 +45,21 @@ def http() -> Fuzzable:
         clock=clock,
         started_at_s=0.0,
     )
-    places = ConnectionLimit()
+    limit = ConnectionLimit()
 
     def feed(data: bytes) -> None:
         nonlocal now_s
-        now_s += 1.0  # a guess a second is judged, not throttled
+        now_s += 1.0  # one password a second is checked, not throttled
         access = SimpleNamespace(current=lambda: protections[data[:1] == b"\x01"])
         exchange: Any = Exchange(answers=answers, access=access, passwords=passwords, counts=counts, clock=clock)  # type: ignore[arg-type]
         near, far = socket.socketpair()
         with near, far:
             near.sendall(data[1:])
             near.shutdown(socket.SHUT_WR)
-            visit, _ = places.enter(far, "192.0.2.1")
-            exchange.run(visit)
-            if visit is not None:
-                places.leave(visit)
+            connection, _ = limit.enter(far, "192.0.2.1")
+            exchange.run(connection)
+            if connection is not None:
+                limit.leave(connection)
             answer = b"".join(iter(lambda: near.recv(65536), b""))
         if failures:
             record = failures.pop()
@@ -77,15 +77,8 @@ def http() -> Fuzzable:
         b"POST /-/reload HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\n\r\nabc",
     )
     words = (
-        *(
-            "GET ",
-            "HEAD ",
-            " HTTP/1.1",
-            "\r\n",
-            "Transfer-Encoding: chunked",
-            "Expect: 100-continue",
-            "Content-Length: ",
-        ),
+        *("GET ", "HEAD ", " HTTP/1.1", "\r\n", "Transfer-Encoding: chunked", "Expect: 100-continue"),
+        "Content-Length: ",
         *("/-/healthy", "/-/ready", "Authorization: Basic b3BzOnJpZ2h0", "Upgrade: h2c", "%00"),
     )
     return Fuzzable(feed=feed, seeds=tuple(mode + head for mode in (b"\x00", b"\x01") for head in heads), words=words)

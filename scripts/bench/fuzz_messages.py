@@ -1,9 +1,10 @@
-"""Fuzz targets that arrive over ROS: reports, probes, announcements, claims, parameters."""
+"""Fuzz targets for input over ROS: reports, probes, announcements, heartbeats, parameters."""
 
 from __future__ import annotations
 
 import math
 import struct
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,7 @@ _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def report() -> Fuzzable:
-    """Feed a peer's report: it is refused, or says possible things and survives being sent on."""
+    """Feed a peer's report: arpd refuses it, or its values are possible and survive another encoding."""
     from arpd.adapters.ros.probe_messages import decode_report, encode_report
     from arpd.model.probing import PeerReport, Train
 
@@ -45,7 +46,7 @@ def report() -> Fuzzable:
 
 
 def probe() -> Fuzzable:
-    """Feed a probe packet: it is refused, or has its place in its train."""
+    """Feed a probe packet: arpd refuses it, or it has a valid index in its train."""
     from arpd.adapters.ros.probe_messages import ProbeHeader, decode_probe, encode_probe
 
     def feed(data: bytes) -> None:
@@ -53,7 +54,7 @@ def probe() -> Fuzzable:
             header = decode_probe(data)
         except ValueError:
             return
-        insist(0 <= header.index < header.packets and header.quiet_s >= 0, f"a place in a train: {header}")
+        insist(0 <= header.index < header.packets and header.quiet_s >= 0, f"an index in a train: {header}")
         insist(decode_probe(bytes(encode_probe(header, payload_bytes=len(data)).data)) == header, "the same again")
 
     seed = encode_probe(ProbeHeader(train=7, index=2, packets=9, quiet_s=0.5), payload_bytes=64)
@@ -61,7 +62,7 @@ def probe() -> Fuzzable:
 
 
 def publisher() -> Fuzzable:
-    """Feed a publisher's announcement: it is refused, or becomes a state that can be announced again."""
+    """Feed a publisher's announcement: arpd refuses it, or makes a state of it that it can announce again."""
     from arpd.adapters.ros.announcement import from_status, to_status
 
     def feed(data: bytes) -> None:
@@ -79,7 +80,7 @@ def publisher() -> Fuzzable:
 
 
 def reader() -> Fuzzable:
-    """Feed a reader's announcement: it is refused, or becomes a state that can be announced again."""
+    """Feed a reader's announcement: arpd refuses it, or makes a state of it that it can announce again."""
     from arpd.adapters.ros.announcement import reader_from_status, reader_to_status
     from arpd.model.endpoints import ReaderState
 
@@ -99,33 +100,31 @@ def reader() -> Fuzzable:
 
 
 def wire() -> Fuzzable:
-    """Feed serialized announcements, as they come off the network: the middleware or arpd refuses them."""
+    """Feed serialized announcements, as from the network: the middleware or arpd accepts or refuses them."""
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message, serialize_message
 
     from arpd.adapters.ros.announcement import from_status, reader_from_status, to_status
-    from arpd.adapters.ros.daemons import from_status as claim_from_status
+    from arpd.adapters.ros.daemons import from_status as heartbeat_from_status
 
     def feed(data: bytes) -> None:
         try:
             message = deserialize_message(_CDR_LITTLE_ENDIAN + data, DiagnosticArray)
         except Exception as error:
             if type(error).__name__ in {"RCLError", "RMWError", "UnicodeDecodeError"}:
-                return  # what the middleware refuses never reaches arpd
+                return  # the middleware refuses it before arpd sees it
             raise
         for status in message.status:
-            for read in (from_status, reader_from_status, claim_from_status):
-                try:
+            for read in (from_status, reader_from_status, heartbeat_from_status):
+                with suppress(ValueError):
                     read(status)
-                except ValueError:
-                    continue
 
     message = DiagnosticArray(status=[to_status(_publisher())] * 2)
     return Fuzzable(feed=feed, seeds=(bytes(serialize_message(message))[4:],), words=_numbers())
 
 
-def claim() -> Fuzzable:
-    """Feed a daemon's claim: it is refused, or can be weighed against one's own and claimed again."""
+def heartbeat() -> Fuzzable:
+    """Feed a daemon's heartbeat: arpd refuses it, or can compare it with its own and send it again."""
     from arpd.adapters.ros.daemons import from_status, to_status
     from arpd.observe.leader import DaemonHeartbeat, Leader
 
@@ -138,11 +137,11 @@ def claim() -> Fuzzable:
             found = from_status(SimpleNamespace(name=name, hardware_id=token, values=_pairs(rest)))
         except ValueError:
             return
-        insist(found.host.isprintable() and found.started_ns >= 0, f"a possible claim: {found}")
-        incumbency = Leader(own)
-        for now_s in (1.0, 1.5):  # one claim is not believed
-            incumbency.note(found, now_s)
-        insist(len(incumbency.others(1.5)) <= 1, "one claim is one daemon")
+        insist(found.host.isprintable() and found.started_ns >= 0, f"a possible heartbeat: {found}")
+        leader = Leader(own)
+        for now_s in (1.0, 1.5):  # one heartbeat alone does not count
+            leader.note(found, now_s)
+        insist(len(leader.others(1.5)) <= 1, "one heartbeat is one daemon")
         insist(from_status(to_status(found)) == found, "the same again")
 
     return Fuzzable(
@@ -153,7 +152,7 @@ def claim() -> Fuzzable:
 
 
 def parameters() -> Fuzzable:
-    """Feed values of QoS parameters: they are refused with a reason, or make a plan to run with."""
+    """Feed values of QoS parameters: arpd refuses them with a reason, or makes a valid plan of them."""
     from dataclasses import replace
 
     from arpd.adapters.ros.bounds import checked_lease_s
@@ -165,12 +164,10 @@ def parameters() -> Fuzzable:
 
     def feed(data: bytes) -> None:
         changes: dict[str, int | float] = {}
-        for place in range(0, len(data) - 8, 9):
-            field = fields[data[place] % len(fields)]
-            form = "<q" if field in {"depth", "deadline_ns"} else "<d"
-            parameter = SimpleNamespace(
-                name=f"arpd./a.publisher.{field}", value=struct.unpack_from(form, data, place + 1)[0]
-            )
+        for start in range(0, len(data) - 8, 9):
+            field = fields[data[start] % len(fields)]
+            (value,) = struct.unpack_from("<q" if field in {"depth", "deadline_ns"} else "<d", data, start + 1)
+            parameter = SimpleNamespace(name=f"arpd./a.publisher.{field}", value=value)
             try:
                 if field == "lease_s":
                     insist(0.0 <= checked_lease_s(parameter) < math.inf, "a time")
@@ -196,7 +193,7 @@ def parameters() -> Fuzzable:
 
 
 def _pairs(data: bytes) -> list[Any]:
-    """Read lines as key and value, so that a mutation hits text and not lengths."""
+    """Read lines as key and value, so that mutations change text and not lengths."""
     lines = data.decode("utf-8", "surrogateescape").split("\n")
     return [SimpleNamespace(key=key, value=value) for key, _, value in (line.partition("=") for line in lines)]
 
@@ -223,7 +220,7 @@ def _publisher() -> Any:
 
 
 def _is_text(*texts: str) -> bool:
-    """Whether no text has a lone surrogate: the middleware hands over UTF-8 only, and takes nothing else."""
+    """Return whether no text has a lone surrogate: the middleware passes only valid UTF-8."""
     return not any("\ud800" <= character <= "\udfff" for text in texts for character in text)
 
 

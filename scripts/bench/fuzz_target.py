@@ -1,7 +1,7 @@
-"""What `fuzz.py` can feed with bytes, and what the code under test promises.
+"""Targets of `fuzz.py`, and the promises of the code under test.
 
-A target's `load` imports the code under test, so that a fuzzer can instrument it first. What its function raises, apart
-from the refusals named there, is a crash; so is an answer that breaks what the target says of it.
+A target's `load` imports the code under test, so that a fuzzer can instrument it first. An exception of its function is
+a crash, except for the refusals that it catches; a broken promise is a crash too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FAULT = re.compile(r"[^\n]+?:[1-9]\d*:[1-9]\d*: [^ \n][^\n]*?: [^\n]+; [^\n]+")
 
 
 class BrokenPromiseError(Exception):
-    """The code under test did not raise, and returned what it promises never to return."""
+    """The code under test returned a value that it promises never to return."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,9 +28,9 @@ class Fuzzable:
 
     Parameters
     ----------
-    feed : takes any bytes and returns; whatever it raises is a crash
+    feed : takes any bytes; an exception is a crash
     seeds : inputs to start from
-    words : pieces that inputs are likely made of
+    words : likely pieces of inputs
     """
 
     feed: Callable[[bytes], None]
@@ -40,26 +40,24 @@ class Fuzzable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """One reader of foreign input.
+    """One reader of outside input.
 
     Parameters
     ----------
-    what : for people
-    load : imports it
+    load : imports the code under test
     most_bytes : longest input
     """
 
-    what: str
     load: Callable[[], Fuzzable]
     most_bytes: int = 4096
 
 
 def memory_file() -> Path:
     """Return the path of a file in memory that lives as long as the process."""
-    folder = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a disk would be what is measured
+    folder = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a disk would take most of the time
     return Path(tempfile.mkdtemp(prefix="arpd-fuzz-", dir=folder)) / "input"
 
 
-def insist(holds: bool, promise: str) -> None:  # noqa: FBT001 - the promise says what
+def insist(holds: bool, promise: str) -> None:  # noqa: FBT001 - the promise names it
     if not holds:
         raise BrokenPromiseError(promise)

@@ -1,19 +1,17 @@
-"""arpd on the real link: the demo robot over namespaces, veth and token buckets, beside the same in virtual time.
+"""Run arpd on the real link, the demo robot over namespaces, veth and token buckets, and the same in virtual time.
 
 Usage: .venv/bin/python scripts/bench/link.py [--quick] [--rounds N] [--only TEXT] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
 In every scenario the link does one thing: it stays, drops, rises or is gone for five seconds. Runs with and without
-arpd alternate, each with a robot of its own. Truth is the rate and the queue that the kernel's token bucket has, read
-fifty times a second; beliefs are arpd's status page, read ten times a second, so that every reaction time below is
-known to a tenth of a second and includes the reading. The same schedule then runs in virtual time with the same
-configuration.
+arpd alternate, each with a robot of its own. Truth is rate and queue of the kernel's token bucket, read fifty times a
+second. Beliefs are arpd's status page, read ten times a second: every reaction time is known to a tenth of a second and
+includes the reading. The same schedule then runs in virtual time with the same configuration.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
@@ -21,9 +19,6 @@ import time
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -38,12 +33,14 @@ from scripts.bench.link_course import SCENARIOS, Run, virtual_course, with_outag
 from scripts.bench.link_figures import figures
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import sampling
-from scripts.bench.record import conditions, target
+from scripts.bench.record import conditions, options_of, target
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
 from scripts.robot.run import CONFIG, HTTP_PORT, lost_during, robot, run
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from arpd.adapters.sim.result import TopicResult
     from scripts.bench.link_course import Instant, Scenario
 
@@ -51,7 +48,7 @@ QUICK = ("20→5", "outage")
 
 
 def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Run:
-    """Let the real robot work over the real link."""
+    """Run the real robot over the real link."""
     run_id = f"link-{os.getpid()}-{time.monotonic_ns() % 10**6}"
     folder = logs / f"{scenario.name.replace(' ', '-')}-{number}-{'with' if is_managed else 'without'}"
     with (
@@ -77,7 +74,7 @@ def real(scenario: Scenario, *, is_managed: bool, number: int, logs: Path) -> Ru
 
 @cache
 def report_wire_bytes() -> int:
-    """Size on the wire of a report with one delay and no train, as nearly all are (bytes)."""
+    """Return the wire size of a report with one delay and no train, as nearly all are (bytes)."""
     from arpd.adapters.ros.probe_messages import encode_report
 
     report = PeerReport(peer="ceddp", received_at_s=0.0, interval_s=0.1, rx_bytes=0, rx_packets=0, delays_s=(0.0,))
@@ -85,7 +82,7 @@ def report_wire_bytes() -> int:
 
 
 def virtual(scenario: Scenario, *, is_managed: bool, number: int) -> Run:
-    """Do the same in virtual time, with the same configuration."""
+    """Run the same in virtual time, with the same configuration."""
     result = simulate(
         load_settings(CONFIG, interfaces=None),
         scenario.rates,
@@ -120,13 +117,13 @@ def _run(
 
 
 def measure(scenarios: Sequence[Scenario], rounds: int, logs: Path) -> Iterator[Run]:
-    """Yield every run as it ends; with and without arpd take turns at going first."""
+    """Yield every run as it ends; runs with and without arpd take turns to go first."""
     started_s = time.monotonic()
     turns = [
         (number, scenario, is_managed)
         for number in range(1, rounds + 1)
-        for place, scenario in enumerate(scenarios)
-        for is_managed in ((True, False) if (number + place) % 2 else (False, True))
+        for position, scenario in enumerate(scenarios)
+        for is_managed in ((True, False) if (number + position) % 2 else (False, True))
     ]
     with progress("measuring", total=len(turns)) as shown:
         for number, scenario, is_managed in turns:
@@ -142,7 +139,7 @@ def measure(scenarios: Sequence[Scenario], rounds: int, logs: Path) -> Iterator[
 
 
 def line(done: Run) -> str:
-    """Say in a line what came of a run."""
+    """Return a run's figures in a line."""
     found = " ".join(
         f"{name.removesuffix('_s')} {'never' if value is None else format(value, '.3g')}"
         for name, value in done.figures.items()
@@ -151,12 +148,9 @@ def line(done: Run) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a drop and an outage, once: four minutes")
+    parser = options_of(__doc__, "link", quick="a drop and an outage, once: four minutes", has_plot=True)
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="times each scenario runs (default 3)")
     parser.add_argument("--only", default="", metavar="TEXT", help="scenarios whose name contains this")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/link.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/link.png")
     parser.add_argument("--logs", type=Path, help="folder for the processes' logs (default: a temporary one)")
     options = parser.parse_args()
     scenarios = [s for s in SCENARIOS if options.only in s.name and (not options.quick or s.name in QUICK)]
@@ -167,24 +161,21 @@ def main() -> None:
     about, runs = {"conditions": conditions()}, list[Run]()
     is_partial = bool(options.quick or options.only)
     rounds = 1 if options.quick else options.rounds
-    path, plot = (
-        target(chosen, name, is_partial=is_partial)
-        for chosen, name in ((options.json, "link.json"), (options.plot, "link.png"))
-    )
+    path = target(options.json, "link.json", is_partial=is_partial)
+    plot = target(options.plot, "link.png", is_partial=is_partial)
     for done in measure(scenarios, rounds, logs):
         runs.append(done)
         if path:
             save(about, runs, path)
     if not runs:
-        sys.exit("link: no run came to its end")
+        sys.exit("link: no run ended")
     print(table(scenarios, runs))
     if path:
         print(path)
     if plot:
         draw(scenarios, runs, plot)
-        print(plot)
     if len(runs) < 4 * len(scenarios) * rounds:
-        sys.exit("link: not every run came to its end")
+        sys.exit("link: not every run ended")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The course of one run over the link, real or virtual: ten times a second what was true and what was believed."""
+"""The course of one run over the link, real or virtual: truth and belief ten times a second."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ if TYPE_CHECKING:
     from arpd.daemon.scenario import Moment
 
 MBIT = 125_000.0  # bytes/s
-SPELL_S = 12.0  # how long the link is left alone before anything happens to it
+SPELL_S = 12.0  # time before the link changes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
-    """What happens to the link.
+    """The course of the link.
 
     Parameters
     ----------
-    name : how tables call it
-    schedule : its rate over time, in the words of `RateSchedule.parse`
-    duration_s : how long the sources publish (s)
+    schedule : rate over time, as `RateSchedule.parse` reads it
+    duration_s : time that the sources publish (s)
     outages : spans in which nothing arrives in either direction (s, s)
     """
 
@@ -41,13 +40,13 @@ class Scenario:
 
     @property
     def event_s(self) -> float:
-        """When the link changes for the first time; 0 if it never does (s)."""
+        """Time of the link's first change; 0 without one (s)."""
         changes = [step.start_s for step in self.rates.steps[1:]] + [start_s for start_s, _ in self.outages]
         return min(changes, default=0.0)
 
     @property
     def changes_s(self) -> tuple[float, ...]:
-        """Every moment at which the link changes, its start included (s)."""
+        """Times of all changes of the link, with its start (s)."""
         steps = [step.start_s for step in self.rates.steps]
         return tuple(sorted([*steps, *(moment_s for outage in self.outages for moment_s in outage)]))
 
@@ -63,18 +62,16 @@ SCENARIOS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Belief:
-    """What arpd says at one moment.
+    """The state of arpd at one moment.
 
     Parameters
     ----------
-    estimate_bytes_per_second, foreign_bytes_per_second, level_bytes_per_second : capacity, what others send,
-        what the plan in force was made for (bytes/s)
+    estimate_bytes_per_second, foreign_bytes_per_second, level_bytes_per_second : capacity, cross traffic, and the
+        capacity of the plan in force (bytes/s)
     kind, state : of the estimate
-    queue_delay_s : the queue as the daemon measures it (s); None where the simulation does not say it
-    gate, generation : gate and plan in force
-    levels_by_cause : plans made so far
-    swaps : QoS swaps so far, over all publishers
-    probe_bytes, report_bytes : what measuring has put on the link so far, there and back (wire bytes)
+    queue_delay_s : as the daemon measures it (s); None in a simulation
+    levels_by_cause, swaps : plans and QoS swaps so far
+    probe_bytes, report_bytes : cost of measuring so far, both ways (wire bytes)
     """
 
     estimate_bytes_per_second: float
@@ -99,9 +96,9 @@ class Instant:
     ----------
     t_s : time since the sources began to publish (s)
     truth_bytes_per_second : rate of the link, 0 during an outage (bytes/s)
-    queue_delay_s : the longest queue of this tenth in front of the robot's end, by its bytes and the rate (s)
-    carried_bytes : what has left the robot since the start (bytes); None where the simulation does not say it
-    belief : what arpd says; None without it, or while it does not answer
+    queue_delay_s : longest queue of this tenth at the robot's end, from its bytes and the rate (s)
+    carried_bytes : bytes that have left the robot since the start; None in a simulation
+    belief : None without arpd, or while it does not answer
     """
 
     t_s: float
@@ -119,10 +116,10 @@ class Run:
     ----------
     side : ``real`` or ``virtual``
     is_managed : with arpd
-    course : ten times a second
-    topics : what the readers got
-    figures : what the course says, by the names of `link_figures.FIGURES`
-    load : load average of the machine when the run ended
+    course : ten instants a second
+    topics : what the readers received
+    figures : by the names of `link_figures.FIGURES`
+    load : load average of the machine at the end
     """
 
     scenario: str
@@ -136,7 +133,7 @@ class Run:
 
 
 def with_outages(instants: Sequence[Instant], scenario: Scenario) -> tuple[Instant, ...]:
-    """Say of the instants of an outage that the link carries nothing."""
+    """Set the truth to 0 in the instants of an outage."""
     return tuple(
         replace(instant, truth_bytes_per_second=0.0)
         if any(start_s <= instant.t_s < end_s for start_s, end_s in scenario.outages)
@@ -146,7 +143,7 @@ def with_outages(instants: Sequence[Instant], scenario: Scenario) -> tuple[Insta
 
 
 def virtual_course(moments: Sequence[Moment], scenario: Scenario) -> tuple[Instant, ...]:
-    """Put the course of a simulated run into the form of a real one."""
+    """Return the course of a simulated run in the form of a real one."""
     levels: dict[str, int] = {}
     instants = []
     for moment in moments:

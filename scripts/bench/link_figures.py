@@ -1,4 +1,4 @@
-"""What a course says in figures: how well the estimate knew the link, and what that cost."""
+"""The figures of a course: the errors of the estimate, and its cost."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
     from scripts.bench.link_course import Belief, Instant, Scenario
 
-START_S = 10.0  # the sources start at 0, the first plan follows them, and swaps take a few seconds
-SETTLED_S = 8.0  # the target for a rise is 7 s: what is wrong after that is an error, not a reaction
+START_S = 10.0  # the sources start at 0, the first plan follows, and swaps take a few seconds
+SETTLED_S = 8.0  # the target for a rise is 7 s; a later difference is an error, not a reaction
 
-#: figure → what it is, its unit, and the factor from base units; in the order of the table
+#: figure → title, unit, and factor from base units; in the order of the table
 FIGURES: dict[str, tuple[str, str, float]] = {
     "error_median": ("steady error, median", "%", 100.0),
     "error_p90": ("steady error, p90", "%", 100.0),
@@ -36,14 +36,14 @@ FIGURES: dict[str, tuple[str, str, float]] = {
     "swaps_per_minute": ("topic swaps", "1/min", 1.0),
 }
 _GATE_CLOSED = 0.1
-_HOLD_S = 1.0  # a belief that is right for a moment on its way elsewhere is luck
+_HOLD_S = 1.0  # a belief must stay right for so long
 
 
 def figures(course: Sequence[Instant], scenario: Scenario) -> dict[str, float | None]:
-    """Return what this scenario can tell, by the names of `FIGURES`; None = it never happened.
+    """Return the figures of this scenario, by the names of `FIGURES`; None = never.
 
-    The first seconds are a scenario of their own, and only in the figures that say so. The queue is that of the time
-    after the event: what stands before belongs to the steady scenarios.
+    Only figures that name the start include the first seconds. The queue is that after the event; a queue before it
+    belongs to the steady scenarios.
     """
     started = [instant for instant in course if instant.t_s > START_S]
     after = [instant for instant in started if instant.t_s > scenario.event_s]
@@ -78,7 +78,7 @@ def _errors(course: Sequence[Instant], scenario: Scenario) -> dict[str, float | 
 
 def _costs(course: Sequence[Instant], beliefs: Sequence[Belief]) -> dict[str, float | None]:
     first, last = beliefs[0], beliefs[-1]
-    swaps = max(belief.swaps for belief in beliefs) - first.swaps  # a publisher that is silent is not counted
+    swaps = max(belief.swaps for belief in beliefs) - first.swaps  # silent publishers are missing from the last
     minutes = (course[-1].t_s - course[0].t_s) / 60.0
     levels = sum(last.levels_by_cause.values()) - sum(first.levels_by_cause.values())
     return {
@@ -130,7 +130,7 @@ def _outage(course: Sequence[Instant], scenario: Scenario) -> dict[str, float | 
 
 
 def _traffic_back_s(course: Sequence[Instant], start_s: float, end_s: float) -> float | None:
-    """When a second of traffic is 80 % of what it was before the outage (s)."""
+    """Return when a second of traffic is 80 % of that before the outage (s); None = never."""
     carried = {round(instant.t_s, 1): instant.carried_bytes or 0 for instant in course}
 
     def within(from_s: float, to_s: float) -> float:
@@ -148,16 +148,16 @@ def _knows(least: float) -> Callable[[Belief], bool]:
 
 
 def _first_s(course: Sequence[Instant], since_s: float, is_so: Callable[[Belief], bool]) -> float | None:
-    """How long after ``since_s`` something is so for the first time: the gate reopens as soon as the queue is gone."""
+    """Return when ``is_so`` first holds, if only briefly: the gate reopens as soon as the queue is gone (s)."""
     return next((i.t_s - since_s for i in course if i.belief is not None and is_so(i.belief)), None)
 
 
 def _delay_s(course: Sequence[Instant], since_s: float, is_so: Callable[[Belief], bool]) -> float | None:
-    """How long after ``since_s`` something begins to be believed and stays so for a second, None = never (s)."""
+    """Return how long after ``since_s`` ``is_so`` begins to hold for a second (s); None = never."""
     began_s: float | None = None
     for instant in course:
         if instant.belief is None:
-            continue  # an answer that is late says nothing
+            continue  # the answer was late
         if not is_so(instant.belief):
             began_s = None
         elif began_s is None:
@@ -168,9 +168,9 @@ def _delay_s(course: Sequence[Instant], since_s: float, is_so: Callable[[Belief]
 
 
 def gather(runs: Sequence[dict[str, float | None]], name: str) -> tuple[float | None, float | None] | None:
-    """Median and worst of a figure over some runs, None standing for never; None if no run has the figure.
+    """Return median and worst of a figure over some runs, with None for never; None if no run has the figure.
 
-    Of the bias, the worst is the one farthest from 0; of utilisation the least.
+    The worst bias is the one farthest from 0; the worst utilisation is the least.
     """
     values = [run[name] for run in runs if name in run]
     if not values:

@@ -1,4 +1,4 @@
-"""The table, the picture and the document of the real link beside the virtual one."""
+"""Table, picture and document of the real link beside the virtual one."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.link_course import MBIT
 from scripts.bench.link_figures import FIGURES, gather
+from scripts.bench.picture import picture
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from arpd.adapters.sim.result import TopicResult
-    from scripts.bench.link_course import Run, Scenario
+    from scripts.bench.link_course import Belief, Run, Scenario
 
 COMMAND_TOPIC = "/cmd_vel"
 CAMERA_TOPIC = "/camera/image/compressed"
@@ -24,7 +25,7 @@ _CELL = 26
 
 
 def table(scenarios: Sequence[Scenario], runs: Sequence[Run]) -> str:
-    """Return every figure of every scenario, and what the readers got without arpd and with it."""
+    """Return all figures of every scenario, and what the readers received without arpd and with it."""
     shown = [scenario for scenario in scenarios if any(run.scenario == scenario.name for run in runs)]
     head = f"{'':<{_LABEL}}" + "".join(f"{scenario.name:>{_CELL}}" for scenario in shown)
     lines = ["with arpd: median (worst) on the real link | median in virtual time", "", head]
@@ -47,57 +48,59 @@ def table(scenarios: Sequence[Scenario], runs: Sequence[Run]) -> str:
     return "\n".join([*lines, "", f"load average {min(loads):.1f} to {max(loads):.1f}"])
 
 
-def draw(scenarios: Sequence[Scenario], runs: Sequence[Run], target: Path) -> None:
+def draw(scenarios: Sequence[Scenario], runs: Sequence[Run], path: Path) -> None:
     """Draw estimate, queue and gate of every run over time."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, rows = plt.subplots(
-        3, len(scenarios), figsize=(1 + 4.2 * len(scenarios), 8), sharex="col", squeeze=False, layout="constrained"
-    )
-    for column, scenario in enumerate(scenarios):
-        rate, queue, gate = (row[column] for row in rows)
-        managed, plain = (_of(runs, scenario, is_managed=is_managed) for is_managed in (True, False))
-        rate.set_title(scenario.name)
-        for run in plain:
-            times = [instant.t_s for instant in run.course]
-            values = [max(1.0, instant.queue_delay_s * 1e3) for instant in run.course]
-            queue.plot(times, values, color="0.6" if run.side == "real" else "0.8", linewidth=0.8)
-        for run in managed:
-            _draw_run(run, rate, queue, gate)
-        if managed:
-            truth = managed[0].course
-            rate.step(
-                [i.t_s for i in truth], [i.truth_bytes_per_second / MBIT for i in truth], color="black", linewidth=1.2
-            )
-        rate.set_ylim(0, 32)
-        queue.set_yscale("log")
-        queue.set_ylim(1, 2000)
-        gate.set_ylim(0, 1.05)
-        gate.set_xlabel("s")
-    for row, label in zip(rows, ("Mbit/s", "queue at the robot (ms)", "gate"), strict=True):
-        row[0].set_ylabel(label)
-    figure.suptitle(
-        "black: the link   blue: with arpd, real   orange: with arpd, virtual\ngrey: without arpd (light: virtual)",
-        fontsize=10,
-    )
-    figure.savefig(target, dpi=100)
-    plt.close(figure)
+    size = (1 + 4.2 * len(scenarios), 8)
+    legend = "black: the link   blue: with arpd, real   orange: with arpd, virtual\ngrey: without arpd (light: virtual)"
+    with picture(path, 3, len(scenarios), dpi=100, figsize=size, sharex="col", squeeze=False) as (figure, rows):
+        for column, scenario in enumerate(scenarios):
+            _draw_scenario(scenario, runs, *(row[column] for row in rows))
+        for row, label in zip(rows, ("Mbit/s", "queue at the robot (ms)", "gate"), strict=True):
+            row[0].set_ylabel(label)
+        figure.suptitle(legend, fontsize=10)
 
 
-def save(about: dict[str, Any], runs: Sequence[Run], target: Path) -> None:
+def _draw_scenario(scenario: Scenario, runs: Sequence[Run], rate: Any, queue: Any, gate: Any) -> None:
+    rate.set_title(scenario.name)
+    for run in _of(runs, scenario, is_managed=False):
+        queue.plot(*_queue_of(run), color="0.6" if run.side == "real" else "0.8", linewidth=0.8)
+    managed = _of(runs, scenario, is_managed=True)
+    for run in managed:
+        style = {"color": "tab:blue" if run.side == "real" else "tab:orange", "linewidth": 0.9, "alpha": 0.8}
+        believing = _believing(run)
+        times = [t_s for t_s, _ in believing]
+        rate.plot(times, [belief.estimate_bytes_per_second / MBIT for _, belief in believing], **style)
+        gate.plot(times, [belief.gate for _, belief in believing], **style)
+        queue.plot(*_queue_of(run), **style)
+    if managed:
+        times = [instant.t_s for instant in managed[0].course]
+        truth = [instant.truth_bytes_per_second / MBIT for instant in managed[0].course]
+        rate.step(times, truth, color="black", linewidth=1.2)
+    rate.set_ylim(0, 32)
+    queue.set_yscale("log")
+    queue.set_ylim(1, 2000)
+    gate.set_ylim(0, 1.05)
+    gate.set_xlabel("s")
+
+
+def _queue_of(run: Run) -> tuple[list[float], list[float]]:
+    return [i.t_s for i in run.course], [max(1.0, i.queue_delay_s * 1e3) for i in run.course]
+
+
+def _believing(run: Run) -> list[tuple[float, Belief]]:
+    return [(instant.t_s, instant.belief) for instant in run.course if instant.belief is not None]
+
+
+def save(about: dict[str, Any], runs: Sequence[Run], path: Path) -> None:
     """Write one line per run."""
-    target.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.dumps(as_document(done)) for done in runs]
-    target.write_text(json.dumps(about)[:-1] + ', "runs": [\n' + ",\n".join(lines) + "\n]}\n")
+    path.write_text(json.dumps(about)[:-1] + ', "runs": [\n' + ",\n".join(lines) + "\n]}\n")
 
 
 def as_document(done: Run) -> dict[str, Any]:
-    """JSON form of a run: queues as they are, and of what rarely changes ``[when, what]`` at each change."""
-    course = done.course
-    believing = [(instant.t_s, instant.belief) for instant in course if instant.belief is not None]
+    """Return a run for JSON: all queues, and ``[when, what]`` at each change of what rarely changes."""
+    course, believing = done.course, _believing(done)
     return {
         "scenario": done.scenario,
         "side": done.side,
@@ -117,15 +120,6 @@ def as_document(done: Run) -> dict[str, Any]:
             )
         },
     }
-
-
-def _draw_run(run: Run, rate: Any, queue: Any, gate: Any) -> None:
-    style = {"color": "tab:blue" if run.side == "real" else "tab:orange", "linewidth": 0.9, "alpha": 0.8}
-    believing = [(instant.t_s, instant.belief) for instant in run.course if instant.belief is not None]
-    times = [t_s for t_s, _ in believing]
-    rate.plot(times, [belief.estimate_bytes_per_second / MBIT for _, belief in believing], **style)
-    gate.plot(times, [belief.gate for _, belief in believing], **style)
-    queue.plot([i.t_s for i in run.course], [max(1.0, i.queue_delay_s * 1e3) for i in run.course], **style)
 
 
 def _changes(values: Sequence[tuple[float, Any]]) -> list[tuple[float, Any]]:
@@ -169,7 +163,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _worst_age_s(run: Run) -> float | None:
-    """Age at p99 of the topic that is worst, among those that come at least once in 50 ms: others are old by nature."""
+    """Return the worst p99 age of topics of at least 20 Hz; slower topics are old by nature (s)."""
     ages = [topic.age_p99_s for topic in run.topics if topic.source_rate_hz >= 20.0]
     known = [age for age in ages if age is not None]
     return max(known) if len(known) == len(ages) else None
@@ -191,7 +185,7 @@ _ROWS: tuple[tuple[str, Callable[[Run], float | None]], ...] = (
 
 
 def _median(values: Sequence[float | None]) -> str:
-    """Median as a table shows it; a value that does not exist is worse than any other."""
+    """Return the median for a table; a missing value is the worst."""
     if not values:
         return "-"
     known = sorted(value for value in values if value is not None)

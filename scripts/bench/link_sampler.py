@@ -1,4 +1,4 @@
-"""Watching a real run: the token bucket's queue from the kernel, arpd's beliefs from its status page."""
+"""Readings of a real run: the token bucket's queue from the kernel, arpd's beliefs from its status page."""
 
 from __future__ import annotations
 
@@ -27,19 +27,16 @@ BUCKET_S = 0.02
 STATUS_S = 0.1
 INSTANT_S = 0.1
 _STALE_S = 0.5
-_ALSO_COUNTED = "undelivered"  # a swap that left samples behind has its result besides
+_ALSO_COUNTED = "undelivered"  # such a swap has a second result
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BucketReading:
-    """The robot's token bucket.
+    """The robot's token bucket: its rate, the bytes in its queue, and all bytes that have left it.
 
     Parameters
     ----------
     at_s : monotonic clock (s)
-    rate_bytes_per_second : the rate the kernel has in force (bytes/s)
-    backlog_bytes : what waits in its queue (bytes)
-    sent_bytes : what has left it since it exists (bytes)
     """
 
     at_s: float
@@ -49,12 +46,12 @@ class BucketReading:
 
 
 class Sampler:
-    """What two threads inside the robot's namespace see, for as long as the ``with`` block of `sampling` lasts.
+    """The readings of two threads inside the robot's namespace, during the ``with`` block of `sampling`.
 
     Parameters
     ----------
-    url : arpd's status page, as the robot reaches it
-    report_wire_bytes : what one of the peer's reports puts on the link (bytes)
+    url : arpd's status page, as seen from the robot
+    report_wire_bytes : size of one of the peer's reports on the link (bytes)
     """
 
     def __init__(self, url: str, report_wire_bytes: int) -> None:
@@ -85,7 +82,7 @@ class Sampler:
                 )
 
     def watch_status(self) -> None:
-        """Ask arpd ten times a second; a moment in which it does not answer has no belief."""
+        """Ask arpd ten times a second; there is no belief while it does not answer."""
         while not self._is_over.wait(STATUS_S):
             with (
                 contextlib.suppress(OSError, urllib.error.URLError, json.JSONDecodeError),
@@ -101,12 +98,10 @@ class Sampler:
 
 @contextlib.contextmanager
 def sampling(host: Host, *, is_managed: bool, url: str, report_wire_bytes: int) -> Iterator[Sampler]:
-    """Watch the robot's end of the link, and arpd if it runs; the other parameters are those of `Sampler`."""
+    """Read the robot's end of the link, and arpd if it runs; the other parameters are those of `Sampler`."""
     sampler = Sampler(url, report_wire_bytes)
-    jobs: list[Callable[[], None]] = [
-        partial(sampler.watch_bucket, host),
-        *([sampler.watch_status] if is_managed else []),
-    ]
+    jobs: list[Callable[[], None]] = [partial(sampler.watch_bucket, host)]
+    jobs += [sampler.watch_status] if is_managed else []
     with ThreadPoolExecutor(max_workers=len(jobs)) as pool:
         watching = [pool.submit(partial(inside, host.namespace, job)) for job in jobs]
         try:
@@ -114,7 +109,7 @@ def sampling(host: Host, *, is_managed: bool, url: str, report_wire_bytes: int) 
         finally:
             sampler.stop()
         for watch in watching:
-            watch.result()  # raises what ended it early
+            watch.result()  # raises the error that ended it early
 
 
 def believed(document: dict[str, Any], *, report_wire_bytes: int) -> Belief:
@@ -140,20 +135,16 @@ def believed(document: dict[str, Any], *, report_wire_bytes: int) -> Belief:
 
 
 def make_course(
-    buckets: Sequence[BucketReading],
-    beliefs: Sequence[tuple[float, Belief]],
-    *,
-    started_s: float,
-    duration_s: float,
+    buckets: Sequence[BucketReading], beliefs: Sequence[tuple[float, Belief]], *, started_s: float, duration_s: float
 ) -> tuple[Instant, ...]:
-    """Bring readings at their own moments to a common grid.
+    """Bring readings at different times to a common grid.
 
-    The queue of an instant is the longest that was seen in it; rate and belief are the last ones.
+    The queue of an instant is the longest one read in it; rate and belief are the last ones.
 
     Parameters
     ----------
-    buckets, beliefs : readings in the order of their moments, those of beliefs on the monotonic clock (s)
-    started_s : where the course begins on that clock (s)
+    buckets, beliefs : readings in the order of time
+    started_s : start of the course (monotonic clock, s)
     """
     instants = []
     waiting, answers = list(reversed(buckets)), list(reversed(beliefs))

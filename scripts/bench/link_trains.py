@@ -1,11 +1,11 @@
-"""What probe trains read on the real link: bias and spread by rate, with the daemon's own probing and `arpd peer`.
+"""Measure what probe trains read on the real link: bias and spread by rate, with the daemon's probing and `arpd peer`.
 
 Usage: .venv/bin/python scripts/bench/link_trains.py [--trains N] [--json FILE]
 
-Needs root, as the simulated link does. The link is otherwise idle. Per rate and packet size, N trains as long as the
-estimator's (15 ms of the link, at least 12 kB), but of 100 packets at most. A train that counts has lost a tenth of
-its packets at most. "sent in" is what publishing it took the sender, as a share of what the link needs for it: near 1
-and above, the sender is the bottleneck, not the link.
+Needs root, as the simulated link does. The link is otherwise idle. For each rate and packet size it sends N trains as
+long as the estimator's (15 ms of the link, at least 12 kB), but of at most 100 packets. A train counts if it loses at
+most a tenth of its packets. "sent in" is the sender's time to publish a train over the link's time to carry it: from
+about 1 on, the sender is the bottleneck, not the link.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from arpd.adapters.sim.result import percentile
 from arpd.cli.progress import progress
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
-from scripts.bench.child import Child, commands, say
+from scripts.bench.child import Child, answer, commands
 from scripts.bench.link_course import MBIT
 from scripts.bench.record import RESULTS
 from scripts.netns.simlink import SimLink
@@ -45,32 +45,32 @@ class Cell:
 
     @property
     def packets(self) -> int:
-        """As many as the estimator would send at this rate."""
+        """Number of packets of the estimator's trains at this rate."""
         size = max(12_000.0, 0.015 * self.rate_mbit * MBIT)
         return min(_MOST_PACKETS, 1 + math.ceil(size / self.packet_bytes))
 
     @property
     def link_s(self) -> float:
-        """How long the link needs for all packets after the first (s)."""
+        """Time that the link needs for all packets after the first (s)."""
         return (self.packets - 1) * probe_wire_bytes(self.packet_bytes) / (self.rate_mbit * MBIT)
 
 
 def probe() -> None:
-    """Send trains as told, through the daemon's own adapter, and say what the peer reported."""
+    """Send the trains of each order through the daemon's adapter, and return the peer's reports."""
     from rclpy.executors import SingleThreadedExecutor
 
     from arpd.adapters.ros.runtime import ros_node, spinning
     from arpd.adapters.ros.world import RosControl
     from arpd.model.settings import GraphSettings
 
-    told = commands()
+    orders = commands()
     with ros_node("link_trains") as node:
         world = RosControl(node, interface="link0", graph=GraphSettings(), on_report=lambda: None)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         with spinning(executor):
             number = 0
-            while (command := told.get()) is not None:
+            while (command := orders.get()) is not None:
                 spans_s, trains = [], []
                 for _ in range(command["trains"] + 1):
                     number += 1
@@ -87,15 +87,15 @@ def probe() -> None:
                         for report in reports
                         for train in report.trains
                     ]
-                say(spans_s=spans_s, trains=trains)
+                answer(spans_s=spans_s, trains=trains)
 
 
 def measure(cell: Cell, trains: int) -> dict[str, object]:
-    """Let one cell's trains cross a link of its own."""
+    """Send one cell's trains over a link of its own."""
     with SimLink(f"trains-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=cell.rate_mbit * MBIT) as link:
         peer = Child(link, "ceddp", "arpd.cli", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
         sender = Child(link, "robot", "scripts.bench.link_trains", "--role", "sender")
-        sender.ask(trains=5, packets=2, packet_bytes=200)  # both sides have found each other
+        sender.ask(trains=5, packets=2, packet_bytes=200)  # until both sides are matched
         found = sender.ask(trains=trains, packets=cell.packets, packet_bytes=cell.packet_bytes)
         peer.process.terminate()
         for child in (sender, peer):

@@ -1,22 +1,21 @@
-"""What arpd itself costs: CPU, memory, bytes on the link, and the time a new plan takes, by number of topics.
+"""Measure what arpd itself costs: CPU, memory, bytes on the link, and the time of a new plan, by number of topics.
 
 Usage: .venv/bin/python scripts/bench/overhead.py [--quick] [--only N …] [--seed N] [--json FILE]
 
 Needs root, as the simulated link does.
 
-For every number of topics a robot of its own: one process has all sources, `arpd relay` carries them to one reader on
-the other host. At first without `arpd run` and `arpd peer`, then with them; at rest (the sources exist and publish
-nothing), at a rate of the link that carries everything, and at one that does not, so that pacing has something to do.
-Twelve topics are those of the demo robot in sizes, rates and wishes; the others are alike among themselves.
+Each number of topics has a robot of its own: one process has all sources, and `arpd relay` carries them to one reader
+on the other host. It runs first without `arpd run` and `arpd peer`, then with them: at rest (the sources publish
+nothing), at a rate of the link that carries everything, and at one that does not, so that pacing must act. Twelve
+topics have the sizes, rates and preferences of the demo robot; otherwise all topics are alike.
 
-CPU is the scheduler's own account of all threads; the status page is not asked while it is measured. Bytes are counted
-by the kernel, flow by flow, and attributed by the ports of the processes. Reaction times begin when the link's token
-bucket changes; the gate is timed where it is heard, plan and confirmation by arpd's decision log.
+CPU is the scheduler's account of all threads; nothing asks for the status page while it is measured. The kernel counts
+bytes per flow, and the ports of the processes attribute them. Reaction times begin when the link's token bucket
+changes; a subscriber times the gate, and arpd's decision log times plan and confirmation.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import shutil
@@ -28,21 +27,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from arpd.cli.progress import Progress
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
 from scripts.bench.overhead_cases import DEMO_TOPICS, SYNTHETIC, Case, case_of
-from scripts.bench.overhead_report import table
+from scripts.bench.overhead_report import markdown
 from scripts.bench.overhead_robot import OverheadError, Robot
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.record import conditions, keep, options_of
 from scripts.netns.simlink import SimLink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.cli.progress import Progress
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
 _LEAST_REACHED = 0.9  # of what the sources should have published
@@ -50,14 +49,14 @@ _LEAST_REACHED = 0.9  # of what the sources should have published
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """How long things take.
+    """Durations of the parts of a run.
 
     Parameters
     ----------
-    span_s : one measurement of CPU and bytes; at rest, where there is only one, it lasts twice as long (s)
-    settle_s : how long nothing is measured after a change (s)
-    quiet_s : how long no new plan must follow (s)
-    rounds : times the link falls and rises; none = it falls once, and nobody waits for the plan
+    span_s : one measurement of CPU and bytes; the single one at rest takes twice as long (s)
+    settle_s : pause after a change (s)
+    quiet_s : time without a new plan that ends a reaction (s)
+    rounds : number of falls and rises of the link; 0 = it falls once, without reaction times
     """
 
     span_s: float = 10.0
@@ -69,25 +68,25 @@ class Times:
 QUICK = Times(span_s=2.5, settle_s=1.0, rounds=0)
 
 
-def measure(case: Case, times: Times, workdir: Path, say: Callable[[str], None]) -> dict[str, Any]:
+def measure(case: Case, times: Times, workdir: Path, show: Callable[[str], None]) -> dict[str, Any]:
     """Return what arpd costs with one robot."""
     spans: list[dict[str, Any]] = []
     reactions: list[dict[str, Any]] = []
     run_id = f"overhead-{os.getpid()}-{len(case.topics)}"
     with SimLink(run_id, rate_bytes_per_second=FAST) as link, ExitStack() as stack:
         robot = Robot(case, link, workdir, stack)
-        say("starting")
+        show("starting")
         robot.await_carried()
         time.sleep(times.settle_s)
-        say("at rest, without arpd run and peer")
+        show("at rest, without arpd run and peer")
         spans.append(robot.measure("rest without", times.span_s))
         robot.start_control()
         robot.await_crossing()
-        time.sleep(2 * times.settle_s)  # the first trains of probes are paid for
-        say("at rest")
+        time.sleep(2 * times.settle_s)  # the first trains of probes are over
+        show("at rest")
         spans.append(robot.measure("rest", 2 * times.span_s))
         robot.publish()
-        say("publishing")
+        show("publishing")
         settled_s = robot.settled_s()
         time.sleep(times.settle_s)
         rounds = 0 if settled_s is None else times.rounds
@@ -98,7 +97,7 @@ def measure(case: Case, times: Times, workdir: Path, say: Callable[[str], None])
             spans.append(robot.measure("paced", times.span_s))
         for number in range(rounds):
             for phase, rate in (("paced", SLOW), ("load", FAST)):
-                say(f"{link.rate_bytes_per_second * 8e-6:.0f} to {rate * 8e-6:.0f} Mbit/s, round {number + 1}")
+                show(f"{link.rate_bytes_per_second * 8e-6:.0f} to {rate * 8e-6:.0f} Mbit/s, round {number + 1}")
                 reactions.append(robot.react(rate, times.quiet_s))
                 time.sleep(times.settle_s)
                 spans.append(robot.measure(phase, times.span_s))
@@ -120,12 +119,12 @@ def _telling(shown: Progress, number: int, topics: int) -> Callable[[str], None]
 
 
 def check(found: dict[str, Any]) -> None:
-    """Refuse nonsense: a generator that could not generate, a link that was bypassed, processes that did nothing.
+    """Refuse nonsense: sources below their rate, a bypassed link, idle processes.
 
     Raises
     ------
     OverheadError
-        If what was measured is not what should have been.
+        If a figure cannot be true.
     """
     for span in found["spans"]:
         where = f"{found['topics']} topics, {span['phase']}"
@@ -134,7 +133,7 @@ def check(found: dict[str, Any]) -> None:
             raise OverheadError(f"{where}: a process used no CPU at all: {span['cpu_share']}")
         if is_busy and span["sent"] < _LEAST_REACHED * span["expected"]:
             raise OverheadError(f"{where}: {span['sent']} of {span['expected']:.0f} samples were published")
-        # Without run nobody counts what was published, and nothing is.
+        # Without run, nothing counts what was published.
         published, carried = span.get("published_bytes_per_second", 0.0), span["interface_bytes_per_second"]
         if is_busy and published <= 0:
             raise OverheadError(
@@ -153,13 +152,11 @@ def check(found: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options_of(__doc__, "overhead", quick="twelve topics, without reaction times: half a minute")
     sizes = sorted([*SYNTHETIC, DEMO_TOPICS])
-    parser.add_argument("--quick", action="store_true", help="twelve topics, without reaction times: half a minute")
     parser.add_argument("--only", type=int, nargs="+", choices=sizes, metavar="N", help=f"numbers of topics ({sizes})")
     parser.add_argument("--rounds", type=int, default=2, metavar="N", help="times the link falls and rises (default 2)")
     parser.add_argument("--seed", type=int, default=1, help="another order of the numbers of topics")
-    parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     chosen: list[int] = options.only or ([DEMO_TOPICS] if options.quick else sizes)
     document: dict[str, Any] = {
@@ -190,9 +187,8 @@ def main() -> None:
             document["cases"].append(found)
             document["cases"].sort(key=lambda case: case["topics"])
     if document["cases"]:
-        print(table(document))
-    is_partial = options.quick or bool(options.only)
-    keep(document, target(options.json, "overhead.json", is_partial=is_partial))
+        print(markdown(document))
+    keep(document, options, "overhead", is_partial=options.quick or bool(options.only))
     if document["failures"]:
         sys.exit(1)
 

@@ -1,4 +1,4 @@
-"""The robots of `overhead.py`: how many topics, what they carry, and how arpd is told of them."""
+"""The robots of `overhead.py`: their topics, and their configuration for arpd."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from scripts.robot.run import CONFIG
 PREFIX = "/link"
 DEMO_TOPICS = 12
 _RELAY_TOPICS = 250  # one node announces at most 256 publishers (`arpd.observe.registry.MOST_OF_NODE`)
-_SWAPS_PER_TOPIC = 20  # a minute: what the default budget of 240 is for twelve topics
+_SWAPS_PER_TOPIC = 20  # per minute, as in the default budget of 240 for twelve topics
 _NO_TEXT_BYTES = len(sample_of(0, 10)) - 10  # of a serialized std_msgs/String
 
-#: How many topics → serialized size (bytes) and rate (Hz) of each; twelve are the demo robot's own.
+#: Number of topics → serialized size (bytes) and rate (Hz) of each; twelve are the demo robot's.
 SYNTHETIC = {1: (30_060, 30.0), 100: (1000, 10.0), 500: (800, 2.0)}
 
 
@@ -27,10 +27,10 @@ class Topic:
 
     Parameters
     ----------
-    name : as its source knows it
+    name : at its source
     payload_bytes : serialized size (bytes)
     rate_hz : rate of its source (Hz)
-    is_command : whether it goes from the CEDDP to the robot, by an AdaptivePublisher, instead of through the relay
+    is_command : whether an AdaptivePublisher on the CEDDP sends it to the robot; other topics take the relay
     """
 
     name: str
@@ -40,12 +40,12 @@ class Topic:
 
     @property
     def text_bytes(self) -> int:
-        """Characters of a std_msgs/String of this size."""
+        """Length of a std_msgs/String of this size (characters)."""
         return self.payload_bytes - _NO_TEXT_BYTES
 
     @property
     def link_name(self) -> str:
-        """Its name on the link."""
+        """Name on the link."""
         return self.name if self.is_command else PREFIX + self.name
 
 
@@ -55,12 +55,11 @@ class Case:
 
     Parameters
     ----------
-    topics : all of them
-    wishes : the sections ``topics`` and ``defaults`` of its configuration
+    preferences : the sections ``topics`` and ``defaults`` of its configuration
     """
 
     topics: tuple[Topic, ...]
-    wishes: dict[str, Any]
+    preferences: dict[str, Any]
 
     @property
     def sensing(self) -> tuple[Topic, ...]:
@@ -69,7 +68,7 @@ class Case:
 
     @property
     def commands(self) -> tuple[Topic, ...]:
-        """Topics that come back."""
+        """Topics from the CEDDP."""
         return tuple(topic for topic in self.topics if topic.is_command)
 
     @property
@@ -83,25 +82,29 @@ class Case:
         return sum(topic.rate_hz for topic in self.topics)
 
     def relays(self) -> list[dict[str, Any]]:
-        """Return the configuration of each relay; the first is the daemon's, too."""
+        """Return the configuration of each relay; the first is also the daemon's."""
         names = [topic.name for topic in self.sensing]
         shares = [names[at : at + _RELAY_TOPICS] for at in range(0, len(names), _RELAY_TOPICS)]
         governor = {"swaps_per_minute": _SWAPS_PER_TOPIC * max(len(self.topics), DEMO_TOPICS)}
         return [
-            {**self.wishes, "governor": governor, "relay": {"prefix": PREFIX, "topics": [{"name": n} for n in share]}}
+            {
+                **self.preferences,
+                "governor": governor,
+                "relay": {"prefix": PREFIX, "topics": [{"name": name} for name in share]},
+            }
             for share in shares
         ]
 
 
 def case_of(topics: int) -> Case:
-    """Return the robot with so many topics, of `SYNTHETIC` or the demo's."""
+    """Return the robot with so many topics: of `SYNTHETIC`, or the demo's."""
     if topics == DEMO_TOPICS:
         return _demo()
     payload_bytes, rate_hz = SYNTHETIC[topics]
     made = tuple(
         Topic(name=f"/sensor_{k:03d}/data", payload_bytes=payload_bytes, rate_hz=rate_hz) for k in range(topics)
     )
-    return Case(topics=made, wishes={})
+    return Case(topics=made, preferences={})
 
 
 def _demo() -> Case:
@@ -115,4 +118,4 @@ def _demo() -> Case:
         )
         for entry in document["topics"]
     )
-    return Case(topics=topics, wishes={"topics": document["topics"]})
+    return Case(topics=topics, preferences={"topics": document["topics"]})

@@ -1,4 +1,4 @@
-"""What processes cost: CPU and memory by /proc, and bytes on the link by the kernel's count of every flow."""
+"""The cost of processes: CPU and memory from /proc, and bytes on the link from the kernel's count of every flow."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reading:
-    """What everything has cost so far.
+    """The cost so far.
 
     Parameters
     ----------
     at_s : monotonic clock (s)
     cpu_s : CPU time by process (s)
-    interface_bytes : what both ends of the link have sent (bytes)
-    control_bytes : what arpd's control plane has sent over it, both ways, by kind (bytes)
+    interface_bytes : bytes that both ends of the link have sent
+    control_bytes : those of arpd's control plane, both ways, by kind
     """
 
     at_s: float
@@ -48,14 +48,14 @@ class Reading:
 
 
 class Meter:
-    """Reads what the processes of a robot cost.
+    """Measures the cost of a robot's processes.
 
-    Of a datagram on the link, the ports tell which process sent it and which will have it: Fast DDS gives every
-    process ports of its own. Whatever `arpd run` or `arpd peer` sends or gets is control plane, discovery included.
+    Fast DDS gives every process ports of its own, so the ports of a datagram name its sender and its receiver. All that
+    `arpd run` or `arpd peer` sends or receives is control plane, discovery included.
 
     Parameters
     ----------
-    link : whose flows are counted from now on
+    link : its flows are counted from now on
     """
 
     def __init__(self, link: SimLink) -> None:
@@ -64,13 +64,13 @@ class Meter:
             inside(host.namespace, partial(_count_flows, host.interface))
 
     def read(self, processes: Mapping[str, tuple[HostName, int]]) -> Reading:
-        """Return everything so far.
+        """Return the cost so far.
 
         Parameters
         ----------
         processes : host and process id by name
         """
-        control: Counter[str] = Counter(dict.fromkeys(KINDS, 0))
+        control = Counter(dict.fromkeys(KINDS, 0))
         cpu_s = {name: sum(cpu_by_thread(pid).values()) for name, (_, pid) in processes.items()}
         at_s = time.monotonic()
         owners = {
@@ -81,29 +81,26 @@ class Meter:
         }
         for here, there in (self._link.hosts, self._link.hosts[::-1]):
             for (source, target), sent in inside(here.namespace, _flows).items():
-                kind = self._kind(owners[here.name].get(source, ""), owners[there.name].get(target, ""), target)
-                if kind:
+                sender, receiver = owners[here.name].get(source, ""), owners[there.name].get(target, "")
+                if kind := kind_of(sender, receiver, target, domain_id=self._link.domain_id):
                     control[kind] += sent
         sent_bytes = sum(counters.tx_bytes for counters in self._link.counters().values())
         return Reading(at_s=at_s, cpu_s=cpu_s, interface_bytes=sent_bytes, control_bytes=control)
 
-    def _kind(self, sender: str, receiver: str, port: int) -> str:
-        return kind_of(sender, receiver, port, domain_id=self._link.domain_id)
-
 
 def kind_of(sender: str, receiver: str, port: int, *, domain_id: int) -> str:
-    """Say what a datagram is, empty when it is not the control plane's.
+    """Return the kind of a control-plane datagram; empty for any other.
 
     Parameters
     ----------
-    sender, receiver : processes at its two ends; of a multicast, the receiver means nothing
-    port : to which it goes
+    sender, receiver : processes at its two ends; the receiver of a multicast means nothing
+    port : its destination
     """
     offset = port - _PORT_BASE - _DOMAIN_GAIN * domain_id
     is_multicast = offset == _MULTICAST_OFFSET
     if sender not in CONTROL and (is_multicast or receiver not in CONTROL):
         return ""
-    # Below all ports of the standard, from 7000 on, rmw_fastrtps receives ROS's own graph: ros_discovery_info.
+    # From 7000 on, below all ports of the standard, rmw_fastrtps receives ROS's graph: ros_discovery_info.
     if is_multicast or port < _PORT_BASE or (offset >= _UNICAST_OFFSET and offset % 2 == 0):
         return DISCOVERY
     if sender == "run":
@@ -118,7 +115,7 @@ def udp_ports(pid: int) -> set[int]:
         try:
             found = _SOCKET.fullmatch(str(descriptor.readlink()))
         except OSError:
-            continue  # closed meanwhile
+            continue  # the file was closed
         if found:
             inodes.add(found[1])
     lines = Path(f"/proc/{pid}/net/udp").read_text(encoding="utf-8").splitlines()[1:]
@@ -126,12 +123,12 @@ def udp_ports(pid: int) -> set[int]:
 
 
 def has_cvxpy(pid: int) -> bool:
-    """Whether a process has loaded cvxpy: importing it maps its compiled core."""
+    """Return whether a process has loaded cvxpy: an import maps its compiled core."""
     return "/cvxpy/" in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
 
 
 def _count_flows(interface: str) -> None:
-    # Where datagrams leave they are still whole; a fragment would not tell its ports.
+    # At the output hook datagrams are still whole; fragments have no ports.
     _nft(
         f"""
         table inet {_TABLE} {{
@@ -145,9 +142,9 @@ def _count_flows(interface: str) -> None:
 
 
 def _flows() -> dict[tuple[int, int], int]:
-    """Return what was sent over the link by its two ports, Ethernet headers included (bytes)."""
-    said: list[dict[str, Any]] = json.loads(_nft("", "-j", "list", "set", "inet", _TABLE, "flows"))["nftables"]
-    (found,) = (item["set"] for item in said if "set" in item)
+    """Return the bytes sent over the link by source and destination port, with Ethernet headers."""
+    listed: list[dict[str, Any]] = json.loads(_nft("", "-j", "list", "set", "inet", _TABLE, "flows"))["nftables"]
+    (found,) = (item["set"] for item in listed if "set" in item)
     flows = {}
     for item in found.get("elem", []):
         counter, (source, target) = item["elem"]["counter"], item["elem"]["val"]["concat"]

@@ -1,4 +1,4 @@
-"""The processes around arpd in `overhead.py`: one that has all sources, one that reads everything and sends commands.
+"""The processes around arpd in `overhead.py`: one with all sources, and one that reads everything and sends commands.
 
 Usage: python -m scripts.bench.overhead_nodes source|sink TOPICS
 
@@ -22,7 +22,8 @@ from std_msgs.msg import Float64, String
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.names import GATE_TOPIC
 from arpd.adapters.ros.runtime import spinning
-from scripts.bench.child import commands, sample_of, say
+from scripts.bench.child import answer, commands, sample_of
+from scripts.bench.node import plain_node, raw_readers
 from scripts.bench.overhead_cases import Topic, case_of
 
 if TYPE_CHECKING:
@@ -33,12 +34,7 @@ _MOST_GATES = 5000
 
 
 class Sources:
-    """Publishes every topic at its rate, their samples spread over time.
-
-    Parameters
-    ----------
-    topics, publishers : what is published, and by what
-    """
+    """Publishes every topic at its rate, with the samples spread over time."""
 
     def __init__(self, topics: Sequence[Topic], publishers: Sequence[Any]) -> None:
         self._topics = topics
@@ -49,23 +45,23 @@ class Sources:
         self.sent = 0
 
     def begin(self) -> None:
-        """Publish from now on."""
+        """Begin to publish."""
         self._began_s = time.monotonic()
         count = len(self._topics)
         self._due = [(self._began_s + k / count / topic.rate_hz, k) for k, topic in enumerate(self._topics)]
         heapq.heapify(self._due)
 
     def end(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self._due = []
 
     def account(self) -> dict[str, float]:
-        """Return how many samples were published so far, and how many should have been (by their rates)."""
+        """Return the number of samples published so far, and the number due by the topics' rates."""
         spent_s = time.monotonic() - self._began_s if self._due else 0.0
         return {"sent": self.sent, "expected": sum(topic.rate_hz for topic in self._topics) * spent_s}
 
     def publish_due(self) -> float | None:
-        """Publish what is due; return how long until the next is (s), None when there is nothing to publish."""
+        """Publish the samples that are due; return the time until the next (s), None while stopped."""
         if not self._due:
             return None
         while (now_s := time.monotonic()) >= self._due[0][0]:
@@ -77,7 +73,7 @@ class Sources:
 
 
 class GateWatch:
-    """Hears the gate from its making until it is asked: DDS notes when each message came, however late it is taken."""
+    """Subscribes to the gate until `end`; DDS notes the time of each message, so they may be taken late."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -85,7 +81,7 @@ class GateWatch:
         self._subscription = node.create_subscription(Float64, GATE_TOPIC, lambda _gate: None, qos)
 
     def end(self) -> list[tuple[float, float]]:
-        """Return when each gate came (Unix time, s) and its value."""
+        """Return the time (Unix time, s) and the value of each gate."""
         gates = []
         handle = self._subscription.handle
         with handle:
@@ -96,13 +92,13 @@ class GateWatch:
 
 
 def work(sources: Sources, node: Any) -> None:
-    """Do as the parent says until it is gone."""
-    told = commands()
+    """Obey the parent until it is gone."""
+    orders = commands()
     watch: GateWatch | None = None
-    say(open=True)
+    answer(open=True)
     while True:
         try:
-            order = told.get(timeout=sources.publish_due())
+            order = orders.get(timeout=sources.publish_due())
         except queue.Empty:
             continue
         match order:
@@ -110,32 +106,29 @@ def work(sources: Sources, node: Any) -> None:
                 return
             case {"publish": True}:
                 sources.begin()
-                say(**sources.account())
+                answer(**sources.account())
             case {"publish": False}:
                 sources.end()
-                say(**sources.account())
+                answer(**sources.account())
             case {"watch": True}:
                 watch = GateWatch(node)
-                say(watching=True)
+                answer(watching=True)
             case {"watch": False} if watch is not None:
-                say(gates=watch.end())
+                answer(gates=watch.end())
                 watch = None
             case _:
-                say(**sources.account())
+                answer(**sources.account())
 
 
 def main() -> None:
     role, case = sys.argv[1], case_of(int(sys.argv[2]))
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node(role)  # nobody spins it: what is received is acknowledged, and never taken
+    node = plain_node(role)  # nothing spins it: DDS acknowledges what arrives, and nothing takes it
     qos = QoSProfile(depth=_DEPTH)
+    received = case.commands if role == "source" else case.sensing
+    raw_readers(node, [topic.link_name for topic in received], _DEPTH)
     if role == "source":
-        for topic in case.commands:
-            node.create_subscription(String, topic.link_name, lambda _sample: None, qos, raw=True)
         work(Sources(case.sensing, [node.create_publisher(String, topic.name, qos) for topic in case.sensing]), node)
         return
-    for topic in case.sensing:
-        node.create_subscription(String, topic.link_name, lambda _sample: None, qos, raw=True)
     with ExitStack() as stack:
         publishers = []
         if case.commands:

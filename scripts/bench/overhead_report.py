@@ -1,4 +1,4 @@
-"""What `overhead.py` measured, as tables, and whether it is what it must be."""
+"""The results of `overhead.py` for docs/results.md, and its targets."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.record import described
+from scripts.bench.report import markdown_table, percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -17,17 +18,8 @@ _PHASES = {"rest": "at rest", "load": "all carried", "paced": "paced"}
 _MIB = 2**20
 
 
-def table(document: dict[str, Any]) -> str:
-    """Return everything as text, for a terminal."""
-    rows = [_COST_HEAD, *_cost_rows(document)]
-    lines = _aligned([[cell.replace("`", "") for cell in row] for row in rows])
-    if reactions := _reaction_rows(document):
-        lines += ["", *_aligned([_REACTION_HEAD, *reactions])]
-    return "\n".join([*lines, "", *verdicts(document), *_unsettled(document), _without(document)])
-
-
 def markdown(document: dict[str, Any]) -> str:
-    """Return the block of docs/results.md: what arpd costs, how soon a plan follows the link, and what falls short."""
+    """Return the block of docs/results.md: the cost of arpd, its reaction times, and its targets."""
     rates = document["rates_bytes_per_second"]
     parts = [
         (
@@ -36,67 +28,44 @@ def markdown(document: dict[str, Any]) -> str:
             "link bytes of run and peer, both ways."
         ),
         "",
-        *_markdown([_COST_HEAD, *_cost_rows(document)], words=3),
+        *markdown_table("rllr", _COST_HEAD, _cost_rows(document)),
         "",
         _robots(document),
     ]
     if reactions := _reaction_rows(document):
-        parts += [
-            "",
-            "Seconds from the change of the link, median (worst):",
-            "",
-            *_markdown([_REACTION_HEAD, *reactions], words=2),
-        ]
-    said = [*verdicts(document), *_unsettled(document), *_failed(document), _without(document)]
-    return "\n".join([*parts, "", *(f"- {sentence}" for sentence in said)])
-
-
-def _failed(document: dict[str, Any]) -> list[str]:
-    """Say which robots could not be measured, and why."""
-    return [f"Not measured: {failure['why']}." for failure in document.get("failures", ())]
+        table_of = markdown_table("rlr", _REACTION_HEAD, reactions)
+        parts += ["", "Seconds from the change of the link, median (worst):", "", *table_of]
+    failed = [f"Not measured: {failure['why']}." for failure in document.get("failures", ())]
+    sentences = [*verdicts(document), *_unsettled(document), *failed, _without(document)]
+    return "\n".join([*parts, "", *(f"- {sentence}" for sentence in sentences)])
 
 
 def verdicts(document: dict[str, Any]) -> list[str]:
-    """Say of every target whether it is met with twelve topics, and what takes the most where it is not."""
+    """Return for every target whether twelve topics meet it; for a missed one, its parts, the largest first."""
     found = [case for case in document["cases"] if case["topics"] == TARGET_TOPICS]
     if not found:
-        return [f"No target is judged: none of the robots had {TARGET_TOPICS} topics."]
+        return [f"No target is judged: no robot had {TARGET_TOPICS} topics."]
     (case,) = found
-    said = [
-        _judged(
-            f"CPU of run and peer with {TARGET_TOPICS} topics, {words}",
-            median(_cpu(span, *_CONTROL) for span in spans),
-            MOST_CPU_SHARE,
-            lambda share: f"{share:.1%} of a core",
-            why=_most({name: median(span["cpu_share"][name] for span in spans) for name in _CONTROL}, "{:.1%}"),
-        )
-        for phase, words in _PHASES.items()
-        if (spans := _spans(case, phase))
-    ]
-    memory = {name: max(s["rss_bytes"][name] for s in _managed(case)) for name in _CONTROL}
-    said.append(
-        _judged(
-            "RSS of run and of peer, each",
-            max(memory.values()),
-            MOST_RSS_BYTES,
-            lambda size: f"at most {size / _MIB:.0f} MiB",
-            why=_most({name: size / _MIB for name, size in memory.items()}, "{:.0f} MiB"),
-        )
+    cpu, link = [], []
+    for phase, words in _PHASES.items():
+        if spans := _spans(case, phase):
+            what = f"CPU of run and peer with {TARGET_TOPICS} topics, {words}"
+            used = median(_cpu(span, *_CONTROL) for span in spans)
+            parts = {name: median(span["cpu_share"][name] for span in spans) for name in _CONTROL}
+            cpu.append(_judged(what, used, MOST_CPU_SHARE, "{:.1%} of a core", parts, part="{:.1%}"))
+            what = f"Bytes of run and peer on the link with {TARGET_TOPICS} topics, {words}"
+            share = median(_control(span) / span["link_bytes_per_second"] for span in spans)
+            form = f"{{:.2%}} of {_mbit(spans[0]['link_bytes_per_second'])} Mbit/s"
+            link.append(_judged(what, share, MOST_LINK_SHARE, form, _by_kind(spans), part="{:.1f} kB/s"))
+    managed = [span for span in case["spans"] if "run" in span["cpu_share"]]
+    mib = {name: max(span["rss_bytes"][name] for span in managed) / _MIB for name in _CONTROL}
+    most = MOST_RSS_BYTES / _MIB
+    memory = _judged(
+        "RSS of run and of peer, each", max(mib.values()), most, "at most {:.0f} MiB", mib, part="{:.0f} MiB"
     )
-    loaded = any(span["has_cvxpy"] for case in document["cases"] for span in case["spans"])
-    said.append("cvxpy: loaded in a process; missed." if loaded else "cvxpy: loaded in no process; met.")
-    said += [
-        _judged(
-            f"Bytes of run and peer on the link with {TARGET_TOPICS} topics, {words}",
-            median(_control(span) / span["link_bytes_per_second"] for span in spans),
-            MOST_LINK_SHARE,
-            lambda share: f"{share:.2%} of {_mbit(spans[0]['link_bytes_per_second'])} Mbit/s",
-            why=_most(_by_kind(spans), "{:.1f} kB/s"),
-        )
-        for phase, words in _PHASES.items()
-        if (spans := _spans(case, phase))
-    ]
-    return said
+    has_cvxpy = any(span["has_cvxpy"] for case in document["cases"] for span in case["spans"])
+    cvxpy = "cvxpy: loaded in a process; missed." if has_cvxpy else "cvxpy: loaded in no process; met."
+    return [*cpu, memory, cvxpy, *link]
 
 
 _COST_HEAD = [
@@ -113,20 +82,15 @@ def _cost_rows(document: dict[str, Any]) -> list[list[str]]:
             spans = _spans(case, phase)
             if not spans:
                 continue
-            relays = [name for name in spans[0]["cpu_share"] if name.startswith("relay")]
-            memory = (max(max(span["rss_bytes"][n] for n in names) for span in spans) for names in _groups(relays))
+            groups = [*([name] for name in _CONTROL), [n for n in spans[0]["cpu_share"] if n.startswith("relay")]]
+            memory = (max(max(span["rss_bytes"][n] for n in names) for span in spans) for names in groups)
+            offered = f"{case['offered_hz']:.0f} Hz, {_mbit(case['offered_bytes_per_second'])} Mbit/s"
             is_first = phase == next(iter(_PHASES))
             rows.append(
                 [
-                    str(case["topics"]) if is_first else "",
-                    f"{case['offered_hz']:.0f} Hz, {_mbit(case['offered_bytes_per_second'])} Mbit/s"
-                    if is_first
-                    else "",
+                    *([str(case["topics"]), offered] if is_first else ["", ""]),
                     words,
-                    *(
-                        _spread([_cpu(span, *names) for span in spans], lambda share: f"{100 * share:.1f}")
-                        for names in _groups(relays)
-                    ),
+                    *(_spread([_cpu(span, *names) for span in spans], percent) for names in groups),
                     ", ".join(f"{size / _MIB:.0f}" for size in memory),
                     _spread([_control(span) for span in spans], lambda rate: f"{rate / 1e3:.1f}"),
                     f"{100 * median(_control(span) / span['link_bytes_per_second'] for span in spans):.2f}",
@@ -136,12 +100,8 @@ def _cost_rows(document: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-def _groups(relays: Sequence[str]) -> list[list[str]]:
-    return [*([name] for name in _CONTROL), list(relays)]
-
-
 def _of_topics(spans: Sequence[dict[str, Any]]) -> str:
-    """Return the control plane's bytes in percent of what else is on the link; nothing is at rest."""
+    """Return the control plane's bytes in percent of all others on the link; empty at rest."""
     if not all(span["sent"] for span in spans):
         return ""
     shares = [_control(span) / (span["interface_bytes_per_second"] - _control(span)) for span in spans]
@@ -160,7 +120,7 @@ def _reaction_rows(document: dict[str, Any]) -> list[list[str]]:
                 [
                     str(case["topics"]) if is_fall else "",
                     " → ".join(map(_mbit, ends)),
-                    # A rise needs no gate: what holds the topics back is the plan.
+                    # A rise needs no gate: the plan limits the topics.
                     _spread([r["gate_s"] for r in found], lambda s: f"{s:.2f}") if is_fall else "",
                     *(_spread([r[key] for r in found], lambda s: f"{s:.1f}") for key in ("plan_s", "confirmed_s")),
                     _spread([float(r["plans"]) for r in found], lambda count: f"{count:.0f}"),
@@ -170,14 +130,13 @@ def _reaction_rows(document: dict[str, Any]) -> list[list[str]]:
 
 
 def _unsettled(document: dict[str, Any]) -> list[str]:
-    """Name the robots of which no plan was confirmed by everybody."""
-    found = [str(case["topics"]) for case in document["cases"] if case["settled_s"] is None]
-    many = " and ".join(found)
-    return [f"With {many} topics no plan was ever confirmed by all publishers: no reaction times."] if found else []
+    """Name the robots whose publishers never all confirmed a plan."""
+    many = " and ".join(str(case["topics"]) for case in document["cases"] if case["settled_s"] is None)
+    return [f"With {many} topics the publishers never all confirmed a plan: no reaction times."] if many else []
 
 
 def _robots(document: dict[str, Any]) -> str:
-    """Say what the robots publish."""
+    """Return what the robots publish."""
     alike = [
         f"{case['topics']} of {case['least_payload_bytes']} B at {case['offered_hz'] / case['topics']:g} Hz"
         for case in document["cases"]
@@ -194,27 +153,22 @@ def _robots(document: dict[str, Any]) -> str:
 
 
 def _without(document: dict[str, Any]) -> str:
-    """Hold what was attributed to run and peer at rest against what the interface carries without them."""
-    said = []
+    """Compare the bytes attributed to run and peer at rest with those that the interfaces carry more with them."""
+    cases = []
     for case in document["cases"]:
         without, rest = _spans(case, "rest without"), _spans(case, "rest")
         if without and rest:
             rates = (without[0]["interface_bytes_per_second"], rest[0]["interface_bytes_per_second"])
             more, attributed = rates[1] - rates[0], _control(rest[0])
-            said.append(f"{case['topics']} topics {more / 1e3:.1f} and {attributed / 1e3:.1f}")
+            cases.append(f"{case['topics']} topics {more / 1e3:.1f} and {attributed / 1e3:.1f}")
     return (
         "At rest, kB/s that the interfaces carry more than without run and peer, and that are attributed to them: "
-        + "; ".join(said)
-        + "."
+        f"{'; '.join(cases)}."
     )
 
 
 def _spans(case: dict[str, Any], phase: str) -> list[dict[str, Any]]:
     return [span for span in case["spans"] if span["phase"] == phase]
-
-
-def _managed(case: dict[str, Any]) -> list[dict[str, Any]]:
-    return [span for span in case["spans"] if "run" in span["cpu_share"]]
 
 
 def _cpu(span: dict[str, Any], *names: str) -> float:
@@ -230,19 +184,15 @@ def _by_kind(spans: Sequence[dict[str, Any]]) -> dict[str, float]:
     return {kind: median(span["control_bytes_per_second"][kind] for span in spans) / 1e3 for kind in kinds}
 
 
-def _judged(what: str, value: float, most: float, show: Callable[[float], str], *, why: str) -> str:
-    if value <= most:
-        return f"{what}: {show(value)}; met."
-    return f"{what}: {show(value)}; missed ({why})."
-
-
-def _most(parts: dict[str, float], form: str) -> str:
+def _judged(what: str, value: float, most: float, form: str, parts: dict[str, float], *, part: str) -> str:
+    """Judge a value, written as ``form`` has it; a missed target names its parts, the largest first."""
     ranked = sorted(parts.items(), key=lambda part: -part[1])
-    return ", ".join(f"{name} {form.format(value)}" for name, value in ranked)
+    why = ", ".join(f"{name} {part.format(size)}" for name, size in ranked)
+    return f"{what}: {form.format(value)}; {'met' if value <= most else f'missed ({why})'}."
 
 
 def _spread(values: Sequence[float | None], show: Callable[[float], str]) -> str:
-    """Median and worst; what never came is worse than anything."""
+    """Return median and worst; a value that never came is the worst."""
     known = sorted(value for value in values if value is not None)
     if len(known) < len(values):
         return f"never in {len(values) - len(known)} of {len(values)}"
@@ -252,15 +202,3 @@ def _spread(values: Sequence[float | None], show: Callable[[float], str]) -> str
 
 def _mbit(bytes_per_second: float) -> str:
     return f"{bytes_per_second * 8e-6:.3g}"
-
-
-def _markdown(rows: Sequence[Sequence[str]], *, words: int) -> list[str]:
-    """Return a table whose first columns, but for the very first, are words."""
-    head, *body = rows
-    rule = "|" + "|".join("---" if 0 < k < words else "---:" for k in range(len(head))) + "|"
-    return [f"| {' | '.join(head)} |", rule, *(f"| {' | '.join(row)} |" for row in body)]
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

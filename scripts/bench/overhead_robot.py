@@ -1,4 +1,4 @@
-"""The robot of `overhead.py`: its processes, and what is asked of them."""
+"""The robot of `overhead.py`: its processes, and the measurements of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 import urllib.request
 from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import itemgetter
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +18,14 @@ import psutil
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE
 from arpd.model.errors import ArpdError
 from scripts.bench.child import Child
+from scripts.bench.node import becomes_true
 from scripts.bench.overhead_meter import Meter, Reading, has_cvxpy
 from scripts.bench.record import REPO
 from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
     import subprocess
+    from collections.abc import Callable
     from contextlib import ExitStack
     from pathlib import Path
 
@@ -36,12 +39,12 @@ _CALM_S = 15.0  # after a rise; a fall within it would double the dwell
 
 
 class OverheadError(ArpdError):
-    """What was measured is not what should have been."""
+    """A part of the run did not work, or a figure cannot be true."""
 
 
 @dataclass(slots=True)
 class Robot:
-    """The processes of one case, and what they are asked."""
+    """The processes of one case."""
 
     case: Case
     link: SimLink
@@ -58,7 +61,7 @@ class Robot:
         topics = str(len(self.case.topics))
         self.sink, self.source = self._node("ceddp", "sink", topics), self._node("robot", "source", topics)
         for child in (self.sink, self.source):
-            child.hear()
+            child.receive()
         for number, document in enumerate(self.case.relays()):
             config = self.workdir / f"relay{number}.yaml"
             config.write_text(json.dumps(document), encoding="utf-8")  # JSON is YAML
@@ -83,12 +86,18 @@ class Robot:
         self.processes[name] = host, process
 
     def start_control(self) -> None:
-        """Start what the rest was without."""
+        """Start `arpd peer` and `arpd run`."""
         self._start("peer", "ceddp", "peer", "--interface", self.link.ceddp.interface, "--name", "ceddp")
         self._start("run", "robot", "run", "--config", str(self.workdir / "relay0.yaml"))
 
     def status(self) -> dict[str, Any] | None:
-        """Return arpd's status document, None while it does not answer."""
+        """Return arpd's status document; None while it does not answer.
+
+        Raises
+        ------
+        OverheadError
+            If a process has ended.
+        """
 
         def ask() -> dict[str, Any]:
             with urllib.request.urlopen(STATUS_URL, timeout=5.0) as answer:
@@ -103,7 +112,7 @@ class Robot:
         return None
 
     def await_carried(self) -> None:
-        """Wait until the relays' log says that they carry every topic."""
+        """Wait until the relays' logs name every topic."""
         wanted = len(self.case.sensing)
         logs = [self.workdir / f"{name}.log" for name in self.processes if name.startswith("relay")]
         _await(
@@ -112,7 +121,7 @@ class Robot:
         )
 
     def await_crossing(self) -> None:
-        """Wait until arpd sees every topic cross the link, and hears its peer."""
+        """Wait until arpd sees every topic cross the link, and receives its peer's reports."""
         wanted = len(self.case.topics)
 
         def is_seen() -> bool:
@@ -126,10 +135,7 @@ class Robot:
         _await(is_seen, f"arpd does not see {wanted} topics cross the link")
 
     def settled_s(self) -> float | None:
-        """Wait until a plan covers all publishers, and all have confirmed it; return how long that took (s).
-
-        None when they do not: that is a result, too.
-        """
+        """Wait until all publishers have confirmed a plan for all of them; return the time (s), None if they do not."""
         wanted, began_s = len(self.case.topics), time.monotonic()
         while (spent_s := time.monotonic() - began_s) < _SETTLE_S:
             plan = (self.status() or {}).get("plan")
@@ -144,11 +150,11 @@ class Robot:
             child.ask(publish=True)
 
     def measure(self, phase: str, for_s: float) -> dict[str, Any]:
-        """Measure everything for a while."""
+        """Measure CPU, memory, bytes and samples for a while."""
         has_control = "run" in self.processes
         status = self.status() if has_control else None
         asked = [child.ask() for child in (self.source, self.sink)]
-        time.sleep(0.5)  # the answers' own cost is over
+        time.sleep(0.5)  # so that the answers themselves are not measured
         before = self._read()
         time.sleep(for_s)
         after = self._read()
@@ -170,11 +176,11 @@ class Robot:
         return self.meter.read({name: (host, process.pid) for name, (host, process) in self.processes.items()})
 
     def react(self, rate: float, quiet_s: float) -> dict[str, Any]:
-        """Change the link, and note when gate, plan and publishers have followed."""
+        """Change the link, and note when gate, plan and publishers follow."""
         if rate < self.link.rate_bytes_per_second:
             time.sleep(max(0.0, self.rose_s + _CALM_S - time.monotonic()))
         self.source.ask(watch=True)
-        time.sleep(2.0)  # it is matched, and has heard the gate before
+        time.sleep(2.0)  # so that it is matched and has received the gate
         before = self.link.rate_bytes_per_second
         at_s = time.time()
         self.link.set_rate(rate)
@@ -193,15 +199,15 @@ class Robot:
 
 
 def _is_over(events: list[dict[str, Any]], status: dict[str, Any], quiet_s: float) -> bool:
-    told = [event["unix_time_seconds"] for event in events if event["event"] in {"plan", "confirmed"}]
+    times_s = [event["unix_time_seconds"] for event in events if event["event"] in {"plan", "confirmed"}]
     is_planned = any(event["event"] == "plan" for event in events)
     plan = status["plan"]
-    is_quiet = bool(told) and status["unix_time_seconds"] - max(told) > quiet_s
+    is_quiet = bool(times_s) and status["unix_time_seconds"] - max(times_s) > quiet_s
     return is_planned and is_quiet and plan["confirmed"] == plan["publishers"]
 
 
 def _reaction(at_s: float, gates: list[tuple[float, float]], events: dict[int, dict[str, Any]]) -> dict[str, Any]:
-    """Return when what had followed (s), None where it never did."""
+    """Return the delays of gate, plan and confirmation (s); None = never."""
     usual = median([gate for when_s, gate in gates if when_s <= at_s] or [1.0])
     closed = [when_s for when_s, gate in gates if when_s > at_s and gate < 0.9 * usual]
     planned = [event["unix_time_seconds"] for event in events.values() if event["event"] == "plan"]
@@ -235,27 +241,22 @@ def _supply(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> dict[s
 
 
 def _paced(before: dict[str, Any] | None, after: dict[str, Any] | None) -> dict[str, float]:
-    """Return what became of the samples offered to arpd's publishers, by their announcements."""
+    """Return the fate of the samples offered to arpd's publishers, by their announcements."""
     if before is None or after is None:
         raise OverheadError("arpd run does not answer")
-    grown = {
-        key: sum(topic[key] for topic in after["topics"]) - sum(topic[key] for topic in before["topics"])
-        for key in ("offered", "published", "withheld")
-    }
-    published_bytes = sum(topic["published"] * topic["payload_bytes"] for topic in after["topics"])
-    published_bytes -= sum(topic["published"] * topic["payload_bytes"] for topic in before["topics"])
+
+    def grown(count: Callable[[dict[str, Any]], float]) -> float:
+        return sum(map(count, after["topics"])) - sum(map(count, before["topics"]))
+
     ticks = after["totals"]["ticks"] - before["totals"]["ticks"]
     waited_s = after["unix_time_seconds"] - before["unix_time_seconds"]
     return {
-        **grown,
-        "published_bytes_per_second": published_bytes / waited_s,
+        **{key: grown(itemgetter(key)) for key in ("offered", "published", "withheld")},
+        "published_bytes_per_second": grown(lambda topic: topic["published"] * topic["payload_bytes"]) / waited_s,
         "ticks_per_second": ticks / waited_s,
     }
 
 
-def _await(is_so: Any, complaint: str) -> None:
-    until_s = time.monotonic() + _START_S
-    while not is_so():
-        if time.monotonic() > until_s:
-            raise OverheadError(f"{complaint} after {_START_S:.0f} s")
-        time.sleep(0.5)
+def _await(condition: Callable[[], bool], complaint: str) -> None:
+    if not becomes_true(condition, _START_S, poll_s=0.5):
+        raise OverheadError(f"{complaint} after {_START_S:.0f} s")

@@ -1,34 +1,34 @@
-"""The paper's evaluation, Figures 3 and 4 of Jalil & Kobayashi, with real ROS 2 over simulated links.
+"""Repeat the paper's evaluation, Figures 3 and 4 of Jalil & Kobayashi, with real ROS 2 over simulated links.
 
 Usage: .venv/bin/python scripts/bench/paper.py [--quick] [--rounds N] [--seconds S] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
-Eleven sensors publish on the robot, each with a publisher of its own; a planner on the CEDDP reads them all and answers
-at the rate of one, each sensor in its turn; the robot receives the commands. Plain rclpy on both sides, no arpd. As in
-the paper, a sensor publishes at the DEADLINE rate; the fixed configurations are DEPTH 1 and 5000 at 100, 200, 500 and
-1000 Hz, and (R, D) is the optimum of Eq. (4) for each of these as Rmax. Both links take turns with all configurations
-in an order that is random in each round.
+Eleven sensors publish on the robot, each with a publisher of its own. A planner on the CEDDP reads them all and answers
+at the rate of one sensor, each sensor in its turn; the robot receives the commands. Both sides are plain rclpy, without
+arpd. As in the paper, a sensor publishes at the DEADLINE rate. The fixed configurations are DEPTH 1 and 5000 at 100,
+200, 500 and 1000 Hz, and (R, D) is the optimum of Eq. (4) for each of these as Rmax. Both links take turns with all
+configurations; the order is random in each round.
 
-Latency is counted per sample, from the call of `publish()`: sensing until the planner's DDS thread has it, end to end
-until the robot's DDS thread has the command that answers it. A sample is lost that has not arrived when nothing has for
-longer than a heartbeat, or eight seconds after the last one left. Where `publish()` blocks because the link is full, a
-sensor cannot keep its rate: that is the middleware's doing, and the rate reached is part of the result. Where a process
-had no time to keep it, the turn is void.
+Latency is counted per sample, from the call of `publish()`: sensing until the planner's DDS thread has the sample, end
+to end until the robot's DDS thread has the command that answers it. A sample counts as lost if it has not arrived
+eight seconds after the last one left, or when nothing has arrived for longer than a heartbeat. If `publish()` blocks
+because the link is full, a sensor cannot keep its rate; the middleware causes that, and the reached rate is part of the
+result. If a process had no CPU time to keep the rate, the turn is void.
 
-A second table says what a lost packet costs with rclpy's heartbeat of 3 s, and with the 50 ms of arpd's profile for
-Fast DDS.
+A second table shows the cost of a lost packet with rclpy's heartbeat of 3 s, and with the 50 ms of arpd's profile for
+Fast DDS. The pictures are two files: -latency and -loss are added to the name of --plot.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,7 @@ from scripts.bench.paper_cells import RMAX_HZ, WIFI, WIRED, figure_turns, loss_t
 from scripts.bench.paper_figures import draw
 from scripts.bench.paper_report import nonsense, table, voids
 from scripts.bench.paper_robot import Robot
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.record import conditions, keep, options_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,7 +51,7 @@ ROUNDS, SECONDS = 2, 4.0
 
 
 def measure(turns: list[Turn], rounds: int, seconds: float) -> Iterator[dict[str, Any]]:
-    """Yield every turn and what came of it, or why nothing did."""
+    """Yield every turn with its figures, or with the reason why it failed."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="arpd-paper-")))
         robots = {key: Robot(*key, folder) for key in sorted({(t.link, t.heartbeat) for t in turns}, key=repr)}
@@ -75,7 +75,7 @@ def measure(turns: list[Turn], rounds: int, seconds: float) -> Iterator[dict[str
 
 
 def _played(robot: Robot, turn: Turn, seconds: float) -> dict[str, Any]:
-    """Return what came of a turn; with new processes once more if one ended, for there are many turns to lose."""
+    """Return the figures of a turn; if a process ends, try once more with new processes."""
     failed = ""
     for _ in range(2):
         try:
@@ -95,7 +95,7 @@ def describe(turn: Turn) -> str:
 
 
 def line(run: dict[str, Any]) -> str:
-    """Say in a line what came of a turn."""
+    """Return a turn's figures in a line."""
     name = f"{run['link']:>8} {run['payload_bytes']:>5} B {run['deadline_hz']:>5} Hz DEPTH {run['depth']:>4}"
     if "failed" in run:
         return f"{name}  {run['failed']}"
@@ -108,12 +108,9 @@ def line(run: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three configurations on one link: half a minute")
+    parser = options_of(__doc__, "paper", quick="three configurations on one link: half a minute", has_plot=True)
     parser.add_argument("--rounds", type=int, metavar="N", help=f"default {ROUNDS}")
     parser.add_argument("--seconds", type=float, metavar="S", help=f"of load in each turn (default {SECONDS:g})")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/paper.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/paper.png: -latency, -loss added")
     options = parser.parse_args()
     rounds = options.rounds or (1 if options.quick else ROUNDS)
     seconds = options.seconds or (2.0 if options.quick else SECONDS)
@@ -125,7 +122,7 @@ def main() -> None:
         "runs": [],
     }
     started_s = time.monotonic()
-    with suppress(KeyboardInterrupt):  # whole rounds, and what there is of one more, are kept
+    with suppress(KeyboardInterrupt):  # the turns so far are kept
         for run in measure(turns, rounds, seconds):
             document["runs"].append(run)
             print(f"{time.monotonic() - started_s:5.0f} s {line(run)}", flush=True)
@@ -134,10 +131,7 @@ def main() -> None:
     if faults := [*nonsense(document), *(voids(document) if options.quick else [])]:
         sys.exit("\n".join(f"paper: {fault}" for fault in faults))
     print(f"\n{table(document)}\n")
-    keep(document, target(options.json, "paper.json", is_partial=options.quick))
-    if plot := target(options.plot, "paper.png", is_partial=options.quick):
-        for path in draw(document, plot):
-            print(path)
+    keep(document, options, "paper", is_partial=options.quick, draw=partial(draw, document))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The configurations of the paper's evaluation, the links they are measured over, and the turns of one round."""
+"""The configurations of the paper's evaluation, its links, and the turns of one round."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ FIGURES, LOSS = "figures", "loss"
 DEFAULT, ARPD = "rclpy's default", "arpd's"
 HEARTBEAT_S = {DEFAULT: 3.0, ARPD: 0.05}
 
-# Residual loss of Wi-Fi. A station tries a frame seven times (IEEE 802.11 dot11ShortRetryLimit, 7 by default), so what
-# DDS sees lost has failed seven times: where three frames of ten fail, as on a busy 2.4 GHz channel, 0.3^7 = 0.02 %. A
-# bench with a limit of eight measured 0.03 %, with three 0.26 % (github.com/OpenIPC/devourer/pull/367). Not played: the
-# time the repetitions take, and a frame's fixed share of airtime, so that small samples are cheaper here than on air.
+# Residual loss of Wi-Fi. A station tries a frame seven times (IEEE 802.11 dot11ShortRetryLimit, 7 by default), so a
+# packet that DDS misses has failed seven times: if three frames of ten fail, as on a busy 2.4 GHz channel, that is
+# 0.3^7 = 0.02 %. A bench with a limit of eight measured 0.03 %, with three 0.26 %
+# (github.com/OpenIPC/devourer/pull/367). Not simulated: the time of repetitions, and a frame's fixed airtime; small
+# samples are cheaper here than on air.
 FRAME_ERROR = 0.3
 ATTEMPTS = 7
 
@@ -41,7 +42,7 @@ class LinkProfile:
     loss: float
 
 
-# 8 Mbit/s is what one station may get of a 20 MHz channel that it shares; 256 kB is about what a driver queues.
+# 8 Mbit/s is what one station may get of a shared 20 MHz channel; 256 kB is about the queue of a driver.
 WIFI = LinkProfile(
     name="2.4 GHz", rate_bytes_per_second=8e6 / 8, queue_bytes=256_000, loss=round(FRAME_ERROR**ATTEMPTS, 6)
 )
@@ -50,14 +51,7 @@ WIRED = LinkProfile(name="wired", rate_bytes_per_second=1e9 / 8, queue_bytes=1_0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Configuration:
-    """DEPTH and DEADLINE of both ends of all topics, published at the DEADLINE rate.
-
-    Parameters
-    ----------
-    depth : KEEP_LAST depth (samples)
-    deadline_hz : DEADLINE as a rate (Hz)
-    payload_bytes : characters in each sample
-    """
+    """DEPTH (samples) and DEADLINE (as a rate, Hz) of both ends of all topics, and the payload of each sample."""
 
     depth: int
     deadline_hz: int
@@ -83,7 +77,7 @@ class Turn:
 
 
 def optimum(rmax_hz: int) -> tuple[int, int]:
-    """Return (R, D) of Eq. (4) as the paper's Table 2 has them (Hz, samples)."""
+    """Return (R, D) of Eq. (4) as in the paper's Table 2 (Hz, samples)."""
     solution = solve_eq4(Eq4Problem(max_rate_hz=rmax_hz, topics=TOPICS))
     return solution.rate_hz_floor, solution.depth_floor
 
@@ -98,7 +92,7 @@ def configurations(payload_bytes: int) -> list[Configuration]:
 
 
 def figure_turns(links: tuple[LinkProfile, ...] = (WIFI, WIRED)) -> list[Turn]:
-    """Return every turn behind Figures 3 and 4."""
+    """Return every turn of Figures 3 and 4."""
     return [
         Turn(experiment=FIGURES, link=link, loss=link.loss, heartbeat=DEFAULT, configuration=cell)
         for link in links
@@ -108,7 +102,7 @@ def figure_turns(links: tuple[LinkProfile, ...] = (WIFI, WIRED)) -> list[Turn]:
 
 
 def loss_turns() -> list[Turn]:
-    """Return what a lost packet costs: an optimum, and the same rate at DEPTH 5000, with both heartbeats."""
+    """Return the turns on the cost of a lost packet: an optimum and its rate at DEPTH 5000, with both heartbeats."""
     rate_hz, depth = optimum(max(RMAX_HZ))
     return [
         Turn(
@@ -125,7 +119,7 @@ def loss_turns() -> list[Turn]:
 
 
 def quick_turns() -> list[Turn]:
-    """Return a handful that a busy machine can generate: both depths, an optimum, and a lossy link."""
+    """Return three turns that a busy machine can generate: both depths and an optimum, on the lossy link."""
     rate_hz, depth = optimum(max(RMAX_HZ))
     cells = [
         Configuration(depth=d, deadline_hz=hz, payload_bytes=100) for d, hz in ((1, 100), (5000, 100), (depth, rate_hz))

@@ -1,4 +1,4 @@
-"""The pictures to lay beside the paper's: Figure 3, latency, and Figure 4, packet loss, by configuration."""
+"""The pictures that repeat the paper's Figure 3, latency, and Figure 4, packet loss, by configuration."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.paper_cells import FIGURES
 from scripts.bench.paper_verdict import cells, rounds
+from scripts.bench.picture import picture
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,48 +19,32 @@ _STYLES = {_SHALLOW: ("tab:orange", -0.26), _DEEP: ("tab:red", 0.0), _SOLVED: ("
 _WIDTH = 0.24
 
 
-def draw(document: dict[str, Any], target: Path) -> list[Path]:
-    """Draw both figures, into files named after the target, and return where they are."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    paths = []
+def draw(document: dict[str, Any], path: Path) -> None:
+    """Draw both figures into files with -latency and -loss added to the name."""
     for name, title, plot in (
         ("latency", "End-to-end latency, sensor → planner → actuator (ms)", _latency),
         ("loss", "Lost of all samples on the twelve topics (%)", _loss),
     ):
-        path = target.with_name(f"{target.stem}-{name}{target.suffix}")
-        _draw(document, title, plot, path)
-        paths.append(path)
-    return paths
+        _draw(document, title, plot, path.with_name(f"{path.stem}-{name}{path.suffix}"))
 
 
 def _draw(document: dict[str, Any], title: str, plot: Callable[[Any, float, Cell, str], None], path: Path) -> None:
-    from matplotlib import pyplot as plt
-
     found = cells(document, FIGURES)
     links = [link["name"] for link in document["links"] if any(cell.link == link["name"] for cell in found)]
     payloads = sorted({cell.payload_bytes for cell in found})
     rates = sorted({cell.deadline_hz for cell in found})
-    figure, axes = plt.subplots(
-        *(len(links), len(payloads)),
-        figsize=(1.5 + 4.6 * len(payloads), 1.3 + 3.1 * len(links)),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
-    for row, link in enumerate(links):
-        for column, payload_bytes in enumerate(payloads):
-            axis = axes[row][column]
-            axis.set_title(f"{link}, {payload_bytes} B", fontsize=10)
-            _panel(
-                axis, [c for c in found if (c.link, c.payload_bytes) == (link, payload_bytes)], rates, document, plot
-            )
-    for axis in axes[-1]:
-        axis.set_xlabel("DEADLINE and publishing rate (Hz), bold: R; below, its D")
-    _finish(figure, axes, title, document)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    size = (1.5 + 4.6 * len(payloads), 1.3 + 3.1 * len(links))
+    how: dict[str, Any] = {"layout": None, "sharex": True, "sharey": True, "squeeze": False}
+    with picture(path, len(links), len(payloads), figsize=size, **how) as (figure, axes):
+        for row, link in enumerate(links):
+            for column, payload_bytes in enumerate(payloads):
+                axis = axes[row][column]
+                axis.set_title(f"{link}, {payload_bytes} B", fontsize=10)
+                here = [c for c in found if (c.link, c.payload_bytes) == (link, payload_bytes)]
+                _panel(axis, here, rates, document, plot)
+        for axis in axes[-1]:
+            axis.set_xlabel("DEADLINE and publishing rate (Hz), bold: R; below, its D")
+        _finish(figure, axes, title, document)
 
 
 def _panel(axis: Any, found: list[Cell], rates: list[int], document: dict[str, Any], plot: Callable[..., None]) -> None:

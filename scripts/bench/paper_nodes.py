@@ -2,9 +2,9 @@
 
 Usage: python -m scripts.bench.paper_nodes sensors|planner|actuator [NUMBER]
 
-Plain rclpy publishers and subscriptions with the QoS under test on both ends, as the paper sets it. Every process
-keeps when each of its samples left or arrived in a file of its own; nothing is computed while it runs. A turn is one
-order on stdin, `go` when all are matched, and `close`.
+Plain rclpy publishers and subscriptions with the QoS under test on both ends, as in the paper. Every process writes
+the times of its samples to files of its own and computes nothing while it runs. A turn is one order on stdin, the
+start when all are matched, and `close`.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String
 
-from scripts.bench.child import commands, number_of, sample_of, say
+from scripts.bench.child import answer, commands, number_of, sample_of
+from scripts.bench.node import becomes_true, plain_node
 
 if TYPE_CHECKING:
     import queue
     from collections.abc import Callable, Iterator, Sequence
 
-    Told = queue.SimpleQueue[dict[str, Any] | None]
+    Orders = queue.SimpleQueue[dict[str, Any] | None]
 
 _MATCH_TIMEOUT_S = 30.0
 _POLL_S = 0.01
@@ -38,12 +39,12 @@ _SPIN_S = 0.05
 
 
 def sensing(order: dict[str, Any], index: int) -> str:
-    """Name the topic of a sensor; each turn has its own, so that a reader of the last one gets nothing more."""
+    """Return the topic of a sensor; each turn has its own, so that a reader of the last turn receives nothing."""
     return f"/turn_{order['turn']}/sensor_{index}"
 
 
 def actuation(order: dict[str, Any]) -> str:
-    """Name the topic of the commands."""
+    """Return the topic of the commands."""
     return f"/turn_{order['turn']}/actuation"
 
 
@@ -66,9 +67,9 @@ def _schedule() -> tuple[int, int]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Effort:
-    """What the scheduler gave this thread since it began: on a core, and waiting for one (ns).
+    """Time of this thread on a core and waiting for one, since its start (ns).
 
-    Whatever else passes, the thread slept: by its own will, or blocked in a call.
+    In the rest of the time the thread slept: on purpose, or blocked in a call.
     """
 
     at: tuple[int, int] = field(default_factory=_schedule)
@@ -85,14 +86,7 @@ class Effort:
 
 
 class Sensor:
-    """A publisher at its own rate; the phases of all sensors are spread over the period.
-
-    Parameters
-    ----------
-    node : of which the publisher is
-    order : the turn
-    index : which of the sensors it is
-    """
+    """A publisher at its own rate; the phases of all sensors are spread over the period."""
 
     def __init__(self, node: Any, order: dict[str, Any], index: int) -> None:
         self.publisher = node.create_publisher(String, sensing(order, index), profile(order))
@@ -100,7 +94,7 @@ class Sensor:
         self.period_ns = round(1e9 / order["deadline_hz"])
         self.phase_ns = self.period_ns * index // order["sensors"]
         self.due_ns = 0
-        self.left_ns = array("q")  # when each sample was given to publish()
+        self.left_ns = array("q")  # time of each call of publish()
 
     def publish(self, payload_bytes: int) -> None:
         """Publish the next sample."""
@@ -112,10 +106,10 @@ class Sensor:
 
 
 def publish_all(sensors: Sequence[Sensor], order: dict[str, Any], start_ns: int) -> dict[str, float]:
-    """Publish at every sensor's rate until the time is over, and return what time went into (s).
+    """Publish at every sensor's rate until the time is over; return how the time was spent (s).
 
-    A sample that is late goes at once and the next keeps its own time, so a short delay is caught up; what does not fit
-    into the time is not published.
+    A late sample goes at once and the next keeps its own time, so a short delay is caught up. Samples that do not fit
+    into the time are not published.
     """
     until_ns = start_ns + round(order["seconds"] * 1e9)
     for sensor in sensors:
@@ -134,24 +128,24 @@ def publish_all(sensors: Sequence[Sensor], order: dict[str, Any], start_ns: int)
     return {**effort.seconds(), "wall_s": (time.time_ns() - began_ns) / 1e9, "publish_s": publish_ns / 1e9}
 
 
-def sense(told: Told, node: Any) -> None:
-    """Serve turns: make publishers, wait for their reader, publish, say what left."""
-    while order := _heard(told):
+def sense(orders: Orders, node: Any) -> None:
+    """Serve turns: make publishers, wait for their reader, publish, report the samples."""
+    while order := _next_order(orders):
         sensors = [Sensor(node, order, index) for index in order["indices"]]
-        say(matched=_await(lambda: all(s.publisher.get_subscription_count() > 0 for s in sensors)))  # noqa: B023
-        spent = publish_all(sensors, order, _heard(told)["start_ns"])
-        say(
+        _answer_matched(lambda: all(s.publisher.get_subscription_count() > 0 for s in sensors))  # noqa: B023
+        spent = publish_all(sensors, order, _next_order(orders)["start_ns"])
+        answer(
             sensors=[{"index": s.index, "left": _kept(s.left_ns, order, f"left-{s.index}")} for s in sensors],
             spent=spent,
         )
-        _heard(told)  # what is under way has arrived, or never will
+        _next_order(orders)  # samples under way have arrived or are lost
         for sensor in sensors:
             node.destroy_publisher(sensor.publisher)
-        say(closed=True)
+        answer(closed=True)
 
 
 class Arrivals:
-    """What arrives on one topic: numbers, and when the DDS thread received each."""
+    """The arrivals on one topic: numbers, and the times at which the DDS thread received them."""
 
     def __init__(self) -> None:
         self.numbers, self.received_ns = array("q"), array("q")
@@ -162,25 +156,25 @@ class Arrivals:
         self.received_ns.append(info["received_timestamp"])
 
     def kept(self, order: dict[str, Any], name: str) -> dict[str, str]:
-        """Put all into files and return their paths."""
+        """Write both into files and return the paths."""
         return {
             "numbers": _kept(self.numbers, order, f"{name}-numbers"),
             "received": _kept(self.received_ns, order, f"{name}-received"),
         }
 
 
-def plan(told: Told) -> None:
+def plan(orders: Orders) -> None:
     """Serve turns: read every sensor, and answer at the rate of one, each sensor in its turn.
 
-    Sample n of the sensor n mod 11 is answered, with its number, so commands tell of all sensors and have their rate.
+    A command answers sample n of the sensor n mod 11 with its number, so commands cover all sensors at the rate of one.
     """
-    while order := _heard(told):
+    while order := _next_order(orders):
         with spinning("planner") as (node, executor):
-            _plan_once(told, order, node, executor)
-        say(closed=True)
+            _plan_once(orders, order, node, executor)
+        answer(closed=True)
 
 
-def _plan_once(told: Told, order: dict[str, Any], node: Any, executor: Any) -> None:
+def _plan_once(orders: Orders, order: dict[str, Any], node: Any, executor: Any) -> None:
     qos, sensors, payload_bytes = profile(order), order["sensors"], order["payload_bytes"]
     arrivals = [Arrivals() for _ in range(sensors)]
     commanded = node.create_publisher(String, actuation(order), qos)
@@ -202,58 +196,56 @@ def _plan_once(told: Told, order: dict[str, Any], node: Any, executor: Any) -> N
         node.create_subscription(String, sensing(order, index), _taking(reader(index)), qos, raw=True)
         for index in range(sensors)
     ]
-    say(
-        matched=_await(
-            lambda: all(s.get_publisher_count() > 0 for s in subscriptions) and commanded.get_subscription_count() > 0
-        )
+    _answer_matched(
+        lambda: all(s.get_publisher_count() > 0 for s in subscriptions) and commanded.get_subscription_count() > 0
     )
-    spent = _spin(told, executor, lambda: (sum(len(each.numbers) for each in arrivals), len(commands_sent)))
-    say(
+    spent = _spin(orders, executor, lambda: (sum(len(each.numbers) for each in arrivals), len(commands_sent)))
+    answer(
         arrived=[each.kept(order, f"arrived-{index}") for index, each in enumerate(arrivals)],
         commands=_kept(commands_sent, order, "commands"),
         spent=spent,
     )
-    _heard(told)
+    _next_order(orders)
 
 
-def act(told: Told) -> None:
-    """Serve turns: note how the commands arrive."""
-    while order := _heard(told):
+def act(orders: Orders) -> None:
+    """Serve turns: note the arrivals of the commands."""
+    while order := _next_order(orders):
         with spinning("actuator") as (node, executor):
-            _act_once(told, order, node, executor)
-        say(closed=True)
+            _act_once(orders, order, node, executor)
+        answer(closed=True)
 
 
-def _act_once(told: Told, order: dict[str, Any], node: Any, executor: Any) -> None:
+def _act_once(orders: Orders, order: dict[str, Any], node: Any, executor: Any) -> None:
     arrivals = Arrivals()
     subscription = node.create_subscription(
         String, actuation(order), _taking(arrivals.on_sample), profile(order), raw=True
     )
-    say(matched=_await(lambda: subscription.get_publisher_count() > 0))
-    _spin(told, executor, lambda: (len(arrivals.numbers), 0))
-    say(**arrivals.kept(order, "actuated"))
-    _heard(told)
+    _answer_matched(lambda: subscription.get_publisher_count() > 0)
+    _spin(orders, executor, lambda: (len(arrivals.numbers), 0))
+    answer(**arrivals.kept(order, "actuated"))
+    _next_order(orders)
 
 
-def _spin(told: Told, executor: Any, counts: Callable[[], tuple[int, int]]) -> dict[str, float]:
-    """Work until told to stop, answer what has arrived when asked, and return what the load's time went into (s).
+def _spin(orders: Orders, executor: Any, counts: Callable[[], tuple[int, int]]) -> dict[str, float]:
+    """Spin until the parent says stop, answer its questions, and return how the time of the load was spent (s).
 
     The parent asks for the first time when the load is over.
     """
     effort, began_s, spent = Effort(), time.monotonic(), dict[str, float]()
     while True:
-        while told.empty():
+        while orders.empty():
             executor.spin_once(timeout_sec=_SPIN_S)
         spent = spent or {**effort.seconds(), "wall_s": time.monotonic() - began_s}
-        if "stop" in _heard(told):
+        if "stop" in _next_order(orders):
             return spent
         arrived, answered = counts()
-        say(arrived=arrived, answered=answered)
+        answer(arrived=arrived, answered=answered)
 
 
 @contextlib.contextmanager
 def spinning(name: str) -> Iterator[tuple[Any, Any]]:
-    """Lend a node and its executor for one turn: EventsExecutor of rclpy 7.1 does not survive subscriptions that go."""
+    """Yield a node and its executor for one turn: rclpy 7.1's EventsExecutor fails when subscriptions are removed."""
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
     node = rclpy.create_node(name, context=context)
@@ -268,7 +260,7 @@ def spinning(name: str) -> Iterator[tuple[Any, Any]]:
 
 
 def _taking(callback: Callable[[bytes, dict[str, int]], None]) -> Callable[..., None]:
-    """Return a callback for sample and info; the EventsExecutor of rclpy 7.1 hands both over as one tuple."""
+    """Return a callback for sample and info; the EventsExecutor of rclpy 7.1 passes both as one tuple."""
 
     def on_message(both: tuple[bytes, dict[str, int]]) -> None:
         callback(*both)
@@ -277,20 +269,15 @@ def _taking(callback: Callable[[bytes, dict[str, int]], None]) -> Callable[..., 
     return on_message
 
 
-def _heard(told: Told) -> dict[str, Any]:
-    """Return what the parent says next, and end with it."""
-    if (said := told.get()) is None:
+def _next_order(orders: Orders) -> dict[str, Any]:
+    """Return the parent's next command; end when the parent is gone."""
+    if (command := orders.get()) is None:
         raise SystemExit
-    return said
+    return command
 
 
-def _await(is_so: Callable[[], bool]) -> bool:
-    until_s = time.monotonic() + _MATCH_TIMEOUT_S
-    while not is_so():
-        if time.monotonic() > until_s:
-            return False
-        time.sleep(_POLL_S)
-    return True
+def _answer_matched(is_matched: Callable[[], bool]) -> None:
+    answer(matched=becomes_true(is_matched, _MATCH_TIMEOUT_S, poll_s=_POLL_S))
 
 
 def _kept(values: array[int], order: dict[str, Any], name: str) -> str:
@@ -301,8 +288,7 @@ def _kept(values: array[int], order: dict[str, Any], name: str) -> str:
 
 def main() -> None:
     if sys.argv[1] == "sensors":
-        rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-        sense(commands(), rclpy.create_node(f"sensors_{sys.argv[2]}"))
+        sense(commands(), plain_node(f"sensors_{sys.argv[2]}"))
     else:
         {"planner": plan, "actuator": act}[sys.argv[1]](commands())
 

@@ -1,4 +1,4 @@
-"""The report of the paper's experiment: what each configuration came to, and whether the optimum wins as published."""
+"""The report of the paper's experiment: the figures of each configuration, and whether the optimum wins."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.paper_cells import ARPD, DEFAULT, FIGURES, HEARTBEAT_S, LOSS
-from scripts.bench.paper_numbers import milliseconds, percent
 from scripts.bench.paper_summary import REACHED_RATIO
-from scripts.bench.paper_verdict import LIKE, Cell, cells, misses, rounds, verdicts
+from scripts.bench.paper_verdict import LIKE, Cell, cells, milliseconds, misses, percent, rounds, verdicts
 from scripts.bench.record import described
+from scripts.bench.report import markdown_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def nonsense(document: dict[str, Any]) -> list[str]:
-    """Return everything that makes the document worthless; whether a turn is void is not among it."""
+    """Return the faults that make the document worthless; void turns are not faults."""
     if not document["runs"]:
         return ["no turn came to its end"]
     found = []
@@ -39,7 +39,7 @@ def nonsense(document: dict[str, Any]) -> list[str]:
 
 
 def voids(document: dict[str, Any]) -> list[str]:
-    """Return the turns that say nothing, and which process had no time left."""
+    """Return the void turns, and the processes without CPU time."""
     return [
         f"{run['link']}, {_named(run)}, round {run['round']}: the {run['void']} could not keep up"
         for run in document["runs"]
@@ -48,7 +48,7 @@ def voids(document: dict[str, Any]) -> list[str]:
 
 
 def table(document: dict[str, Any]) -> str:
-    """Return every configuration's figures, the verdicts, and what a lost packet costs."""
+    """Return every configuration's figures, the verdicts, and the cost of a lost packet."""
     head = (
         f"{'link':>8} {'B':>5} {'Hz':>5} {'DEPTH':>5} {'mean ms':>9} {'p50':>9} {'p95':>9} {'p99 ms':>27}"
         f" {'sensing p99':>11} {'lost %':>7} {'unanswered':>10} {'rate %':>7} {'blocked':>7} {'link %':>6}"
@@ -80,49 +80,35 @@ def markdown(document: dict[str, Any]) -> str:
     )
     head = (
         f"{rounds(document)} a configuration; {described(document)}. Links: {links} "
-        "(what is left of Wi-Fi's frame errors after seven attempts). Latency is end to end, "
+        "(the rest of Wi-Fi's frame errors after seven attempts). Latency is end to end, "
         "sensor → planner → actuator, in ms (range over rounds); lost is the share of all samples of the twelve "
-        "topics. Void: this machine could not generate the load, or plan for it."
+        "topics. Void: this machine could not generate the load, or not answer it."
     )
-    titles = (
-        "| link | payload B | Rmax Hz | optimum R Hz, D | p50 | p99 | lost % | DEPTH 1 at Rmax: p99 | lost % "
-        "| DEPTH 5000 at Rmax: p99 | lost % | rate reached % |"
-    )
-    rows = [
-        titles,
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-        *map(_row, verdicts(document)),
+    titles = [
+        *("link", "payload B", "Rmax Hz", "optimum R Hz, D", "p50", "p99", "lost %"),
+        *("DEPTH 1 at Rmax: p99", "lost %", "DEPTH 5000 at Rmax: p99", "lost %", "rate reached %"),
     ]
-    return "\n".join(
-        [
-            head,
-            "",
-            *_judged(document),
-            "",
-            "<details><summary>Every optimum beside the fixed configurations at its Rmax</summary>",
-            "",
-            *rows,
-            "",
-            "</details>",
-            "",
-            *_loss_markdown(document),
-        ]
-    )
+    lines = [
+        *(head, "", *_judged(document), ""),
+        *("<details><summary>Every optimum beside the fixed configurations at its Rmax</summary>", ""),
+        *markdown_table("lr", titles, map(_row, verdicts(document))),
+        *("", "</details>", "", *_loss_markdown(document)),
+    ]
+    return "\n".join(lines)
 
 
-def _row(verdict: Verdict) -> str:
+def _row(verdict: Verdict) -> list[str]:
     best, (shallow, deep) = verdict.optimum, verdict.at_rmax
-    cells_of_row = [
+    return [
         *(best.link, str(best.payload_bytes), str(verdict.rmax_hz), f"{best.deadline_hz}, {best.depth}"),
         *(milliseconds(best.p50_s), _shown_p99(best), percent(best.lost_ratio)),
         *(_shown_p99(shallow), percent(shallow.lost_ratio)),
         *(_shown_p99(deep), percent(deep.lost_ratio), percent(deep.middle("reached_ratio"))),
     ]
-    return f"| {' | '.join(cells_of_row)} |"
 
 
 def _judged(document: dict[str, Any]) -> list[str]:
-    """Return how many optima keep both targets, and where one does not, why not."""
+    """Return how many optima meet both targets, and the reason for each that does not."""
     found = verdicts(document)
     judged = [each for each in found if each.optimum.runs]
     lines = []
@@ -134,7 +120,7 @@ def _judged(document: dict[str, Any]) -> list[str]:
             f"{len(here)} (payload × Rmax); loss not above that of any with a like latency (p99 within a factor "
             f"{LIKE:g}): {safe} of {len(here)}."
         )
-        lines += [f"  - Not so: {miss}" for miss in misses(document, here)]
+        lines += [f"  - Missed: {miss}" for miss in misses(document, here)]
     lines += [*_held_back(cells(document, FIGURES)), *_overflowed(cells(document, FIGURES))]
     if void := [each.optimum for each in found if not each.optimum.runs]:
         lines.append(f"- No verdict on {', '.join(f'{c.link} {c.name}' for c in void)}: void.")
@@ -144,30 +130,29 @@ def _judged(document: dict[str, Any]) -> list[str]:
 
 
 def _held_back(found: list[Cell]) -> list[str]:
-    """Say where sensors could not keep their rate although this machine could have."""
+    """Name the configurations whose sensors did not keep their rate although this machine could."""
     slowed = [cell for cell in found if (cell.middle("reached_ratio") or 1.0) < REACHED_RATIO]
     if not slowed:
         return []
     worst = min(slowed, key=lambda cell: cell.middle("reached_ratio") or 0.0)
-    reached, used = percent(worst.middle("reached_ratio")), percent(worst.used_ratio)
-    what = (
-        f"- In {len(slowed)} of {len(found)} configurations publish() blocked for so long that sensors reached less "
-        f"than {percent(REACHED_RATIO)} % of their rate; least, {reached} %, {worst.link} {worst.name}, the link "
-        f"{used} % full."
+    sentence = (
+        f"- In {len(slowed)} of {len(found)} configurations publish() blocked so long that sensors reached less than "
+        f"{percent(REACHED_RATIO)} % of their rate; the least is {percent(worst.middle('reached_ratio'))} %, with "
+        f"{worst.link} {worst.name}, the link {percent(worst.used_ratio)} % full."
     )
-    return [what]
+    return [sentence]
 
 
 def _overflowed(found: list[Cell]) -> list[str]:
-    """Say where packets were lost that the link had carried."""
+    """Name the configurations in which this machine lost packets that the link had carried."""
     if not (flooded := [cell for cell in found if cell.overflows]):
         return []
     worst = max(flooded, key=lambda cell: cell.overflows)
-    what = (
-        f"- In {len(flooded)} of {len(found)} configurations a reader's socket overflowed, this machine's doing and "
-        f"not the link's; most often with {worst.link} {worst.name}, {worst.overflows} datagrams."
+    sentence = (
+        f"- In {len(flooded)} of {len(found)} configurations a reader's socket overflowed; this machine causes that, "
+        f"not the link. The most datagrams, {worst.overflows}, were lost with {worst.link} {worst.name}."
     )
-    return [what]
+    return [sentence]
 
 
 def _loss_cells(document: dict[str, Any]) -> Iterator[tuple[float, list[Cell]]]:
@@ -193,30 +178,24 @@ def _loss_markdown(document: dict[str, Any]) -> list[str]:
         return []
     columns = table_of[0][1]
     what = (
-        f"What a lost packet costs, {columns[0].payload_bytes} B over {columns[0].link}: p50, p99 in ms (range over "
+        f"The cost of a lost packet, {columns[0].payload_bytes} B over {columns[0].link}: p50, p99 in ms (range over "
         f"rounds) of the optimum and of the same rate at the largest DEPTH, with rclpy's heartbeat of "
         f"{HEARTBEAT_S[DEFAULT]:g} s and the {milliseconds(HEARTBEAT_S[ARPD])} ms of arpd's Fast DDS profile."
     )
-    return [
-        what,
-        "",
-        "| packets lost % |" + "".join(f" {cell.heartbeat}: {cell.name_in_link} |" for cell in columns),
-        "|---:|" + "---:|" * len(columns),
-        *(
-            f"| {percent(loss)} |" + "".join(f" {milliseconds(cell.p50_s)}, {_shown_p99(cell)} |" for cell in found)
-            for loss, found in table_of
-        ),
-    ]
+    head = ["packets lost %", *(f"{cell.heartbeat}: {cell.name_in_link}" for cell in columns)]
+    rows = (
+        [percent(loss), *(f"{milliseconds(cell.p50_s)}, {_shown_p99(cell)}" for cell in found)]
+        for loss, found in table_of
+    )
+    return [what, "", *markdown_table("r", head, rows)]
 
 
 def _shown_p99(cell: Cell) -> str:
-    return f"{milliseconds(cell.p99_s)}{_range(cell)}" if cell.runs else cell.why_void
-
-
-def _range(cell: Cell) -> str:
-    """Return the range in brackets, nothing where there is but one round."""
-    shown = [milliseconds(value) for value in cell.p99_range_s]
-    return f" ({'–'.join(shown)})" if len(cell.runs) > 1 else ""
+    """Return the p99, of several rounds with their range in brackets."""
+    if not cell.runs:
+        return cell.why_void
+    between = f" ({'–'.join(map(milliseconds, cell.p99_range_s))})" if len(cell.runs) > 1 else ""
+    return f"{milliseconds(cell.p99_s)}{between}"
 
 
 def _named(run: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The robot of the paper's experiment and its planner, on both ends of a simulated link."""
+"""The robot of the paper's experiment and its planner, at the two ends of a simulated link."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from scripts.bench.paper_cells import LinkProfile, Turn
     from scripts.netns.simlink import Host
 
-QUIET_S = 3.2  # a lost sample is sent again after a heartbeat, 3 s by default
+QUIET_S = 3.2  # more than a heartbeat, 3 s by default, after which a lost sample is sent again
 DRAIN_S = 8.0
 _LEAD_S = 0.2
 _POLL_S = 0.1
-_PROCESSES = 3  # that share the sensors: publish() holds the GIL
+_PROCESSES = 3  # share the sensors, because publish() holds the GIL
 _MODULE = "scripts.bench.paper_nodes"
 
 
@@ -31,9 +31,8 @@ class Robot:
 
     Parameters
     ----------
-    link : the link
-    heartbeat : whose heartbeat period the writers have
-    folder : where the processes leave their files
+    heartbeat : DEFAULT or ARPD, the source of the writers' heartbeat period
+    folder : for the files of the processes
     """
 
     def __init__(self, link: LinkProfile, heartbeat: str, folder: Path) -> None:
@@ -61,12 +60,12 @@ class Robot:
         self._stack.close()
 
     def play(self, turn: Turn, *, seconds: float) -> dict[str, Any]:
-        """Run one turn and return what came of it.
+        """Run one turn and return its figures.
 
         Raises
         ------
         ChildError
-            If a process ended, or not all topics found both ends.
+            If a process ended, or a topic was not matched.
         """
         self._turns += 1
         order = {
@@ -78,37 +77,39 @@ class Robot:
         }
         children = [*self._sensors, self._planner, self._actuator]
         for number, child in enumerate(children):
-            child.tell(**order, indices=list(range(number, SENSORS, _PROCESSES)))
-        matched = [child.hear()["matched"] for child in children]
+            child.send(**order, indices=list(range(number, SENSORS, _PROCESSES)))
+        matched = [child.receive()["matched"] for child in children]
         if not all(matched):
-            raise ChildError("not all topics found both ends")
-        self._link.set_loss(turn.loss)  # discovery is no part of the experiment
+            raise ChildError("not all topics were matched")
+        self._link.set_loss(turn.loss)  # not before: discovery is no part of the experiment
         hosts = self._link.hosts
         sent_before, overflows_before = self._sent_bytes(), sum(map(overflows, hosts))
         start_ns = time.time_ns() + round(_LEAD_S * 1e9)
         for child in self._sensors:
-            child.tell(start_ns=start_ns)
-        told = [child.hear(timeout_s=60.0 + seconds) for child in self._sensors]
+            child.send(start_ns=start_ns)
+        answers = [child.receive(timeout_s=60.0 + seconds) for child in self._sensors]
         sent_in_load = self._sent_bytes()
-        drained_s = self._drain(told)
+        drained_s = self._drain(answers)
         sent = self._sent_bytes()
         arrived, actuated = self._planner.ask(stop=True), self._actuator.ask(stop=True)
         self._link.set_loss(0.0)
         for child in children:
-            child.tell(close=True)
+            child.send(close=True)
         for child in children:
-            child.hear()
+            child.receive()
         return {
-            **summary(turn.configuration, seconds, told, arrived, actuated),
+            **summary(turn.configuration, seconds, answers, arrived, actuated),
             "used_ratio": (sent_in_load - sent_before) / seconds / self._profile.rate_bytes_per_second,
             "robot_sent_bytes": sent - sent_before,
             "receive_buffer_overflows": sum(map(overflows, hosts)) - overflows_before,
             "drained_s": drained_s,
         }
 
-    def _drain(self, told: list[dict[str, Any]]) -> float:
-        """Wait until all has arrived, or nothing has for a while, or for long enough; return how long it took (s)."""
-        published = sum(Path(sensor["left"]).stat().st_size // 8 for process in told for sensor in process["sensors"])
+    def _drain(self, answers: list[dict[str, Any]]) -> float:
+        """Wait until all has arrived, for QUIET_S without arrivals, or for DRAIN_S; return the time it took (s)."""
+        published = sum(
+            Path(sensor["left"]).stat().st_size // 8 for process in answers for sensor in process["sensors"]
+        )
         began_s = changed_s = time.monotonic()
         last = None
         while (now_s := time.monotonic()) < began_s + DRAIN_S:
@@ -124,7 +125,7 @@ class Robot:
         return time.monotonic() - began_s
 
     def _sent_bytes(self) -> int:
-        return sent_bytes(self._link, self._link.robot)
+        return sent_bytes(self._link.robot)
 
     def _child(self, stack: ExitStack, host: Any, *argv: str) -> Child:
         plain = {} if self._heartbeat == ARPD else {"FASTRTPS_DEFAULT_PROFILES_FILE": ""}
@@ -134,5 +135,5 @@ class Robot:
 
 
 def overflows(host: Host) -> int:
-    """Return how many datagrams found the buffer of their socket full on a host so far."""
+    """Return the number of datagrams that a host dropped because the buffer of their socket was full."""
     return kernel_count(host, "Udp", "RcvbufErrors")

@@ -1,4 +1,4 @@
-"""What one turn of the paper's experiment came to: latency per sample, loss, and whether the machine was up to it."""
+"""The figures of one turn of the paper's experiment: latency per sample, loss, and whether the machine kept up."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ if TYPE_CHECKING:
     Numbers = np.ndarray[Any, np.dtype[np.int64]]
     Seconds = np.ndarray[Any, np.dtype[np.float64]]
 
-REACHED_RATIO = 0.95  # of the rate asked for; below, somebody is to blame
-BUSY_RATIO = 0.95  # of the time on a core or waiting for one: a thread that has no time left
+REACHED_RATIO = 0.95  # of the rate asked for; less needs a cause
+BUSY_RATIO = 0.95  # of the time on a core or waiting for one: the thread has no time left
 
 
 def summary(
     configuration: Configuration,
     seconds: float,
-    told: list[dict[str, Any]],
+    sensors: list[dict[str, Any]],
     arrived: dict[str, Any],
     actuated: dict[str, Any],
 ) -> dict[str, Any]:
-    """Put numbers and moments of one turn together.
+    """Return the figures of one turn.
 
     Parameters
     ----------
-    seconds : how long the sensors were to publish (s)
-    told : what each process of sensors said: ``sensors`` with the file of moments, ``spent``
-    arrived : what the planner said: ``arrived`` per sensor, ``commands``, ``spent``
-    actuated : what the actuator said: files of numbers and moments
+    seconds : time that the sensors should publish (s)
+    sensors : answers of the processes of sensors: ``sensors`` with the file of times, ``spent``
+    arrived : answer of the planner: ``arrived`` per sensor, ``commands``, ``spent``
+    actuated : answer of the actuator: files of numbers and times
     """
-    left = {sensor["index"]: _read(sensor["left"]) for process in told for sensor in process["sensors"]}
+    left = {sensor["index"]: _read(sensor["left"]) for process in sensors for sensor in process["sensors"]}
     sensing = [_delays(each, left[index]) for index, each in enumerate(arrived["arrived"])]
     commands, received = _first(actuated)
     begun = np.array([left[number % SENSORS][number] for number in commands], dtype=np.int64)
@@ -42,10 +42,10 @@ def summary(
     asked = sum(len(range(index, len(moments), SENSORS)) for index, moments in left.items())
     answered = len(np.unique(_read(arrived["commands"])))
     lost = published - sum(map(len, sensing)) + answered - len(commands)
-    spent = [process["spent"] for process in told]
+    spent = [process["spent"] for process in sensors]
     return {
-        **_reached(configuration, seconds, told, published),
-        "void": _void(configuration, seconds, told, arrived["spent"]),
+        **_reached(configuration, seconds, sensors, published),
+        "void": _void(configuration, seconds, sensors, arrived["spent"]),
         "sensors_cpu": sum(each["process_cpu_s"] for each in spent) / seconds,
         "planner_cpu": arrived["spent"]["process_cpu_s"] / arrived["spent"]["wall_s"],
         "sensors_core_wait": sum(each["core_wait_s"] for each in spent) / seconds,
@@ -74,10 +74,10 @@ def latency(values_s: Seconds) -> dict[str, float | None]:
 
 
 def _reached(
-    configuration: Configuration, seconds: float, told: list[dict[str, Any]], published: int
+    configuration: Configuration, seconds: float, sensors: list[dict[str, Any]], published: int
 ) -> dict[str, Any]:
-    """Return the rate that was reached, and the share of the sensors' time that publish() slept in a call."""
-    spent = [process["spent"] for process in told]
+    """Return the reached share of the rate, and the share of the sensors' time that publish() slept in a call."""
+    spent = [process["spent"] for process in sensors]
     blocked_s = sum(max(0.0, each["publish_s"] - each["cpu_s"] - each["core_wait_s"]) for each in spent)
     return {
         "reached_ratio": published / wanted(configuration, seconds, SENSORS),
@@ -86,18 +86,20 @@ def _reached(
 
 
 def wanted(configuration: Configuration, seconds: float, sensors: int) -> float:
-    """Return how many samples so many sensors should publish."""
+    """Return the number of samples that so many sensors should publish."""
     return configuration.deadline_hz * seconds * sensors
 
 
-def _void(configuration: Configuration, seconds: float, told: list[dict[str, Any]], planner: dict[str, float]) -> str:
-    """Say why the turn says nothing of the link; empty when it does.
+def _void(
+    configuration: Configuration, seconds: float, sensors: list[dict[str, Any]], planner: dict[str, float]
+) -> str:
+    """Return the process whose lack of CPU time makes the turn void; empty if none.
 
-    A process of sensors that fell behind had time enough if, at what a sample cost it on a core and waiting for one,
-    the time would have sufficed for all: then it was publish() that blocked, which is the middleware's answer to a full
-    link. Else this machine cannot generate that load.
+    A process of sensors below its rate had enough time if all samples would have fitted into it, at the time on a core
+    and waiting for one that a sample took. Then publish() blocked, which is the middleware's answer to a full link.
+    Otherwise this machine cannot generate that load.
     """
-    for process in told:
+    for process in sensors:
         published = sum(len(_read(sensor["left"])) for sensor in process["sensors"])
         should = wanted(configuration, seconds, len(process["sensors"]))
         busy_s = process["spent"]["cpu_s"] + process["spent"]["core_wait_s"]
@@ -113,7 +115,7 @@ def _read(path: str) -> Numbers:
 
 
 def _first(files: dict[str, str]) -> tuple[Numbers, Numbers]:
-    """Return the numbers that arrived, each once, and when each did for the first time (ns)."""
+    """Return the numbers that arrived, each once, and the time of each first arrival (ns)."""
     numbers, at = np.unique(_read(files["numbers"]), return_index=True)
     return numbers, _read(files["received"])[at]
 

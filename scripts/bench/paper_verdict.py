@@ -1,4 +1,4 @@
-"""What the paper says of its optimum, held against every fixed configuration; where it does not hold, why."""
+"""The paper's claims for its optimum, checked against every fixed configuration, with a reason for each miss."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.paper_cells import FIGURES, FIXED_DEPTHS, HEARTBEAT_S
-from scripts.bench.paper_numbers import milliseconds, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 LIKE = 2.0  # two latencies are alike within this factor
-_FULL_RATIO = 0.9  # of a link, from which on samples queue
-_STALL_S = 0.1  # no queue of a link that is not full takes that long
+FULL = "the optimum fills the link itself, which has less than this Rmax for samples of that size"
+SPREAD = "the two differ by less than the rounds do"
+UNFILLED = "the fixed configuration does not fill the link either, so nothing queues"
+UNKNOWN = "these figures give no reason"
+_FULL_RATIO = 0.9  # of a link; above this, samples queue
+_STALL_S = 0.1  # longer than any queue of a link that is not full
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """One configuration in one experiment over one link, all rounds of it.
+    """All rounds of one configuration in one experiment over one link.
 
     Parameters
     ----------
-    runs : the turns that say something
-    why_void : what those that say nothing lacked; empty where there are none
+    runs : the turns that are not void
+    why_void : reasons of the void turns
     """
 
     link: str
@@ -41,22 +44,22 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """What it is, without the link."""
+        """Payload, rate and depth."""
         return f"{self.payload_bytes} B {self.name_in_link}"
 
     @property
     def name_in_link(self) -> str:
-        """Rate and depth, as the paper writes them."""
+        """Rate and depth in the paper's notation."""
         return f"({self.deadline_hz} Hz, {self.depth})"
 
     @property
     def p50_s(self) -> float | None:
-        """End-to-end latency (s)."""
+        """Median end-to-end latency (s)."""
         return self.middle("end_to_end", "p50_s")
 
     @property
     def p99_s(self) -> float | None:
-        """End-to-end latency (s)."""
+        """End-to-end latency at p99 (s)."""
         return self.middle("end_to_end", "p99_s")
 
     @property
@@ -67,27 +70,27 @@ class Cell:
 
     @property
     def lost(self) -> int:
-        """How many samples were lost in all rounds."""
+        """Number of samples lost in all rounds."""
         return sum(run["lost"] for run in self.runs)
 
     @property
     def lost_ratio(self) -> float | None:
-        """Share of all samples of all topics that was lost."""
+        """Lost share of all samples of all topics."""
         published = sum(run["published"] for run in self.runs)
         return self.lost / published if published else None
 
     @property
     def used_ratio(self) -> float:
-        """Share of the link that the robot's traffic took."""
+        """Share of the link that the robot's traffic uses."""
         return self.middle("used_ratio") or 0.0
 
     @property
     def overflows(self) -> int:
-        """How many datagrams found their socket's buffer full in all rounds: no loss of the link's."""
+        """Number of datagrams lost at full sockets in all rounds; the link did not lose them."""
         return sum(run["receive_buffer_overflows"] for run in self.runs)
 
     def middle(self, *keys: str) -> float | None:
-        """Median of a figure over rounds; None where a round has none."""
+        """Return the median of a figure over rounds; None if a round has none."""
         values = []
         for run in self.runs:
             value: Any = run
@@ -103,10 +106,10 @@ class Verdict:
 
     Parameters
     ----------
-    rmax_hz : the Rmax the optimum is for (Hz)
-    at_rmax : the fixed configurations at that rate, the smaller DEPTH first
-    slower_than : those that lose nothing and whose p99 is not above the optimum's
-    lossier_than : those of a like latency that lose less than the optimum
+    rmax_hz : the optimum's Rmax (Hz)
+    at_rmax : fixed configurations at that rate, the smaller DEPTH first
+    slower_than : those without loss whose p99 is not above the optimum's
+    lossier_than : those with a similar latency that lose less than the optimum
     """
 
     rmax_hz: int
@@ -117,37 +120,29 @@ class Verdict:
 
 
 def rounds(document: dict[str, Any]) -> str:
-    """Say how often every configuration was measured; a run that was interrupted has measured some more often."""
-    counts = Counter((run["experiment"], *_place(run)) for run in document["runs"])
+    """Return the number of rounds; an interrupted run has measured some configurations more often than others."""
+    counts = Counter((run["experiment"], *_key(run)) for run in document["runs"])
     least, most = (min(counts.values()), max(counts.values())) if counts else (0, 0)
-    spoken = f"{least}" if least == most else f"{least} to {most}"
-    return f"{spoken} round{'s' * (most != 1)} of {document['conditions']['seconds']:g} s"
+    many = f"{least}" if least == most else f"{least} to {most}"
+    return f"{many} round{'s' * (most != 1)} of {document['conditions']['seconds']:g} s"
 
 
-def _place(run: dict[str, Any]) -> tuple[Any, ...]:
-    names = ("link", "link_loss", "heartbeat", "payload_bytes", "deadline_hz", "depth")
-    return tuple(run[name] for name in names)
+_KEY = ("link", "link_loss", "heartbeat", "payload_bytes", "deadline_hz", "depth")
+
+
+def _key(run: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(run[name] for name in _KEY)
 
 
 def cells(document: dict[str, Any], experiment: str) -> list[Cell]:
     """Return every configuration of an experiment, by link, payload, rate and depth."""
     runs = [run for run in document["runs"] if run["experiment"] == experiment and "failed" not in run]
     found = []
-    for about, together in groupby(sorted(runs, key=_place), key=_place):
-        link, link_loss, heartbeat, payload_bytes, deadline_hz, depth = about
+    for key, together in groupby(sorted(runs, key=_key), key=_key):
         every = list(together)
-        found.append(
-            Cell(
-                link=link,
-                link_loss=link_loss,
-                heartbeat=heartbeat,
-                payload_bytes=payload_bytes,
-                deadline_hz=deadline_hz,
-                depth=depth,
-                runs=tuple(run for run in every if not run["void"]),
-                why_void=" ".join(sorted({f"void: {run['void']}" for run in every if run["void"]})),
-            )
-        )
+        valid = tuple(run for run in every if not run["void"])
+        why_void = " ".join(sorted({f"void: {run['void']}" for run in every if run["void"]}))
+        found.append(Cell(**dict(zip(_KEY, key, strict=True)), runs=valid, why_void=why_void))
     return found
 
 
@@ -189,49 +184,62 @@ def _is_like(one_s: float | None, other_s: float | None) -> bool:
 
 
 def misses(document: dict[str, Any], judged: Sequence[Verdict]) -> Iterator[str]:
-    """Yield a sentence for every reason why optima miss a target: the worst case of each, and both numbers."""
+    """Yield a sentence for every reason why optima miss a target, with the worst case and both its numbers."""
     losses = {link["name"]: link["loss"] for link in document["links"]}
-    slow: dict[str, list[tuple[float, str]]] = {}
-    lossy: dict[str, list[tuple[float, str]]] = {}
+    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for verdict in judged:
         best = verdict.optimum
         if verdict.slower_than:
             other = min(verdict.slower_than, key=lambda cell: cell.p99_s or 0.0)
-            pair = (
-                f"{best.name} {milliseconds(best.p99_s)} ms against {other.name_in_link} {milliseconds(other.p99_s)} ms"
-            )
+            ours, theirs = milliseconds(best.p99_s), milliseconds(other.p99_s)
             by = (best.p99_s or math.inf) - (other.p99_s or 0.0)
-            slow.setdefault(_why_slower(best, other, losses[best.link]), []).append((by, pair))
+            pair = f"{best.name} {ours} ms against {other.name_in_link} {theirs} ms"
+            found.setdefault(("p99", why_slower(best, other, losses[best.link])), []).append((by, pair))
         if verdict.lossier_than:
             other = min(verdict.lossier_than, key=lambda cell: cell.lost_ratio or 0.0)
-            pair = (
-                f"{best.name} {percent(best.lost_ratio)} % against {other.name_in_link} {percent(other.lost_ratio)} %"
-            )
+            ours, theirs = percent(best.lost_ratio), percent(other.lost_ratio)
             by = (best.lost_ratio or 0.0) - (other.lost_ratio or 0.0)
-            lossy.setdefault(_why_lossier(best), []).append((by, pair))
-    for what, found in (("p99", slow), ("loss", lossy)):
-        for why, pairs in found.items():
-            worst = max(pairs)[1]
-            yield f"{what}, {why}: {worst if len(pairs) == 1 else f'{len(pairs)} optima, most {worst}'}."
+            pair = f"{best.name} {ours} % against {other.name_in_link} {theirs} %"
+            found.setdefault(("loss", why_lossier(best)), []).append((by, pair))
+    for (what, why), pairs in sorted(found.items(), key=lambda item: item[0][0] == "loss"):
+        worst = max(pairs)[1]
+        yield f"{what}, {why}: {worst if len(pairs) == 1 else f'{len(pairs)} optima, most {worst}'}."
 
 
-def _why_slower(best: Cell, other: Cell, link_loss: float) -> str:
+def why_slower(best: Cell, other: Cell, link_loss: float) -> str:
+    """Return why the p99 of an optimum is not below that of a fixed configuration without loss."""
     if best.used_ratio >= _FULL_RATIO:
-        return "the optimum fills the link itself, which has less than this Rmax for samples of that size"
+        return FULL
     low, high = best.p99_range_s[0], other.p99_range_s[1]
     if low is not None and high is not None and low < high:
-        return "the two differ by less than the rounds do"
+        return SPREAD
     if best.p99_s is not None and best.p99_s > _STALL_S and (link_loss > 0.0 or best.overflows):
-        lost = "a lost packet" if link_loss > 0.0 else "what a full socket of this machine dropped"
+        lost = "a lost packet" if link_loss > 0.0 else "a packet that a full socket of this machine dropped"
         return f"{lost} is sent again only after a heartbeat of {HEARTBEAT_S[best.heartbeat]:g} s"
-    if other.used_ratio < _FULL_RATIO:
-        return "the fixed configuration does not fill the link either, so nothing queues"
-    return "for a reason these figures do not tell"
+    return UNFILLED if other.used_ratio < _FULL_RATIO else UNKNOWN
 
 
-def _why_lossier(best: Cell) -> str:
+def why_lossier(best: Cell) -> str:
+    """Return why an optimum loses more than a fixed configuration with a similar latency."""
     if best.used_ratio >= _FULL_RATIO:
-        return "the optimum fills the link itself, which has less than this Rmax for samples of that size"
-    if best.overflows:
-        return f"sockets of this machine overflowed ({best.overflows} datagrams)"
-    return "for a reason these figures do not tell"
+        return FULL
+    return f"sockets of this machine overflowed ({best.overflows} datagrams)" if best.overflows else UNKNOWN
+
+
+def milliseconds(value_s: float | None) -> str:
+    """Write a time (s) in milliseconds."""
+    return "–" if value_s is None else short(value_s * 1e3)
+
+
+def percent(ratio: float | None) -> str:
+    """Write a share in per cent."""
+    return "–" if ratio is None else short(ratio * 100.0)
+
+
+def short(value: float) -> str:
+    """Write two significant digits, or all before the point, so that only zero shows as zero."""
+    if value == 0.0:
+        return "0"
+    digits = max(0, 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -1,40 +1,41 @@
-"""What `arpd relay` costs over a bare rclpy relay of ten lines: CPU per message, and added latency.
+"""Compare `arpd relay` with a bare rclpy relay of ten lines: CPU per message, and added latency.
 
 Usage: .venv/bin/python scripts/bench/relay.py [--quick] [--against TREE] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
 One source, one sink, and between them at the same time: `arpd relay` unpaced, a bare relay on each executor, and
-nothing. They take short turns with the same messages, in turning order, so that a neighbour on the machine slows all
-of them. CPU is the scheduler's own account of all threads of the relay's process, divided by the messages that came
-out; latency is from just before `publish` in the source to reception by DDS in the sink, less that without a relay.
-Transport is what Fast DDS chooses on one host. Only ratios within one run mean anything; so another state of the
-source tree is compared by letting its `arpd relay` take turns too (``--against``).
+nothing. They take short turns with the same messages, in rotating order, so that other load on the machine slows all of
+them. CPU is the scheduler's account of all threads of the relay's process, divided by the messages that came out.
+Latency is from just before `publish` in the source to reception by DDS in the sink, less the latency without a relay.
+Fast DDS chooses the transport, as on any one host. Only ratios within one run mean anything; --against compares the
+`arpd relay` of another source tree, which then takes turns too.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
 from scripts.bench.child import Child
-from scripts.bench.record import REPO, conditions, keep, target
+from scripts.bench.picture import picture
+from scripts.bench.record import REPO, conditions, keep, options_of
 from scripts.bench.relay_report import TARGET
 from scripts.netns.simlink import SimLink
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")
 OTHER = "other tree"
@@ -69,7 +70,7 @@ QUICK = (DEFAULT[1], DEFAULT[5])
 
 @dataclass(slots=True)
 class Tally:
-    """What one side did in one cell, turn by turn."""
+    """The figures of one side in one cell, turn by turn."""
 
     sent: int = 0
     received: int = 0
@@ -80,7 +81,7 @@ class Tally:
 
 
 def cpu_by_thread(pid: int) -> dict[int, float]:
-    """CPU time of every thread of a process, by the scheduler's account (s)."""
+    """Return the CPU time of every thread of a process, by the scheduler's account (s)."""
     spent = {}
     for task in Path(f"/proc/{pid}/task").iterdir():
         try:
@@ -91,14 +92,12 @@ def cpu_by_thread(pid: int) -> dict[int, float]:
 
 
 class Bench:
-    """All processes of one cell.
+    """All processes of one cell, on one host of the link.
 
     Parameters
     ----------
-    link : of which one host is used
-    cell : what is published
-    workdir : for the relays' configuration
-    trees : source trees whose relay is measured, by side
+    workdir : folder for the relays' configuration
+    trees : source trees with the relays to measure, by side
     """
 
     def __init__(self, link: SimLink, cell: Cell, workdir: Path, trees: Mapping[str, Path]) -> None:
@@ -120,7 +119,7 @@ class Bench:
             config = workdir / f"{self._prefix[side].strip('/')}-{cell.payload_bytes}-{cell.topics}.yaml"
             config.write_text(json.dumps({"relay": {"prefix": "/out", "topics": topics}}))  # JSON is YAML
             argv = ("arpd.cli", "relay", "--config", str(config), "--node-name", PREFIXES[side].strip("/"))
-            # The safe path, or `-m` would take the arpd of the working directory.
+            # Without the safe path, `-m` would take the arpd of the working directory.
             self._relays[side] = child(*argv, "--log-level", "warning", PYTHONPATH=str(tree), PYTHONSAFEPATH="1")
         self._sink.ask(open=[self._out(side) for side in self._prefix], topics=cell.topics)
         matched = self._source.ask(open=list(self._prefix.values()), topics=cell.topics)["matched"]
@@ -135,17 +134,17 @@ class Bench:
         self._stack.close()
 
     def turn(self, side: str, for_s: float) -> dict[str, Any]:
-        """Let messages flow through one side; return what came of it."""
-        self._sink.tell(prefix=self._out(side))
+        """Send messages through one side; return the figures of the turn."""
+        self._sink.send(prefix=self._out(side))
         before = self._cpu(side)
         sent = self._source.ask(
             prefix=self._prefix[side], rate_hz=self._cell.rate_hz, for_s=for_s, payload_bytes=self._cell.payload_bytes
         )["sent"]
-        heard = self._sink.ask(sent=sent)
+        arrived = self._sink.ask(sent=sent)
         after = self._cpu(side)
         spent = {thread: cpu - before.get(thread, 0.0) for thread, cpu in after.items()}
         main = self._relays[side].process.pid if side in self._relays else 0
-        return {"sent": sent, **heard, "cpu_s": sum(spent.values()), "main_cpu_s": spent.get(main, 0.0)}
+        return {"sent": sent, **arrived, "cpu_s": sum(spent.values()), "main_cpu_s": spent.get(main, 0.0)}
 
     def _cpu(self, side: str) -> dict[int, float]:
         return cpu_by_thread(self._relays[side].process.pid) if side in self._relays else {}
@@ -178,7 +177,7 @@ def measure(cell: Cell, link: SimLink, workdir: Path, trees: Mapping[str, Path],
 
 
 def ratio(tallies: dict[str, Tally], side: str = ARPD) -> float:
-    """CPU per message of an `arpd relay` over that of the bare relay on its better executor."""
+    """Return the CPU per message of an `arpd relay` over that of the bare relay on its better executor."""
     return median(tallies[side].cpu_s) / min(median(tallies[side].cpu_s) for side in (SINGLE, EVENTS))
 
 
@@ -219,35 +218,22 @@ def table(measured: Sequence[tuple[Cell, dict[str, Tally]]]) -> str:
     return "\n".join(lines)
 
 
-def draw(measured: Sequence[tuple[Cell, dict[str, Tally]]], target: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
-    for k, side in enumerate((ARPD, SINGLE, EVENTS)):
-        places = [row + 0.27 * (k - 1) for row in range(len(measured))]
-        axes.bar(places, [median(t[side].cpu_s) * 1e6 for _, t in measured], width=0.26, label=side)
-    axes.set_xticks(
-        range(len(measured)),
-        [f"{c.payload_bytes} B\n{c.topics} topics\n{c.rate_hz} Hz" for c, _ in measured],
-        fontsize=8,
-    )
-    axes.set_yscale("log")
-    axes.set_ylabel("CPU per message (us)")
-    axes.legend()
-    figure.savefig(target, dpi=110)
-    plt.close(figure)
+def draw(measured: Sequence[tuple[Cell, dict[str, Tally]]], path: Path) -> None:
+    with picture(path, figsize=(9, 4.5)) as (_, axes):
+        for k, side in enumerate((ARPD, SINGLE, EVENTS)):
+            xs = [row + 0.27 * (k - 1) for row in range(len(measured))]
+            axes.bar(xs, [median(t[side].cpu_s) * 1e6 for _, t in measured], width=0.26, label=side)
+        labels = [f"{c.payload_bytes} B\n{c.topics} topics\n{c.rate_hz} Hz" for c, _ in measured]
+        axes.set_xticks(range(len(measured)), labels, fontsize=8)
+        axes.set_yscale("log")
+        axes.set_ylabel("CPU per message (us)")
+        axes.legend()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="two cells, a minute")
+    parser = options_of(__doc__, "relay", quick="two cells, a minute", has_plot=True)
     parser.add_argument("--rounds", type=int, default=4, metavar="N", help="turns of each side per cell (default 4)")
     parser.add_argument("--against", type=Path, metavar="TREE", help="source tree whose relay takes turns too")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/relay.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/relay.png")
     options = parser.parse_args()
     trees = {ARPD: REPO} | ({OTHER: options.against.resolve()} if options.against else {})
     measured: list[tuple[Cell, dict[str, Tally]]] = []
@@ -267,10 +253,8 @@ def main() -> None:
         {**asdict(cell), "sides": {side: asdict(tally) for side, tally in tallies.items()}, "ratio": ratio(tallies)}
         for cell, tallies in measured
     ]
-    keep({"conditions": noted, "cells": found}, target(options.json, "relay.json", is_partial=options.quick))
-    if plot := target(options.plot, "relay.png", is_partial=options.quick):
-        draw(measured, plot)
-        print(plot)
+    document = {"conditions": noted, "cells": found}
+    keep(document, options, "relay", is_partial=options.quick, draw=partial(draw, measured))
 
 
 if __name__ == "__main__":

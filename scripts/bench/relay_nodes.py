@@ -1,4 +1,4 @@
-"""The processes around a relay in its benchmark: where messages come from, where they go, and the bare relays.
+"""The processes around a relay in `relay.py`: the source, the sink, and the bare relays.
 
 Usage: python -m scripts.bench.relay_nodes source|sink|bare [EXECUTOR PREFIX TOPICS]
 """
@@ -16,15 +16,16 @@ import rclpy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from scripts.bench.child import commands, say
+from scripts.bench.child import answer, commands
+from scripts.bench.node import becomes_true, plain_node, raw_readers, taken
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 OUT = "/out"
 DIRECT = "direct"
-_DEPTH = 10  # of a relay's writers, as `arpd relay` has them before the first plan
-_RECEIVE_DEPTH = 100  # of a relay's readers, as `arpd relay` has them
+_DEPTH = 10  # of a relay's writers, as in `arpd relay` before the first plan
+_RECEIVE_DEPTH = 100  # of a relay's readers, as in `arpd relay`
 _SINK_DEPTH = 1000
 _MATCH_TIMEOUT_S = 40.0
 _DIGITS = 20
@@ -36,8 +37,7 @@ def topic_names(prefix: str, topics: int) -> list[str]:
 
 def bare(executor_name: str, prefix: str, topics: int) -> None:
     """Relay as ten lines of rclpy do."""
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"bare_{executor_name.lower()}")
+    node = plain_node(f"bare_{executor_name.lower()}")
     for topic in topic_names(prefix, topics):
         publisher = node.create_publisher(String, OUT + topic, QoSProfile(depth=_DEPTH))
         node.create_subscription(String, topic, publisher.publish, QoSProfile(depth=_RECEIVE_DEPTH), raw=True)
@@ -58,12 +58,11 @@ def executor_of(name: str) -> Any:
 
 
 def source() -> None:
-    """Publish on the topics of one prefix in turn, at the rate and for the time asked for."""
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node("bench_source")
+    """Publish on the topics of one prefix in turn, at the rate and for the time of the order."""
+    node = plain_node("bench_source")
     publishers: dict[str, list[Any]] = {}
-    told = commands()
-    while (order := told.get()) is not None:
+    orders = commands()
+    while (order := orders.get()) is not None:
         if "open" in order:
             publishers = {
                 prefix: [
@@ -73,9 +72,9 @@ def source() -> None:
                 for prefix in order["open"]
             }
             everyone = [publisher for group in publishers.values() for publisher in group]
-            say(matched=_all_matched([publisher.get_subscription_count for publisher in everyone]))
+            answer(matched=_all_matched([publisher.get_subscription_count for publisher in everyone]))
         else:
-            say(sent=_publish(publishers[order["prefix"]], order["rate_hz"], order["for_s"], order["payload_bytes"]))
+            answer(sent=_publish(publishers[order["prefix"]], order["rate_hz"], order["for_s"], order["payload_bytes"]))
 
 
 def _publish(publishers: list[Any], rate_hz: float, for_s: float, payload_bytes: int) -> int:
@@ -91,50 +90,42 @@ def _publish(publishers: list[Any], rate_hz: float, for_s: float, payload_bytes:
 
 
 def sink() -> None:
-    """Take what one side relayed, and tell how old it was when DDS received it."""
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node("bench_sink")
+    """Take what one side relayed, and report its age at reception by DDS."""
+    node = plain_node("bench_sink")
     groups: dict[str, list[Any]] = {}
-    told = commands()
-    while (order := told.get()) is not None:
+    orders = commands()
+    while (order := orders.get()) is not None:
         if "open" in order:
             groups = {
-                prefix: [
-                    node.create_subscription(
-                        String, topic, lambda _sample: None, QoSProfile(depth=_SINK_DEPTH), raw=True
-                    )
-                    for topic in topic_names(prefix, order["topics"])
-                ]
-                for prefix in order["open"]
+                prefix: raw_readers(node, topic_names(prefix, order["topics"]), _SINK_DEPTH) for prefix in order["open"]
             }
-            say(open=True)
+            answer(open=True)
         elif "match" in order:
             everyone = [subscription for group in groups.values() for subscription in group]
-            say(matched=_all_matched([subscription.get_publisher_count for subscription in everyone]))
+            answer(matched=_all_matched([subscription.get_publisher_count for subscription in everyone]))
         else:
-            _listen(groups[order["prefix"]], told)
+            _listen(groups[order["prefix"]], orders)
 
 
-def _listen(subscriptions: list[Any], told: queue.SimpleQueue[dict[str, Any] | None]) -> None:
-    """Take until told how many were sent, and then until they are there, or nothing comes any more."""
+def _listen(subscriptions: list[Any], orders: queue.SimpleQueue[dict[str, Any] | None]) -> None:
+    """Take until the parent says how many were sent; then until they are there, or nothing comes for a second."""
     ages_ns: list[int] = []
     expected: int | None = None
     last_s = time.monotonic()
     while expected is None or (len(ages_ns) < expected and time.monotonic() - last_s < 1.0):
         before = len(ages_ns)
         for subscription in subscriptions:
-            handle = subscription.handle
-            with handle:
-                while (taken := handle.take_message(String, True)) is not None:  # noqa: FBT003 - rclpy's own signature
-                    ages_ns.append(taken[1]["received_timestamp"] - int(taken[0][8 : 8 + _DIGITS]))
+            ages_ns += [
+                about["received_timestamp"] - int(sample[8 : 8 + _DIGITS]) for sample, about in taken(subscription)
+            ]
         if len(ages_ns) > before:
             last_s = time.monotonic()
         with suppress(queue.Empty):
-            order = told.get(timeout=0.005)
+            order = orders.get(timeout=0.005)
             expected = order["sent"] if order else 0
             last_s = time.monotonic()
     ages_ns.sort()
-    say(
+    answer(
         received=len(ages_ns),
         median_s=median(ages_ns) * 1e-9 if ages_ns else None,
         p95_s=ages_ns[int(0.95 * len(ages_ns))] * 1e-9 if ages_ns else None,
@@ -142,12 +133,7 @@ def _listen(subscriptions: list[Any], told: queue.SimpleQueue[dict[str, Any] | N
 
 
 def _all_matched(counts: Sequence[Callable[[], int]]) -> bool:
-    until_s = time.monotonic() + _MATCH_TIMEOUT_S
-    while time.monotonic() < until_s:
-        if all(count() >= 1 for count in counts):
-            return True
-        time.sleep(0.05)
-    return False
+    return becomes_true(lambda: all(count() >= 1 for count in counts), _MATCH_TIMEOUT_S)
 
 
 if __name__ == "__main__":

@@ -1,26 +1,25 @@
-"""A bad hour of a robot, in minutes: what arpd loses, how soon it is back, and what grows.
+"""Play a bad hour of a robot in minutes: what arpd loses, how soon it recovers, and what grows.
 
 Usage: .venv/bin/python scripts/bench/reliability.py [--minutes M | --quick] [--json FILE]
        .venv/bin/python scripts/bench/reliability.py --report
 
 Needs root, as the simulated link does.
 
-The demo robot with arpd run, relay and peer, every process the real one, on a link that changes all the time. Processes
-are killed and started again as systemd would (1 s after a kill, at once after a clean stop), the configuration is
-reloaded, the link fails and its interface goes away. Beside it a running application publishes numbered samples with
-AdaptivePublishers, and another process the same without arpd, to one reader: what only the first loses, arpd has lost.
-Whatever kills processes happens in the first 60 per cent, so that the rest tells what grows.
+The demo robot with the real processes of arpd run, relay and peer, on a link that changes all the time. Processes are
+killed and started again as systemd does it (1 s after a kill, at once after a clean stop), the configuration is
+reloaded, the link fails, and its interface goes away. An application publishes numbered samples with
+AdaptivePublishers, and another process the same without arpd, to one reader: a loss of the first alone is arpd's.
+All kills happen in the first 60 per cent, so that the rest shows what grows.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import math
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -33,9 +32,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import yaml
@@ -43,7 +39,7 @@ from pyroute2 import IPRoute
 
 from arpd.cli.progress import progress
 from scripts.bench.child import Child, ChildError
-from scripts.bench.record import RESULTS, conditions, keep, target
+from scripts.bench.record import REPO, RESULTS, conditions, keep, options_of, read
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
@@ -54,6 +50,9 @@ from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import CONFIG, DemoError, Side, robot
 from scripts.robot.sensors import BASE_DRIVER, SENSORS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _FAST, _SLOW = 20e6 / 8, 2e6 / 8
 _AFTER_KILL_S = 1.0  # RestartSec= of the units
@@ -66,7 +65,7 @@ _LOUD = re.compile(r"^(WARNING|ERROR|CRITICAL) (.*)", re.MULTILINE)
 
 @dataclass(slots=True)
 class Recovery:
-    """A process that was started again, and when arpd was whole again."""
+    """A process that was started again, and the times until arpd answered, planned and was whole (s)."""
 
     kind: str
     at_s: float
@@ -79,13 +78,13 @@ class Recovery:
 
 @dataclass(slots=True)
 class Watch:
-    """What anybody can see of arpd while it all happens."""
+    """Watch arpd's status page during the run."""
 
     side: Side
     pending: list[Recovery] = field(default_factory=list)
     recoveries: list[Recovery] = field(default_factory=list)
     status: dict[str, Any] | None = None
-    lives: list[dict[str, Any]] = field(default_factory=list)  # totals of each life of arpd run, the last seen of it
+    lives: list[dict[str, Any]] = field(default_factory=list)  # last totals of each life of arpd run
     swaps: Counter[str] = field(default_factory=Counter)
     lock: threading.Lock = field(default_factory=threading.Lock)
     stopping: threading.Event = field(default_factory=threading.Event)
@@ -114,17 +113,17 @@ class Watch:
                 self.pending.remove(recovery)
 
     def forget(self) -> None:
-        """Believe nothing more of the arpd run that is about to end."""
+        """Drop the status of the arpd run that is about to end."""
         with self.lock:
             self.status = None
 
     def is_answering(self) -> bool:
-        """Whether the arpd run there is now has answered, and is ready."""
+        """Return whether the current arpd run has answered and is ready."""
         with self.lock:
             return self.status is not None and bool(self.status["ready"])
 
     def expect(self, kind: str, at_s: float, since: dict[str, int]) -> None:
-        """Wait for the plan to be confirmed again, from now on."""
+        """Note from now on when the plan is confirmed again."""
         with self.lock:
             recovery = Recovery(kind=kind, at_s=at_s, started_s=time.monotonic(), since=since)
             self.pending.append(recovery)
@@ -132,42 +131,38 @@ class Watch:
 
 
 def is_whole(status: dict[str, Any], recovery: Recovery) -> bool:
-    """Whether a plan covers all publishers there are, and all have confirmed it; or a new peer reports."""
+    """Return whether all publishers have confirmed a plan for all of them; for a peer, whether it reports."""
     if recovery.kind == "kill peer":
         return status["link"]["kind"] == "peer" and any(peer["report_age_seconds"] < 0.5 for peer in status["peers"])
     plan = status["plan"]
     if recovery.kind == "kill relay" and any(
         published(status).get(topic, 0) >= count for topic, count in recovery.since.items()
     ):
-        return False  # announced by the one that was killed
+        return False  # announcements of the killed relay
     return bool(status["ready"]) and plan["publishers"] >= _PUBLISHERS and plan["confirmed"] == plan["publishers"]
 
 
 def published(status: dict[str, Any] | None) -> dict[str, int]:
-    """Return what each relayed topic's publisher has published so far."""
+    """Return the number of samples that each relayed topic's publisher has published."""
     rows = status["topics"] if status else []
     return {row["topic"]: row["published"] for row in rows if row["topic"].startswith("/link/")}
 
 
 class Robot:
-    """The robot, its link, and what is done to them."""
+    """The robot, its link, and the events that happen to them."""
 
     def __init__(self, side: Side, rng: random.Random) -> None:
         self._side = side
         self._rng = rng
-        self._watch = Watch(side)
-        self._undo: list[tuple[float, Callable[[], None]]] = []  # what a failure's end or systemd does, and when
+        self.watch = Watch(side)
+        self._undo: list[tuple[float, Callable[[], None]]] = []  # when a failure ends or systemd acts, and how
         self._reloads = 0
         self.done: Counter[str] = Counter()
         self.footprints: dict[str, list[dict[str, Any]]] = {"run": [], "relay": [], "peer": []}
         self.started_s = time.monotonic()
 
-    @property
-    def watch(self) -> Watch:
-        return self._watch
-
     def configure(self) -> None:
-        """Write a configuration that differs from the last, and have it reloaded; one in six is refused."""
+        """Write a configuration that differs from the last, and reload; arpd must refuse one in six."""
         self._reloads += 1
         if self._reloads % 6:
             self._write_good()
@@ -176,7 +171,7 @@ class Robot:
         self._side.signal(signal.SIGHUP, "run")
 
     def _write_good(self) -> None:
-        """Write a configuration that is taken; a refused one keeps a restarted process down, as it should (78)."""
+        """Write a valid configuration; with an invalid one a restarted process ends with 78, by design."""
         document = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         app = {"weight": 10, "min_rate_hz": 1.2 * RATE_HZ, "max_rate_hz": 2 * RATE_HZ, "latency_budget": "none"}
         app |= {"min_depth": APP_DEPTH, "max_depth": APP_DEPTH}
@@ -185,7 +180,7 @@ class Robot:
         self._side.config.write_text(yaml.safe_dump(document), encoding="utf-8")
 
     def play(self, events: list[Event], duration_s: float) -> None:
-        """Let everything happen, each at its time."""
+        """Play every event at its time."""
         self.started_s = time.monotonic()
         events = list(events)
         next_footprint_s = 0.0
@@ -209,7 +204,7 @@ class Robot:
         self._undo.clear()
 
     def restart_calmly(self, times: int) -> None:
-        """Kill arpd run again and again while nothing else changes, so that its plan stays what it was."""
+        """Kill arpd run several times while nothing else changes, so that its plan stays the same."""
         self._side.link.set_rate(_FAST)
         time.sleep(_SETTLED_S)
         for _ in range(times):
@@ -218,7 +213,7 @@ class Robot:
             (_, start), *_ = self._undo
             self._undo.clear()
             start()
-            self._watch.recoveries[-1].kind = "calm kill"
+            self.watch.recoveries[-1].kind = "calm kill"
             time.sleep(_SETTLED_S)
 
     def _happen(self, event: Event, now_s: float) -> None:
@@ -227,7 +222,7 @@ class Robot:
             case "rate":
                 link.set_rate(math.exp(self._rng.uniform(math.log(_SLOW), math.log(_FAST))))
             case "reload":
-                if self._watch.is_answering():  # systemd reloads a unit only once it has said that it is ready
+                if self.watch.is_answering():  # systemd reloads a unit only after it has reported ready
                     self.configure()
                 else:
                     self._later(now_s + 1.0, lambda: self._happen(event, now_s + 1.0))
@@ -241,15 +236,15 @@ class Robot:
                     lambda: inside(link.robot.namespace, partial(_set_interface, link, is_up=True)),
                 )
             case "restart run":
-                self._watch.forget()
+                self.watch.forget()
                 self._side.stop("run")
-                self._watch.forget()
+                self.watch.forget()
                 self._start(event.kind, "run", {})
             case _:
                 name = event.kind.removeprefix("kill ")
-                since = published(self._watch.status)
+                since = published(self.watch.status)
                 if name == "run":
-                    self._watch.forget()
+                    self.watch.forget()
                 self._side.signal(signal.SIGKILL, name)
                 self._side.processes[name].wait()
                 self._later(now_s + _AFTER_KILL_S, lambda: self._start(event.kind, name, since))
@@ -267,18 +262,18 @@ class Robot:
             side.start("relay", "robot", "arpd.cli", "relay", "--config", str(side.config))
         else:
             side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", side.link.ceddp.interface, "--name", "ceddp")
-        self._watch.expect(kind, time.monotonic() - self.started_s, since)
+        self.watch.expect(kind, time.monotonic() - self.started_s, since)
 
     def _note_footprints(self, now_s: float) -> None:
         for name, notes in self.footprints.items():
             process = self._side.processes[name]
             if process.poll() is None:
-                with contextlib.suppress(OSError, KeyError, ValueError):  # it may end just now
+                with contextlib.suppress(OSError, KeyError, ValueError):  # it may end at this moment
                     notes.append({"at_s": now_s, "pid": process.pid, **footprint(process.pid)})
 
 
 def _set_interface(link: SimLink, *, is_up: bool) -> None:
-    """Take the robot's interface down, or up again with the neighbour and the route that went with it."""
+    """Take the robot's interface down, or up again with the neighbour and the route that were lost with it."""
     host = link.robot
     with IPRoute() as route:
         index = route.link_lookup(ifname=host.interface)[0]
@@ -289,17 +284,17 @@ def _set_interface(link: SimLink, *, is_up: bool) -> None:
 
 
 def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
-    """Play it all, and return what was noted."""
+    """Play the whole run, and return its notes."""
     rng = random.Random(seed)
     events = schedule(minutes, rng)
     with SimLink(f"reliability-{os.getpid()}", rate_bytes_per_second=_FAST) as link:
         reader = Child(link, "ceddp", "scripts.bench.reliability_nodes", "reader")
-        reader.hear()
+        reader.receive()
         with robot(link, workdir, WITH_ARPD) as side:
             played = Robot(side, rng)
             talkers = {kind: _talker(link, kind) for kind in KINDS}
             for talker in talkers.values():
-                talker.hear()
+                talker.receive()
             side.signal(signal.SIGUSR1, *SOURCES)
             played.configure()
             watching = threading.Thread(target=played.watch.run, daemon=True)
@@ -331,7 +326,7 @@ def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
 
 
 def _talker(link: SimLink, kind: str) -> Child:
-    # Without arpd means without its profile, too: the middleware's own default.
+    # Without arpd also means without its profile: the middleware's default.
     environment = {} if kind == "adaptive" else {"FASTRTPS_DEFAULT_PROFILES_FILE": ""}
     return Child(link, "robot", "scripts.bench.reliability_nodes", "talker", kind, environment=environment)
 
@@ -346,41 +341,33 @@ def _await_plan(watch: Watch) -> None:
 
 
 def _loud(path: Path) -> dict[str, int]:
-    """Count the log's lines at WARNING and above, numbers taken out so that like counts as like."""
+    """Count the log's lines at WARNING and above, without their numbers, so that similar lines count together."""
     found = _LOUD.findall(path.read_text(encoding="utf-8", errors="replace"))
     return dict(Counter(f"{level} {re.sub(r'[0-9][0-9.]*', 'N', text)[:160]}" for level, text in found).most_common(20))
 
 
 def security_scores() -> dict[str, str]:
-    """Return what systemd-analyze says of each unit, empty where it is not there."""
+    """Return the score of each unit by systemd-analyze; empty without it."""
+    if (analyze := shutil.which("systemd-analyze")) is None:
+        return {}
     scores: dict[str, str] = {}
-    units = Path(__file__).resolve().parents[2] / "systemd"
-    for unit in sorted(units.glob("*.service")):
-        try:
-            said = subprocess.run(
-                ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)],
-                capture_output=True,
-                text=True,
-                check=False,
-            ).stdout
-        except FileNotFoundError:
-            return {}
-        if match := re.search(r"exposure level for \S+: ([0-9.]+)", said):
+    for unit in sorted((REPO / "systemd").glob("*.service")):
+        command = [analyze, "security", "--offline=true", "--no-pager", str(unit)]
+        printed = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+        if match := re.search(r"exposure level for \S+: ([0-9.]+)", printed):
             scores[unit.name] = match[1]
     return scores
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options_of(__doc__, "reliability", quick="about a minute and a half")
     parser.add_argument("--minutes", type=float, default=HOUR_MINUTES, metavar="M", help="default %(default)g")
-    parser.add_argument("--quick", action="store_true", help="about a minute and a half")
     parser.add_argument("--seed", type=int, default=1, help="another order of events")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/reliability.json")
-    parser.add_argument("--fuzz", type=Path, default=RESULTS / "fuzz.json", metavar="FILE", help="what fuzz.py found")
-    parser.add_argument("--report", action="store_true", help="play nothing: print the table of what was noted last")
+    parser.add_argument("--fuzz", type=Path, default=RESULTS / "fuzz.json", metavar="FILE", help="results of fuzz.py")
+    parser.add_argument("--report", action="store_true", help="play nothing; print the table of the last run")
     options = parser.parse_args()
     if options.report:
-        document = json.loads((options.json or RESULTS / "reliability.json").read_text(encoding="utf-8"))
+        document = read(options.json or RESULTS / "reliability.json")
     else:
         document = {"conditions": conditions()}
         with tempfile.TemporaryDirectory(prefix="arpd-reliability-") as workdir:
@@ -389,9 +376,8 @@ def main() -> None:
             except (ChildError, DemoError) as error:
                 sys.exit(f"reliability: {error}")
         document["security"] = security_scores()
-        keep(document, target(options.json, "reliability.json", is_partial=options.quick))
-    fuzz = json.loads(options.fuzz.read_text(encoding="utf-8")) if options.fuzz.exists() else None
-    print(markdown(document, fuzz))
+        keep(document, options, "reliability", is_partial=options.quick)
+    print(markdown(document, read(options.fuzz) if options.fuzz.exists() else None))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What happens to the robot of `reliability.py`, and when."""
+"""The events of `reliability.py`, and their times."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import random
 
-#: What a bad hour holds; of each, a shorter run has its share, and at least one.
+#: Events of a bad hour; a shorter run has its share of each kind, and at least one.
 HOUR = {
     "rate": 120,
     "reload": 60,
@@ -19,7 +19,7 @@ HOUR = {
     "outage": 10,
     "interface": 3,
 }
-HOUR_MINUTES = 15.0  # how long the whole hour takes here
+HOUR_MINUTES = 15.0  # duration of the whole hour here
 KILLS = ("kill run", "kill peer", "kill relay", "restart run")
 KILLS_UNTIL = 0.6  # of the run
 WARM_UP_S, CALM_S = 6.0, 6.0
@@ -35,7 +35,7 @@ class Event:
 
 
 def schedule(minutes: float, rng: random.Random) -> list[Event]:
-    """Spread the hour's events over the run, those that kill over its first part, evenly enough to be told apart."""
+    """Spread the hour's events over the run, and the kills evenly over its first part."""
     counts = {kind: max(1, round(count * minutes / HOUR_MINUTES)) for kind, count in HOUR.items()}
     last_s = minutes * 60.0 - CALM_S
     kills = [kind for kind in KILLS for _ in range(counts[kind])]
@@ -45,11 +45,7 @@ def schedule(minutes: float, rng: random.Random) -> list[Event]:
     for kind, longest_s in (("outage", 6.0), ("interface", 8.0)):
         span_s = (last_s - 10.0 - WARM_UP_S) / counts[kind]
         events += [
-            Event(
-                at_s=WARM_UP_S + span_s * (k + 0.9 * rng.random()),
-                kind=kind,
-                lasts_s=rng.uniform(1.0, longest_s),
-            )
+            Event(at_s=WARM_UP_S + span_s * (k + 0.9 * rng.random()), kind=kind, lasts_s=rng.uniform(1.0, longest_s))
             for k in range(counts[kind])
         ]
     events += [

@@ -1,4 +1,4 @@
-"""The running application of `reliability.py`: numbered samples with AdaptivePublishers, the same without, one reader.
+"""The application of `reliability.py`: numbered samples with AdaptivePublishers, the same without, and one reader.
 
 The parent speaks to each in lines of JSON (`scripts.bench.child`).
 """
@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import queue
 import sys
-import threading
 import time
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from scripts.bench.child import commands, number_of, sample_of, say
+from scripts.bench.child import answer, commands, number_of, sample_of
+from scripts.bench.node import becomes_true, plain_node, raw_readers, taken
 
 KINDS = ("adaptive", "plain")
 TOPICS = 4  # of each kind
 RATE_HZ = 10.0
-DEPTH = 400  # 40 s: longer than any outage, so that a RELIABLE writer owes its reader every sample
+DEPTH = 400  # 40 s: longer than any outage, so that a RELIABLE writer can deliver every sample
 PAYLOAD_BYTES = 100
 _POLL_S = 0.005
 _MATCH_S = 30.0
@@ -29,8 +29,7 @@ def topic_name(kind: str, k: int) -> str:
 
 
 def talk(kind: str) -> None:
-    """Publish the same numbers on every topic of this kind until told to stop."""
-    import rclpy
+    """Publish the same numbers on every topic of this kind until the parent says stop."""
     from rclpy.executors import SingleThreadedExecutor
     from std_msgs.msg import String
 
@@ -38,8 +37,7 @@ def talk(kind: str) -> None:
     from arpd.adapters.ros.runtime import spinning
     from arpd.model.settings import Overflow
 
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"app_{kind}")
+    node = plain_node(f"app_{kind}")
     names = [topic_name(kind, k) for k in range(TOPICS)]
     publishers: list[Any]
     if kind == "adaptive":
@@ -48,37 +46,33 @@ def talk(kind: str) -> None:
         publishers = [node.create_publisher(String, name, DEPTH) for name in names]
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    told = commands()
+    orders = commands()
     with spinning(executor) if kind == "adaptive" else nullcontext():
-        until_s = time.monotonic() + _MATCH_S
-        while any(publisher.get_subscription_count() < 1 for publisher in publishers):
-            if time.monotonic() > until_s:
-                sys.exit(f"{kind}: the reader was not matched")
-            time.sleep(0.05)
-        time.sleep(1.0)  # the reader's side of a match may be later
-        say(matched=True)
-        stopping = threading.Event()
-        sent = 0
+        if not becomes_true(lambda: all(each.get_subscription_count() >= 1 for each in publishers), _MATCH_S):
+            sys.exit(f"{kind}: the reader was not matched")
+        time.sleep(1.0)  # the reader may see the match later
+        answer(matched=True)
+        is_over, sent = False, 0
         due_s = time.monotonic()
-        while not stopping.is_set():
+        while not is_over:
             for publisher in publishers:
                 publisher.publish(sample_of(sent, PAYLOAD_BYTES))
             sent += 1
             due_s += 1.0 / RATE_HZ
             with suppress(queue.Empty):
-                told.get(timeout=max(0.0, due_s - time.monotonic()))
-                stopping.set()
-        say(sent=sent)
-        told.get()
+                orders.get(timeout=max(0.0, due_s - time.monotonic()))
+                is_over = True
+        answer(sent=sent)
+        orders.get()
 
 
 @dataclass(slots=True)
 class Arrivals:
-    """What arrived on one topic."""
+    """The arrivals on one topic."""
 
     numbers: set[int] = field(default_factory=set)
     doubled: int = 0
-    late: int = 0  # older than one that came before
+    late: int = 0  # older than an earlier arrival
     highest: int = -1
     last_s: float = 0.0
     silence_s: float = 0.0
@@ -95,31 +89,20 @@ class Arrivals:
 
 def read() -> None:
     """Note every number that arrives, and the longest silence of each topic."""
-    import rclpy
-    from rclpy.qos import QoSProfile
-    from std_msgs.msg import String
-
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node("app_reader")
     names = [topic_name(kind, k) for kind in KINDS for k in range(TOPICS)]
-    readers = {
-        name: node.create_subscription(String, name, lambda _sample: None, QoSProfile(depth=1000), raw=True)
-        for name in names
-    }
+    readers = dict(zip(names, raw_readers(plain_node("app_reader"), names, 1000), strict=True))
     arrivals = {name: Arrivals() for name in names}
-    told = commands()
-    say(open=True)
+    orders = commands()
+    answer(open=True)
     while True:
         for name, reader in readers.items():
-            handle = reader.handle
-            with handle:
-                while (taken := handle.take_message(String, True)) is not None:  # noqa: FBT003 - rclpy's own signature
-                    arrivals[name].note(number_of(taken[0]), time.monotonic())
+            for sample, _ in taken(reader):
+                arrivals[name].note(number_of(sample), time.monotonic())
         with suppress(queue.Empty):
-            order = told.get(timeout=_POLL_S)
+            order = orders.get(timeout=_POLL_S)
             if order is None:
                 return
-            say(topics={name: _summary(one, order["sent"][name.split("/")[2]]) for name, one in arrivals.items()})
+            answer(topics={name: _summary(one, order["sent"][name.split("/")[2]]) for name, one in arrivals.items()})
 
 
 def _summary(arrivals: Arrivals, sent: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The reliability table: what `reliability.py` and `fuzz.py` noted, as Markdown for people."""
+"""The results of `reliability.py` and `fuzz.py` as a table for docs/results.md."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.record import described
 from scripts.bench.reliability_course import HOUR_MINUTES
+from scripts.bench.report import markdown_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,8 +28,8 @@ _NAMES = {
 
 
 def markdown(document: dict[str, Any], fuzz: dict[str, Any] | None = None) -> str:
-    """Return everything as a Markdown table, the conditions above it; with what `fuzz.py` found, if it is there."""
-    # Memory counts from this age of a process on; a short run has no time for more.
+    """Return the conditions and a table of all figures, with those of `fuzz.py` if there are any."""
+    # Memory counts from this age of a process on; a short run has no time for an older one.
     warm_s = 10.0 if document["minutes"] < HOUR_MINUTES / 2 else 60.0
     happened = ", ".join(f"{document['events'].get(kind, 0)} {words}" for kind, words in _NAMES.items())
     head = (
@@ -44,34 +45,26 @@ def markdown(document: dict[str, Any], fuzz: dict[str, Any] | None = None) -> st
         *_fuzz(fuzz),
         *_security(document.get("security", {})),
     ]
-    return "\n".join([head, "", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
+    return "\n".join([head, "", *markdown_table("l", ["", ""], rows)])
 
 
 def _messages(document: dict[str, Any]) -> list[tuple[str, str]]:
-    by_kind = {
-        kind: [topic for name, topic in document["topics"].items() if f"/{kind}/" in name]
-        for kind in ("adaptive", "plain")
-    }
-
-    def total(kind: str, key: str) -> int:
-        return sum(topic[key] for topic in by_kind[kind])
-
-    adaptive, plain = (
-        f"{total(kind, 'lost'):,} of {total(kind, 'sent'):,} lost, {total(kind, 'doubled')} doubled, "
-        f"{total(kind, 'late')} out of order"
-        for kind in ("adaptive", "plain")
-    )
-    silence_s = {kind: max(topic["silence_s"] for topic in topics) for kind, topics in by_kind.items()}
+    losses, silences = [], []
+    for kind in ("adaptive", "plain"):
+        topics = [topic for name, topic in document["topics"].items() if f"/{kind}/" in name]
+        lost, sent, doubled, late = (sum(topic[key] for topic in topics) for key in ("lost", "sent", "doubled", "late"))
+        losses.append(f"{lost:,} of {sent:,} lost, {doubled} doubled, {late} out of order")
+        silences.append(f"{max(topic['silence_s'] for topic in topics):.1f} s")
     return [
-        ("reliable messages of a running application with AdaptivePublishers", adaptive),
-        ("the same without arpd, at the same time", plain),
-        ("longest silence at their reader", f"{silence_s['adaptive']:.1f} s; without arpd {silence_s['plain']:.1f} s"),
+        ("reliable messages of a running application with AdaptivePublishers", losses[0]),
+        ("the same without arpd, at the same time", losses[1]),
+        ("longest silence at their reader", f"{silences[0]}; without arpd {silences[1]}"),
     ]
 
 
 def _recoveries(recoveries: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     words = {
-        "calm kill": "from the start after a kill -9 of run to the plan confirmed, while link and configuration stay",
+        "calm kill": "from the start after a kill -9 of run to the plan confirmed, on a steady link and configuration",
         "kill run": "the same while both change all the time",
         "restart run": "from the start after a clean stop of run to the plan confirmed",
         "kill relay": "from the relay's start to all its topics under the plan again",
@@ -131,7 +124,7 @@ def _change(notes: Sequence[dict[str, Any]], key: str) -> str:
 
 
 def _slope(notes: Sequence[dict[str, Any]]) -> float:
-    """Least squares: bytes per second."""
+    """Return the growth by least squares (bytes/s)."""
     times = [note["at_s"] for note in notes]
     values = [note["rss_bytes"] for note in notes]
     mean_t, mean_v = sum(times) / len(times), sum(values) / len(values)
@@ -154,15 +147,9 @@ def _fuzz(fuzz: dict[str, Any] | None) -> list[tuple[str, str]]:
     grown = max(found["peak_rss_bytes"] - found["rss_at_start_bytes"] for found in targets.values())
     value = f"{executions / 1e6:.1f} million inputs, {crashes} crashes; slowest {slowest * 1e3:.0f} ms ({what})"
     value += f", memory at most {grown / _MIB:.0f} MiB more"
-    return [(f"coverage-guided fuzzing of {len(targets)} readers of foreign input", value)]
+    return [(f"coverage-guided fuzzing of {len(targets)} readers of outside input", value)]
 
 
 def _security(scores: dict[str, str]) -> list[tuple[str, str]]:
-    if not scores:
-        return []
-    return [
-        (
-            "`systemd-analyze security` (0 best, 10 worst)",
-            ", ".join(f"{unit} {score}" for unit, score in scores.items()),
-        )
-    ]
+    value = ", ".join(f"{unit} {score}" for unit, score in scores.items())
+    return [("`systemd-analyze security` (0 best, 10 worst)", value)] if scores else []

@@ -2,9 +2,9 @@
 
 Usage: .venv/bin/python scripts/bench/results_page.py [--check]
 
-A report module of the benchmark writes what stands between `<!-- NAME:begin -->` and `<!-- NAME:end -->` from its JSON;
-nobody types a figure there by hand. A block without results stays as it is. With --check the program writes nothing,
-shows what differs, and exits with 1 if anything does.
+A benchmark's report module writes the text between `<!-- NAME:begin -->` and `<!-- NAME:end -->` from the JSON; nobody
+types a figure there by hand. A block without results stays as it is. With --check the program writes nothing, prints
+the differences, and exits with 1 if there are any.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
-import json
 import re
 import sys
 import textwrap
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from scripts.bench.record import REPO, RESULTS
+from scripts.bench.record import REPO, RESULTS, read
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,9 +35,9 @@ class Block:
 
     Parameters
     ----------
-    results : names of the documents the block is made from
-    report : module of scripts/bench that writes it
-    function : function of that module, called with the documents
+    results : names of the documents
+    report : module of scripts/bench that writes the block
+    function : function of that module; takes the documents
     """
 
     results: tuple[str, ...]
@@ -50,8 +49,8 @@ class Block:
         paths = [results / f"{name}.json" for name in self.results]
         if not all(path.exists() for path in paths):
             return None
-        documents = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-        # By name, because a report is not needed, and need not be importable, before its results are there.
+        documents = map(read, paths)
+        # Imported late: without results, the report's module need not be importable.
         write = getattr(importlib.import_module(f"scripts.bench.{self.report}"), self.function)
         return "\n".join(map(_wrapped, str(write(*documents)).strip("\n").split("\n")))
 
@@ -77,7 +76,7 @@ _BLOCK = re.compile(r"<!-- (?P<name>[\w-]+):begin -->\n(?P<text>.*?)<!-- (?P<end
 
 
 def _wrapped(line: str) -> str:
-    """Break prose and bullets as the rest of the page is; tables, headings, pictures and HTML stay whole."""
+    """Break prose and bullets to the width of the page; tables, headings, pictures and HTML stay whole."""
     if not line or line.startswith(("|", "#", "<", "!", "```", "    ")):
         return line
     bullet = re.match(r" *- ", line)
@@ -86,7 +85,7 @@ def _wrapped(line: str) -> str:
 
 
 class MarkerError(Exception):
-    """The markers of a page do not fit its blocks."""
+    """The markers of a page do not match its blocks."""
 
 
 def regenerated(page: str, blocks: Mapping[str, Block], results: Path) -> str:
@@ -95,17 +94,17 @@ def regenerated(page: str, blocks: Mapping[str, Block], results: Path) -> str:
     Raises
     ------
     MarkerError
-        If a block has no place, more than one, or a marker names no block.
+        If a block has no markers or several, or a marker names no block.
     """
     found = [match["name"] for match in _BLOCK.finditer(page)]
     if sorted(found) != sorted(blocks):
         wrong = sorted({*found} ^ {*blocks}) or sorted(name for name in {*found} if found.count(name) > 1)
-        raise MarkerError(f"these have no place, no block, or more than one place: {', '.join(wrong)}")
+        raise MarkerError(f"these have no markers, several, or no block in results_page.py: {', '.join(wrong)}")
 
     def written(match: re.Match[str]) -> str:
         name = match["name"]
         if match["end"] != name:
-            raise MarkerError(f"{name} ends as {match['end']}")
+            raise MarkerError(f"the end marker of {name} names {match['end']}")
         text = blocks[name].text(results)
         return match[0] if text is None else f"<!-- {name}:begin -->\n{text}\n<!-- {name}:end -->\n"
 
@@ -114,7 +113,7 @@ def regenerated(page: str, blocks: Mapping[str, Block], results: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="show what differs, and write nothing")
+    parser.add_argument("--check", action="store_true", help="print the differences and write nothing")
     options = parser.parse_args()
     before = {path: path.read_text(encoding="utf-8") for path in PAGES}
     after: dict[Path, str] = {}
@@ -132,9 +131,9 @@ def main() -> None:
             path.write_text(after[path], encoding="utf-8")
     if options.check:
         sys.exit(int(before != after))
-    for name, block in ((name, block) for blocks in PAGES.values() for name, block in blocks.items()):
+    for name, block in (item for blocks in PAGES.values() for item in blocks.items()):
         if missing := [result for result in block.results if not (RESULTS / f"{result}.json").exists()]:
-            print(f"{name} stays as it is: there is no {missing[0]}.json")
+            print(f"{name} stays as it is, because {missing[0]}.json is missing")
 
 
 if __name__ == "__main__":

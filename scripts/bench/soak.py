@@ -1,12 +1,12 @@
-"""Thousands of swaps on the simulated link: what grows, and whether a subscriber is lost.
+"""Swap QoS thousands of times on the simulated link: what grows, and whether a subscriber is lost.
 
 Usage: .venv/bin/python scripts/bench/soak.py [--quick] [--swaps N] [--seconds S] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
-One node on the robot publishes 12 topics through AdaptivePublishers, and their depth is set by parameter as soon as
-the topic's last swap has ended; one process on the other host reads them all. Memory, threads and open files of both
-are noted every hundred swaps and compared with those after the first 500.
+One node on the robot publishes 12 topics through AdaptivePublishers. A parameter sets a topic's depth as soon as its
+last swap has ended. One process on the other host reads all topics. Every hundred swaps the parent notes memory,
+threads and open files of both, and compares them with those after the first 500.
 """
 
 from __future__ import annotations
@@ -16,20 +16,24 @@ import queue
 import sys
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
-from scripts.bench.child import Child, ChildError, commands, number_of, sample_of, say
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.child import Child, ChildError, answer, commands, number_of, sample_of
+from scripts.bench.node import becomes_true, plain_node, raw_readers, taken
+from scripts.bench.picture import picture
+from scripts.bench.record import conditions, keep, options_of
 from scripts.bench.soak_report import verdict
 from scripts.netns.simlink import SimLink
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 TOPICS = 12
 RATE_HZ = 20.0
@@ -46,10 +50,9 @@ def topic_name(k: int) -> str:
 
 
 class Writers:
-    """The 12 publishers and whoever keeps changing their settings."""
+    """The 12 publishers, and the changes of their settings."""
 
     def __init__(self) -> None:
-        import rclpy
         from std_msgs.msg import String
 
         from arpd import AdaptivePublisher
@@ -57,9 +60,8 @@ class Writers:
         from arpd.adapters.ros.names import parameter_name
         from arpd.apply.endpoint.writer_swap import SwapTiming
 
-        rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("soak_writer")
-        # This link loses nothing; to settle for 3 s would only make the same swaps last longer.
+        self.node = plain_node("soak_writer")
+        # This link loses nothing; 3 s to settle would only make the same swaps last longer.
         timing = SwapTiming(settle_s=0.1)
         self.publishers = [
             AdaptivePublisher(self.node, String, topic_name(k), DEPTH, swap_timing=timing) for k in range(TOPICS)
@@ -71,7 +73,7 @@ class Writers:
         self.is_publishing = True
 
     def publish(self) -> None:
-        """Publish every topic at its rate until told to stop."""
+        """Publish every topic at its rate while ``is_publishing``."""
         due_s = time.monotonic()
         while self.is_publishing:
             for publisher in self.publishers:
@@ -81,91 +83,79 @@ class Writers:
             time.sleep(max(0.0, due_s - time.monotonic()))
 
     def results(self) -> dict[str, int]:
-        total: dict[str, int] = {}
+        total = Counter[str]()
         for publisher in self.publishers:
-            for key, count in publisher.state(generation=0).swaps_by_result.items():
-                total[key] = total.get(key, 0) + count
+            total.update(publisher.state(generation=0).swaps_by_result)
         return total
 
     def ask(self, most: int) -> int:
-        """Set the depth wherever the last swap has ended; return how many were asked for so far."""
+        """Set the depth of topics whose last swap has ended; return the number of swaps asked for so far."""
         from rclpy.parameter import Parameter
 
         now_s = time.monotonic()
         for k, publisher in enumerate(self.publishers):
             swaps = publisher.state(generation=0).swaps_by_result
             ended = sum(count for key, count in swaps.items() if key != "undelivered")
-            has_sent_nothing = now_s - self._asked_s[k] > STUCK_S
-            if (ended >= self._asked[k] or has_sent_nothing) and sum(self._asked) < most:
+            is_stuck = now_s - self._asked_s[k] > STUCK_S
+            if (ended >= self._asked[k] or is_stuck) and sum(self._asked) < most:
                 self._asked[k] = max(ended, self._asked[k]) + 1
                 self._asked_s[k] = now_s
                 depth = DEPTH + self._asked[k] % 2
-                answer = self.node.set_parameters_atomically([Parameter(self._names[k], value=depth)])
-                assert answer.successful, answer.reason
+                result = self.node.set_parameters_atomically([Parameter(self._names[k], value=depth)])
+                assert result.successful, result.reason
         return sum(self._asked)
 
 
 def write(most: int) -> None:
-    """Swap as often as asked, telling the parent every hundred."""
+    """Swap ``most`` times; report to the parent every hundred."""
     from arpd.adapters.ros.relay import best_executor
     from arpd.adapters.ros.runtime import spinning
 
     writers = Writers()
-    told = commands()
-    until_s = time.monotonic() + 20.0
-    while any(p.get_subscription_count() < 1 for p in writers.publishers) and time.monotonic() < until_s:
-        time.sleep(0.05)
+    orders = commands()
+    becomes_true(lambda: all(p.get_subscription_count() >= 1 for p in writers.publishers), 20.0)
     time.sleep(0.5)
     executor = best_executor()
     executor.add_node(writers.node)
     with spinning(executor):
         thread = threading.Thread(target=writers.publish)
         thread.start()
-        told_of = 0
+        reported = 0
         is_over = False
         while not is_over:
             is_over = (asked := writers.ask(most)) >= most
-            if asked >= told_of + EVERY or is_over:
-                told_of = asked
-                say(swaps=asked, results=writers.results())
+            if asked >= reported + EVERY or is_over:
+                reported = asked
+                answer(swaps=asked, results=writers.results())
             with suppress(queue.Empty):
-                told.get(timeout=_POLL_S)
+                orders.get(timeout=_POLL_S)
                 is_over = True
         time.sleep(6.0)  # the last old writer drains for 4 s at most
         writers.is_publishing = False
         thread.join()
-        say(done=True, swaps=asked, sent=writers.sent, results=writers.results())
-        told.get()
+        answer(done=True, swaps=asked, sent=writers.sent, results=writers.results())
+        orders.get()
 
 
 def read() -> None:
-    """Count what arrives on every topic; what is not newer than all before it is out of order or doubled."""
-    import rclpy
-    from rclpy.qos import QoSProfile
-    from std_msgs.msg import String
-
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node("soak_reader")
-    subscriptions = [
-        node.create_subscription(String, topic_name(k), lambda _sample: None, QoSProfile(depth=1000), raw=True)
-        for k in range(TOPICS)
-    ]
+    """Count arrivals on every topic; a sample that is not newer than all before it is out of order or doubled."""
+    subscriptions = raw_readers(plain_node("soak_reader"), [topic_name(k) for k in range(TOPICS)], 1000)
     received, highest, late = [0] * TOPICS, [-1] * TOPICS, [0] * TOPICS
-    told = commands()
-    say(open=True)
+    orders = commands()
+    answer(open=True)
     while True:
         for k, subscription in enumerate(subscriptions):
-            handle = subscription.handle
-            with handle:
-                while (taken := handle.take_message(String, True)) is not None:  # noqa: FBT003 - rclpy's own signature
-                    number = number_of(taken[0])
-                    received[k] += 1
-                    late[k] += number <= highest[k]
-                    highest[k] = max(highest[k], number)
+            for sample, _ in taken(subscription):
+                number = number_of(sample)
+                received[k] += 1
+                late[k] += number <= highest[k]
+                highest[k] = max(highest[k], number)
         with suppress(queue.Empty):
-            if told.get(timeout=_POLL_S) is None:
+            if orders.get(timeout=_POLL_S) is None:
                 return
-            say(received=received, highest=highest, late=late, writers=[s.get_publisher_count() for s in subscriptions])
+            answer(
+                received=received, highest=highest, late=late, writers=[s.get_publisher_count() for s in subscriptions]
+            )
 
 
 def footprint(pid: int) -> dict[str, int]:
@@ -178,39 +168,39 @@ def footprint(pid: int) -> dict[str, int]:
 
 
 def soak(swaps: int, seconds: float) -> dict[str, Any]:
-    """Run it, and return what was noted."""
+    """Run the swaps, and return the notes."""
     notes: list[dict[str, Any]] = []
     with SimLink(f"soak-{time.monotonic_ns() % 10**9}") as link, progress("swapping", total=swaps) as shown:
         reader = Child(link, "ceddp", "scripts.bench.soak", "--role", "reader")
-        reader.hear()
+        reader.receive()
         writer = Child(link, "robot", "scripts.bench.soak", "--role", "writer", "--swaps", str(swaps))
         started_s = time.monotonic()
         is_stopped = False
-        said: dict[str, Any] = {}
-        while "done" not in said:
-            said = writer.hear(timeout_s=STUCK_S + 40.0)
+        report: dict[str, Any] = {}
+        while "done" not in report:
+            report = writer.receive(timeout_s=STUCK_S + 40.0)
             elapsed_s = time.monotonic() - started_s
             note = {
                 "elapsed_s": elapsed_s,
-                "swaps": said["swaps"],
-                "results": said["results"],
+                "swaps": report["swaps"],
+                "results": report["results"],
                 "writer": footprint(writer.process.pid),
                 "reader": footprint(reader.process.pid),
                 **reader.ask(tell=True),
             }
             notes.append(note)
-            shown.reach(said["swaps"], f"{said['swaps']} of {swaps}")
-            if len(notes) % 5 == 1 or "done" in said:
+            shown.reach(report["swaps"], f"{report['swaps']} of {swaps}")
+            if len(notes) % 5 == 1 or "done" in report:
                 print(row(note), flush=True)
             if elapsed_s > seconds and not is_stopped:
-                writer.tell(stop=True)
+                writer.send(stop=True)
                 is_stopped = True
-        writer.tell(end=True)
+        writer.send(end=True)
         time.sleep(1.0)
         last = reader.ask(tell=True)
         for child in (writer, reader):
             child.end()
-    return {"notes": notes, "sent": said["sent"], **last}
+    return {"notes": notes, "sent": report["sent"], **last}
 
 
 def row(note: dict[str, Any]) -> str:
@@ -224,30 +214,20 @@ def row(note: dict[str, Any]) -> str:
     )
 
 
-def draw(notes: Sequence[dict[str, Any]], target: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
-    for name in ("writer", "reader"):
-        axes.plot([note["swaps"] for note in notes], [note[name]["rss_bytes"] / 2**20 for note in notes], label=name)
-    axes.set_xlabel("swaps")
-    axes.set_ylabel("resident memory (MiB)")
-    axes.grid(visible=True, alpha=0.3)
-    axes.legend()
-    figure.savefig(target, dpi=110)
-    plt.close(figure)
+def draw(notes: Sequence[dict[str, Any]], path: Path) -> None:
+    swaps = [note["swaps"] for note in notes]
+    with picture(path, figsize=(8, 4)) as (_, axes):
+        for name in ("writer", "reader"):
+            axes.plot(swaps, [note[name]["rss_bytes"] / 2**20 for note in notes], label=name)
+        axes.set(xlabel="swaps", ylabel="resident memory (MiB)")
+        axes.grid(visible=True, alpha=0.3)
+        axes.legend()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options_of(__doc__, "soak", quick=f"{QUICK_SWAPS} swaps, some ten seconds", has_plot=True)
     parser.add_argument("--swaps", type=int, default=SWAPS, metavar="N", help="default %(default)s")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SWAPS} swaps, some ten seconds")
-    parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="stop earlier after this long")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/soak.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/soak.png")
+    parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="stop earlier, after this time")
     parser.add_argument("--role", choices=("writer", "reader"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.role == "writer":
@@ -263,10 +243,8 @@ def main() -> None:
         except ChildError as error:
             sys.exit(f"soak: {error}")
         print("\n".join(["", *verdict(document)]))
-        keep({"conditions": noted, **document}, target(options.json, "soak.json", is_partial=options.quick))
-        if plot := target(options.plot, "soak.png", is_partial=options.quick):
-            draw(document["notes"], plot)
-            print(plot)
+        document = {"conditions": noted, **document}
+        keep(document, options, "soak", is_partial=options.quick, draw=partial(draw, document["notes"]))
         if not min(document["received"]):
             sys.exit("soak: nothing arrived on some topic")
 

@@ -1,19 +1,19 @@
-"""How long a re-solve takes: the paper's way, cvxpy with parameters, OSQP called directly, and the exact solver.
+"""Time a re-solve: the paper's way, cvxpy with parameters, OSQP called directly, and the exact solver.
 
 Usage: .venv/bin/python scripts/bench/solve.py [--quick] [--json FILE] [--plot FILE]
 
 Every side divides the same link among the same topics (G1) while the capacity wanders by a few per cent, as in the
-daemon. The sides take turns of a few instances, the same for all of them, in turning order, so that a neighbour on the
-machine slows all of them. Only ratios within one run mean anything.
+daemon. The sides take turns with the same few instances, in rotating order, so that other load on the machine slows all
+of them. Only ratios within one run mean anything.
 """
 
 from __future__ import annotations
 
-import argparse
 import random
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -27,20 +27,21 @@ from arpd.solve.checked import load
 from arpd.solve.exact import water_fill
 from arpd.solve.problem import ShareProblem, Solved, disagreement
 from arpd.solve.program import Program
-from scripts.bench.record import conditions, keep, target
+from scripts.bench.picture import picture
+from scripts.bench.record import conditions, keep, options_of
 from scripts.bench.solve_report import PAPER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 DPP, OSQP, EXACT = "cvxpy, parameters", "OSQP, direct", "exact"
-#: topics → turns; in each of them every side solves as many instances as `TURN`
+#: topics → turns; in each turn every side solves `TURN` instances
 TURNS = {1: 30, 12: 40, 100: 20, 1000: 10, 10_000: 7}
 QUICK = {1: 5, 12: 15}
 TURN = {10_000: 1}
 TURN_OTHERWISE = 5
 HEADROOM = 0.85
-#: Runs in a process of its own: what a back end costs before ROS.
+#: Runs in a process of its own, for the memory of a back end without ROS.
 FOOTPRINT = """
 import sys, time
 started = time.perf_counter()
@@ -57,7 +58,7 @@ print(imported_s, int(status["VmHWM"].split()[0]) * 1024, "cvxpy" in sys.modules
 
 
 def topics_like_a_robots(count: int, rng: random.Random) -> list[Topic]:
-    """Small fast ones, large slow ones, a few that matter more."""
+    """Return small fast topics and large slow ones, a few with more weight."""
     return [
         Topic(
             name=f"/t{i}",
@@ -73,7 +74,7 @@ def topics_like_a_robots(count: int, rng: random.Random) -> list[Topic]:
 
 
 def wandering(topics: Sequence[Topic], rng: random.Random, length: int) -> list[float]:
-    """Return capacities (bytes/s) that carry half of the demand, more or less: some topics yield, some do not."""
+    """Return capacities (bytes/s) of about half of the demand, so that some topics get less than they want."""
     demand = sum(topic.wire_bytes * topic.desired_rate_hz for topic in topics)
     part, parts = 0.6, []
     for _ in range(length):
@@ -83,7 +84,7 @@ def wandering(topics: Sequence[Topic], rng: random.Random, length: int) -> list[
 
 
 def division_of_the_link(topics: Sequence[Topic], capacity: float) -> ShareProblem:
-    """(G1) as `Program` states it for these topics, in tenths of a byte, hundredths of a hertz and of the budget."""
+    """Return (G1) as `Program` states it, in tenths of a byte, hundredths of a hertz and of the budget."""
     cost = [round(topic.wire_bytes * 10) for topic in topics]
     whole = round(capacity * 10) * 100
     return ShareProblem(
@@ -96,7 +97,7 @@ def division_of_the_link(topics: Sequence[Topic], capacity: float) -> ShareProbl
 
 
 def papers_way(problem: ShareProblem) -> tuple[float, ...]:
-    """State the program as the textbook does, and hand it to whichever solver cvxpy prefers; nothing is checked."""
+    """Solve the textbook form of the program with cvxpy's default solver, without a check of the answer."""
     import cvxpy as cp
     import numpy as np
 
@@ -111,7 +112,7 @@ def papers_way(problem: ShareProblem) -> tuple[float, ...]:
 
 
 def sides() -> dict[str, Callable[[ShareProblem], tuple[float, ...] | None]]:
-    """Return the competitors; None from one of them means that it failed and `exact` would have answered."""
+    """Return the competitors; one returns None if it fails, where arpd would use `exact`."""
 
     def ours(backend: Backend) -> Callable[[ShareProblem], tuple[float, ...] | None]:
         solver = load(backend)
@@ -126,7 +127,7 @@ def sides() -> dict[str, Callable[[ShareProblem], tuple[float, ...] | None]]:
 
 
 def race(count: int, turns: int) -> dict[str, Any]:
-    """Time all sides on the same instances, in turns; and the whole program, (G1), (G2) and rounding."""
+    """Time all sides and the whole program ((G1), (G2), rounding) on the same instances, in turns."""
     rng = random.Random(count)
     topics = topics_like_a_robots(count, rng)
     competitors = sides()
@@ -151,7 +152,7 @@ def race(count: int, turns: int) -> dict[str, Any]:
                 else:
                     answer = competitors[name](problem)
                 elapsed_s = time.perf_counter() - started
-                if turn:  # the first turn sets things up and imports libraries
+                if turn:  # the first turn imports libraries
                     seconds[name].append(elapsed_s)
                     wrong[name] += name in competitors and (answer is None or disagreement(answer, truth))
     return {
@@ -164,12 +165,9 @@ def race(count: int, turns: int) -> dict[str, Any]:
 
 
 def footprint(backend: Backend) -> dict[str, Any]:
-    """Import time and peak memory of a fresh process that solves one program, ROS aside."""
-    runs = [
-        subprocess.run([sys.executable, "-c", FOOTPRINT, backend], capture_output=True, text=True, check=True)
-        for _ in range(3)
-    ]
-    fields = [run.stdout.split() for run in runs]
+    """Return import time and peak memory of a fresh process that solves one program without ROS."""
+    command = [sys.executable, "-c", FOOTPRINT, backend]
+    fields = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() for _ in range(3)]
     return {
         "import_s": median(float(field[0]) for field in fields),
         "peak_rss_bytes": median(int(field[1]) for field in fields),
@@ -198,36 +196,24 @@ def table(races: Sequence[dict[str, Any]], footprints: dict[str, dict[str, Any]]
     return "\n".join(lines)
 
 
-def draw(races: Sequence[dict[str, Any]], target: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+def draw(races: Sequence[dict[str, Any]], path: Path) -> None:
     counts = [race["topics"] for race in races]
     ends: list[float] = []
-    for name in sorted(races[0]["median_s"], key=lambda name: races[-1]["median_s"][name]):
-        spent_ms = [race["median_s"][name] * 1e3 for race in races]
-        style = "--" if name.startswith("whole") else "-"
-        (line,) = axes.loglog(counts, spent_ms, style, marker="o", markersize=4)
-        ends.append(max(spent_ms[-1], 1.6 * ends[-1] if ends else 0.0))  # labels side by side, not on each other
-        axes.text(counts[-1] * 1.3, ends[-1], name, va="center", color=line.get_color())
-    axes.set_xlim(right=counts[-1] * 30)
-    axes.set_xlabel("topics")
-    axes.set_ylabel("median re-solve (ms)")
-    axes.set_title("Dividing the link again after the capacity moved")
-    axes.grid(visible=True, which="major", alpha=0.3)
-    figure.savefig(target, dpi=120)
-    plt.close(figure)
+    with picture(path, dpi=120, figsize=(8, 5)) as (_, axes):
+        for name in sorted(races[0]["median_s"], key=lambda name: races[-1]["median_s"][name]):
+            spent_ms = [race["median_s"][name] * 1e3 for race in races]
+            style = "--" if name.startswith("whole") else "-"
+            (line,) = axes.loglog(counts, spent_ms, style, marker="o", markersize=4)
+            ends.append(max(spent_ms[-1], 1.6 * ends[-1] if ends else 0.0))  # so that labels do not overlap
+            axes.text(counts[-1] * 1.3, ends[-1], name, va="center", color=line.get_color())
+        axes.set_xlim(right=counts[-1] * 30)
+        axes.set(xlabel="topics", ylabel="median re-solve (ms)")
+        axes.set_title("Dividing the link again after the capacity moved")
+        axes.grid(visible=True, which="major", alpha=0.3)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="1 and 12 topics only")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/solve.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/solve.png")
-    options = parser.parse_args()
+    options = options_of(__doc__, "solve", quick="1 and 12 topics only", has_plot=True).parse_args()
     sizes = QUICK if options.quick else TURNS
     noted = conditions()
     races, footprints = [], {}
@@ -240,10 +226,7 @@ def main() -> None:
             footprints[str(backend)] = footprint(backend)
     print(table(races, footprints))
     document = {"conditions": noted, "races": races, "footprints": footprints}
-    keep(document, target(options.json, "solve.json", is_partial=options.quick))
-    if plot := target(options.plot, "solve.png", is_partial=options.quick):
-        draw(races, plot)
-        print(plot)
+    keep(document, options, "solve", is_partial=options.quick, draw=partial(draw, races))
 
 
 if __name__ == "__main__":

@@ -1,16 +1,15 @@
-"""Run every benchmark, one after the other, and fill docs/results.md and README.md from what they found.
+"""Run every benchmark, one after the other, and fill docs/results.md and README.md with the results.
 
 Usage: scripts/bench/all [--quick] [--only NAME,...]
 
-Needs root, as the simulated link does, and a machine that does nothing else for as long as it says. What a benchmark
-prints goes to the folder that is named at the start; when one fails, the others go on, and the exit code is 1. With
---quick their short forms run, into that folder only: results and pages stay as they are.
+Needs root, as the simulated link does, and a machine that does nothing else during the time it prints. The output of
+each benchmark goes to the folder that the first line names. If a benchmark fails, the others still run, and the exit
+code is 1. With --quick, the short forms run and write to that folder only: results and pages do not change.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import subprocess
 import sys
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Benchmark:
-    """A benchmark: module of scripts/bench, what it draws beside its JSON, and about how long it takes (s)."""
+    """A benchmark: its module in scripts/bench, roughly its duration (s), and whether it draws a picture."""
 
     name: str
     lasts_s: float
@@ -37,7 +36,7 @@ class Benchmark:
     has_plot: bool = False
 
     def command(self, folder: Path, *, is_quick: bool) -> list[str]:
-        """Return what runs it; a quick one leaves its results in the folder, a whole one where they belong."""
+        """Return the command that runs it; a quick run writes into the folder, a complete one into results/."""
         command = [sys.executable, "-u", "-m", f"scripts.bench.{self.name}"]
         if is_quick:
             command += ["--quick", "--json", str(folder / f"{self.name}.json")]
@@ -46,7 +45,7 @@ class Benchmark:
         return command
 
 
-#: Fuzz comes before reliability, whose table has what it found.
+#: Fuzz comes before reliability, because the table of reliability shows its findings.
 BENCHMARKS = (
     Benchmark(name="demo", lasts_s=110, quick_s=110),
     Benchmark(name="solve", lasts_s=60, quick_s=15, has_plot=True),
@@ -65,25 +64,18 @@ BENCHMARKS = (
 
 
 def run(benchmarks: Sequence[Benchmark], folder: Path, *, is_quick: bool) -> dict[str, str]:
-    """Run them; return what went wrong, by name."""
+    """Run the benchmarks; return the failures by name."""
     wrong: dict[str, str] = {}
     lasts_s = [each.quick_s if is_quick else each.lasts_s for each in benchmarks]
     with progress("benchmarks", total=sum(lasts_s)) as shown:
         for number, each in enumerate(benchmarks):
             shown.reach(sum(lasts_s[:number]), each.name)
             print(f"{each.name:<12} ", end="", flush=True)
-            if importlib.util.find_spec(f"scripts.bench.{each.name}") is None:
-                wrong[each.name] = "not there"
-                print(wrong[each.name])
-                continue
             started_s, log = time.monotonic(), folder / f"{each.name}.log"
             with log.open("w", encoding="utf-8") as written:
+                command = each.command(folder, is_quick=is_quick)
                 code = subprocess.run(
-                    each.command(folder, is_quick=is_quick),
-                    cwd=REPO,
-                    stdout=written,
-                    stderr=subprocess.STDOUT,
-                    check=False,
+                    command, cwd=REPO, stdout=written, stderr=subprocess.STDOUT, check=False
                 ).returncode
             took = f"{time.monotonic() - started_s:6.0f} s"
             print(took if not code else f"{took}  failed with {code}: {_last_line(log)}", flush=True)
@@ -93,17 +85,17 @@ def run(benchmarks: Sequence[Benchmark], folder: Path, *, is_quick: bool) -> dic
 
 
 def _last_line(log: Path) -> str:
-    said = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return said[-1][:160] if said else "it said nothing"
+    lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    return lines[-1][:160] if lines else "no output"
 
 
 def chosen(only: str) -> list[Benchmark]:
-    """Return the benchmarks that were asked for, in their own order.
+    """Return the benchmarks with these names, in the order of `BENCHMARKS`.
 
     Raises
     ------
     ValueError
-        If there is none of a name.
+        If a name is unknown.
     """
     names = {name.strip() for name in only.split(",") if name.strip()}
     known = [each.name for each in BENCHMARKS]
@@ -116,8 +108,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="scripts/bench/all", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--quick", action="store_true", help="the short form of each; nothing is kept")
-    parser.add_argument("--only", default="", metavar="NAME,...", help="these of the benchmarks")
+    parser.add_argument("--quick", action="store_true", help="run the short forms; results and pages do not change")
+    parser.add_argument("--only", default="", metavar="NAME,...", help="run only these")
     options = parser.parse_args()
     try:
         benchmarks = chosen(options.only)
@@ -127,7 +119,7 @@ def main() -> int:
     minutes = sum(each.quick_s if options.quick else each.lasts_s for each in benchmarks) / 60
     print(
         f"{len(benchmarks)} benchmarks, about {minutes:.0f} minutes; load average {os.getloadavg()[0]:.1f}; "
-        f"what they print goes to {folder}",
+        f"their output goes to {folder}",
         flush=True,
     )
     wrong = run(benchmarks, folder, is_quick=options.quick)
@@ -138,7 +130,7 @@ def main() -> int:
     if wrong:
         print(f"failed: {', '.join(f'{name} ({why})' for name, why in wrong.items())}")
         return 1
-    print("all went well" + ("" if options.quick else "; docs/results.md says what they found"))
+    print("all benchmarks ran" + ("" if options.quick else "; docs/results.md has the results"))
     return 0
 
 

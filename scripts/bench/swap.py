@@ -1,27 +1,37 @@
-"""What a change of QoS costs: messages lost, doubled and reordered, the longest gap, CPU and bytes.
+"""Measure a change of QoS: messages lost, doubled and reordered, the longest gap, CPU and bytes.
 
 Usage: .venv/bin/python scripts/bench/swap.py [--quick | --full] [--only TEXT] [--json FILE]
 
 Needs root, as the simulated link does.
 
-Three ways take turns on every cell, in turning order: an AdaptivePublisher whose settings stay (the baseline), one
-whose DEPTH goes up and down by one, and the plain publisher that is destroyed and created again. Writer and readers
-are processes of their own; what arrives is noted with the time DDS received it, whatever Python is busy with. All
-run with arpd's Fast DDS profile (heartbeat of 50 ms), which helps destroy+create, too: what it lost is sooner resent.
-CPU and bytes of a swap are those of the phase with swaps over those of the same turn's still phase. "local" is one
-host of the simulated link, over UDP. Only ratios within one run mean anything.
+Three ways take turns on every cell, in rotating order: an AdaptivePublisher whose settings stay (the baseline), one
+whose DEPTH changes by one, up and down, and a plain publisher that is destroyed and created again. Writer and readers
+are processes of their own; the time of an arrival is that of its reception by DDS, so a busy Python does not change it.
+All run with arpd's Fast DDS profile (heartbeat of 50 ms), which helps destroy+create too: lost samples are resent
+sooner. CPU and bytes of a swap are the difference between the phase with swaps and the still phase of the same turn.
+"local" is one host of the simulated link, over UDP. Only ratios within one run mean anything.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from arpd.cli.progress import progress
+from scripts.bench.child import Child, ChildError, sent_bytes
+from scripts.bench.node import becomes_true
+from scripts.bench.picture import picture
+from scripts.bench.record import conditions, keep, options_of
+from scripts.bench.swap_report import ADAPTIVE, EVENTS, WAYS, beyond, verdict
+from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,27 +39,19 @@ if TYPE_CHECKING:
     from scripts.bench.swap_report import Ways
     from scripts.netns.namespaces import HostName
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from arpd.cli.progress import progress
-from scripts.bench.child import Child, ChildError, sent_bytes
-from scripts.bench.record import conditions, keep, target
-from scripts.bench.swap_report import ADAPTIVE, EVENTS, WAYS, beyond, verdict
-from scripts.netns.simlink import SimLink
-
 LINK_BYTES_PER_SECOND = 100e6 / 8
 WIRE_OVERHEAD = 180  # bytes of headers around a payload
-MOST_DELIVERIES_HZ = 4000  # what a writer and its readers do on two cores
+MOST_DELIVERIES_HZ = 4000  # limit of a writer and its readers on two cores
 STILL_S, SPACING_S, SWAPS = 1.0, 0.5, 6
-# An adaptive swap settles for so long. The others publish on meanwhile, because some losses come with time alone: IP
-# fragments of large samples fill the kernel's reassembly memory within half a minute, swaps or none.
+# An adaptive swap settles for so long. The others go on publishing for as long, because time alone causes some losses:
+# IP fragments of large samples fill the kernel's reassembly memory within half a minute, with or without swaps.
 SETTLE_S = 3.2
-START_S = 20.0  # on a lossy link a reader may learn of its writer seconds late, swap or no swap
+START_S = 20.0  # on a lossy link a reader may discover its writer seconds late, with or without a swap
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Setting:
-    """Where the readers are."""
+    """The readers' host: the writer's own (local), or the other end of a link with a loss."""
 
     place: str
     loss: float = 0.0
@@ -69,7 +71,7 @@ class Cell:
     payload_bytes: int
 
     def why_not(self) -> str:
-        """Why this cell says nothing about swaps; empty when it does."""
+        """Return why this cell cannot measure swaps; empty if it can."""
         crossing = self.rate_hz * (self.payload_bytes + WIRE_OVERHEAD) * self.readers
         if self.setting.place == "link" and crossing > 0.7 * LINK_BYTES_PER_SECOND:
             return f"{crossing * 8e-6:.0f} Mbit/s do not fit the link"
@@ -83,7 +85,7 @@ LOSS_2, LOSS_10 = Setting(place="link", loss=0.02), Setting(place="link", loss=0
 
 
 def cells(which: str) -> list[Cell]:
-    """Return the matrix, or the part of it that says most in a few minutes."""
+    """Return the whole matrix, or a selection."""
 
     def some(
         setting: Setting, combinations: Iterable[tuple[int, int]], payloads: Sequence[int] = (100,), readers: int = 1
@@ -94,10 +96,7 @@ def cells(which: str) -> list[Cell]:
         ]
 
     if which == "quick":
-        return [
-            *some(LINK, [(1000, 10)]),
-            *some(LOSS_10, [(100, 10)]),
-        ]
+        return [*some(LINK, [(1000, 10)]), *some(LOSS_10, [(100, 10)])]
     rates, depths = (10, 100, 1000), (1, 10, 100, 5000)
     whole = list(itertools.product(rates, depths))
     if which == "full":
@@ -124,7 +123,7 @@ def cells(which: str) -> list[Cell]:
 
 @dataclass(slots=True)
 class Tally:
-    """What one way did in one cell, over all rounds and readers."""
+    """The figures of one way in one cell, over all rounds and readers."""
 
     expected: int = 0
     lost: int = 0
@@ -146,7 +145,7 @@ class Tally:
         self.swaps += len(done["requests"])
         self.gap_s = max(self.gap_s, *(report["gap_s"] for report in reports))
         self.longest_publish_s = max(self.longest_publish_s, done["longest_publish_s"])
-        # Both phases publish at the same rate, so the still one says what the messages themselves cost.
+        # Both phases publish at the same rate, so the still one gives the cost of the messages themselves.
         longer = phases_s[1] / phases_s[0]
         before, between, after = done["cpu_s"]
         self.cpu_s += (after - between) - (between - before) * longer
@@ -168,13 +167,7 @@ class Tally:
 
 
 class Bench:
-    """The writer and the readers of one setting.
-
-    Parameters
-    ----------
-    link : the two hosts
-    setting : where the readers are
-    """
+    """The writer and the readers of one setting."""
 
     def __init__(self, link: SimLink, setting: Setting) -> None:
         self._link, self._setting = link, setting
@@ -188,7 +181,7 @@ class Bench:
             child.end()
 
     def turn(self, cell: Cell, way: str, tally: Tally) -> None:
-        """Let one way publish and swap once, and add what happened."""
+        """Let one way publish and swap, and add the figures of the turn."""
         host: HostName = "robot" if cell.setting.place == "local" else "ceddp"
         while len(self._readers) < cell.readers:
             self._readers.append(Child(self._link, host, "scripts.bench.swap_nodes", "reader"))
@@ -196,7 +189,7 @@ class Bench:
         topic = f"/bench/t{next(self._turns)}"
         for reader in readers:
             reader.ask(topic=topic)
-        self._writer.tell(
+        self._writer.send(
             way=way,
             topic=topic,
             readers=cell.readers,
@@ -207,28 +200,26 @@ class Bench:
             swaps=SWAPS,
             spacing_s=SPACING_S if way == ADAPTIVE else SPACING_S + SETTLE_S,
         )
-        self._writer.hear()
-        until_s = time.monotonic() + START_S
-        while not all(reader.ask(peek=True)["received"] for reader in readers) and time.monotonic() < until_s:
-            time.sleep(0.2)
-        self._writer.tell(go=True)
+        self._writer.receive()
+        becomes_true(lambda: all(reader.ask(peek=True)["received"] for reader in readers), START_S, poll_s=0.2)
+        self._writer.send(go=True)
         sent, at_s = [], []
         done: dict[str, Any] = {}
         while done.get("phase") != "done":
-            done = self._writer.hear(timeout_s=90.0)
+            done = self._writer.receive(timeout_s=90.0)
             sent.append(self._sent_bytes())
             at_s.append(time.monotonic())
         tail_s = 3.0 if cell.setting.loss else 1.0
         for reader in readers:
-            reader.tell(first=done["first"], end=done["end"], tail_s=tail_s)
-        reports = [reader.hear() for reader in readers]
+            reader.send(first=done["first"], end=done["end"], tail_s=tail_s)
+        reports = [reader.receive() for reader in readers]
         self._writer.ask(close=True)
         tally.add(done, reports, sent, [at_s[1] - at_s[0], at_s[2] - at_s[1]])
 
     def _sent_bytes(self) -> int:
         if self._setting.place == "local":
-            return sent_bytes(self._link, self._link.robot, "lo")
-        return sum(sent_bytes(self._link, host) for host in self._link.hosts)
+            return sent_bytes(self._link.robot, "lo")
+        return sum(map(sent_bytes, self._link.hosts))
 
 
 def measure(cell: Cell, bench: Bench, rounds: int, turn: int) -> dict[str, Tally]:
@@ -285,44 +276,34 @@ def table(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str
     return "\n".join([*lines, "", *verdict(as_cells(measured))])
 
 
-def draw(measured: list[tuple[Cell, dict[str, Tally]]], target: Path) -> None:
-    """Draw messages lost and reordered per swap, one row per cell that shows any."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
+def draw(measured: list[tuple[Cell, dict[str, Tally]]], path: Path) -> None:
+    """Draw messages lost, doubled and reordered per swap, one row per cell that shows any."""
     shown = [pair for pair in measured if any(t.lost or t.reordered or t.doubled for t in pair[1].values())]
-    figure, axes = plt.subplots(figsize=(9, 1.5 + 0.34 * max(1, len(shown))), layout="constrained")
-    for k, way in enumerate(WAYS):
-        values = [(t[way].lost + t[way].doubled + t[way].reordered) / max(1, t[way].swaps) for _, t in shown]
-        axes.barh([row + 0.27 * (k - 1) for row in range(len(shown))], values, height=0.26, label=way)
-    axes.set_yticks(
-        range(len(shown)),
-        [f"{c.setting}, {c.readers} rd, {c.rate_hz} Hz, depth {c.depth}, {c.payload_bytes} B" for c, _ in shown],
-    )
-    axes.invert_yaxis()
-    axes.set_xscale("symlog", linthresh=0.1)
-    axes.set_xlabel("messages lost, doubled or reordered per swap, or in its time")
-    axes.set_title(f"{len(measured) - len(shown)} of {len(measured)} cells without any are not shown", fontsize=9)
-    axes.legend()
-    figure.savefig(target, dpi=110)
-    plt.close(figure)
+    labels = [f"{c.setting}, {c.readers} rd, {c.rate_hz} Hz, depth {c.depth}, {c.payload_bytes} B" for c, _ in shown]
+    with picture(path, figsize=(9, 1.5 + 0.34 * max(1, len(shown)))) as (_, axes):
+        for k, way in enumerate(WAYS):
+            values = [(t[way].lost + t[way].doubled + t[way].reordered) / max(1, t[way].swaps) for _, t in shown]
+            axes.barh([row + 0.27 * (k - 1) for row in range(len(shown))], values, height=0.26, label=way)
+        axes.set_yticks(range(len(shown)), labels)
+        axes.invert_yaxis()
+        axes.set_xscale("symlog", linthresh=0.1)
+        axes.set_xlabel("messages lost, doubled or reordered per swap, or in its time")
+        axes.set_title(f"{len(measured) - len(shown)} of {len(measured)} cells without any are not shown", fontsize=9)
+        axes.legend()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    extent = parser.add_mutually_exclusive_group()
-    extent.add_argument("--quick", dest="which", action="store_const", const="quick", help="two cells, a minute")
-    extent.add_argument("--full", dest="which", action="store_const", const="full", help="every cell, hours")
+    parser = options_of(__doc__, "swap", quick="two cells, a minute", has_plot=True)
+    parser.add_argument("--full", action="store_true", help="every cell, hours")
     parser.add_argument("--rounds", type=int, default=1, metavar="N", help="turns of each way per cell (default 1)")
     parser.add_argument(
         "--only", default="", metavar="TEXT", help="cells whose setting contains this: local, link, loss"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="default results/swap.json")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="default results/swap.png")
     options = parser.parse_args()
-    wanted = [cell for cell in cells(options.which or "default") if options.only in str(cell.setting)]
+    if options.quick and options.full:
+        parser.error("--quick and --full exclude each other")
+    which = "quick" if options.quick else "full" if options.full else "default"
+    wanted = [cell for cell in cells(which) if options.only in str(cell.setting)]
     skipped = {cell: why for cell in wanted if (why := cell.why_not())}
     measured: list[tuple[Cell, dict[str, Tally]]] = []
     noted, started_s = conditions(), time.monotonic()
@@ -346,16 +327,13 @@ def main() -> None:
                     measured.append((cell, tallies))
                     print(f"{time.monotonic() - started_s:5.0f} s", table([(cell, tallies)], {}).splitlines()[4])
     print(table(measured, skipped))
-    is_partial = options.which == "quick" or bool(options.only)
     document = {
         "conditions": noted,
         "cells": as_cells(measured),
         "skipped": [{**asdict(cell), "why": why} for cell, why in skipped.items()],
     }
-    keep(document, target(options.json, "swap.json", is_partial=is_partial))
-    if plot := target(options.plot, "swap.png", is_partial=is_partial):
-        draw(measured, plot)
-        print(plot)
+    is_partial = options.quick or bool(options.only)
+    keep(document, options, "swap", is_partial=is_partial, draw=partial(draw, measured))
     if len(measured) < len(wanted) - len(skipped):
         sys.exit("swap: not every cell could be measured")
 

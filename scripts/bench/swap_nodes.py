@@ -1,4 +1,4 @@
-"""The two kinds of process of the swap benchmark: one writer, and readers that note what arrives.
+"""The processes of `swap.py`: one writer, and readers that note arrivals.
 
 Usage: python -m scripts.bench.swap_nodes writer|reader
 """
@@ -11,19 +11,19 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import rclpy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from scripts.bench.child import commands, number_of, sample_of, say
+from scripts.bench.child import answer, commands, number_of, sample_of
+from scripts.bench.node import becomes_true, plain_node, raw_readers, taken
+from scripts.bench.swap_report import ADAPTIVE, RECREATE, STILL
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-STILL, ADAPTIVE, RECREATE = "no swaps", "adaptive", "destroy+create"
 _READ_DEPTH = 5000
 _POLL_S = 0.002
 _MATCH_TIMEOUT_S = 30.0
@@ -32,30 +32,8 @@ _SWAP_TIMEOUT_S = 8.0
 _SETTLE_S = 0.6  # after the last swap, so that its drain is measured with it
 
 
-class Side(Protocol):
-    """One way to change a publisher's depth."""
-
-    def publish(self, sample: bytes) -> None:
-        """Publish a sample."""
-
-    def matched(self) -> int:
-        """Count the readers."""
-
-    def swap(self, depth: int) -> None:
-        """Change the depth."""
-
-    def ended(self) -> int:
-        """Count the swaps that have ended."""
-
-    def results(self) -> dict[str, int]:
-        """How its swaps ended."""
-
-    def destroy(self) -> None:
-        """Destroy the publisher."""
-
-
 class Adaptive:
-    """An AdaptivePublisher, re-tuned; or never, for the baseline."""
+    """An AdaptivePublisher whose depth changes by a writer swap."""
 
     def __init__(self, node: Any, topic: str, depth: int) -> None:
         self._publisher = AdaptivePublisher(node, String, topic, depth)
@@ -64,9 +42,11 @@ class Adaptive:
         self.destroy = self._publisher.destroy
 
     def swap(self, depth: int) -> None:
+        """Change the depth."""
         self._publisher.retune(replace(self._publisher.plan, depth=depth))
 
     def ended(self) -> int:
+        """Return the number of swaps that have ended."""
         swaps = self._publisher.state(generation=0).swaps_by_result
         return sum(count for key, count in swaps.items() if key != "undelivered")
 
@@ -79,14 +59,14 @@ class Still(Adaptive):
     """The baseline: an AdaptivePublisher whose settings stay."""
 
     def swap(self, depth: int) -> None:
-        """Leave it as it is."""
+        """Do nothing."""
 
     def ended(self) -> int:
         return sys.maxsize
 
 
 class Recreate:
-    """What a node without arpd does: destroy its publisher, create another one."""
+    """A node without arpd: it destroys its publisher and creates another one."""
 
     def __init__(self, node: Any, topic: str, depth: int) -> None:
         self._node, self._topic, self._swaps = node, topic, 0
@@ -113,6 +93,7 @@ class Recreate:
         self._node.destroy_publisher(self._publisher)
 
 
+Side = Adaptive | Recreate
 WAYS: dict[str, Callable[[Any, str, int], Side]] = {STILL: Still, ADAPTIVE: Adaptive, RECREATE: Recreate}
 
 
@@ -126,7 +107,7 @@ class Stream:
         self.longest_publish_s = 0.0
 
     def run(self, for_s: float) -> None:
-        """Publish for a while; what fell behind is caught up."""
+        """Publish for a while; late samples follow at once."""
         until_s = self._due_s + for_s
         while self._due_s < until_s:
             time.sleep(max(0.0, self._due_s - time.monotonic()))
@@ -137,24 +118,22 @@ class Stream:
             self._due_s += self._period_s
 
 
-def turn(node: Any, told: queue.SimpleQueue[dict[str, Any] | None], order: dict[str, Any]) -> None:
-    """Publish still, then with swaps; the parent reads the byte counters when it hears of each phase."""
+def turn(node: Any, orders: queue.SimpleQueue[dict[str, Any] | None], order: dict[str, Any]) -> None:
+    """Publish without swaps, then with swaps; the parent reads the byte counters at the start of each phase."""
     side = WAYS[order["way"]](node, order["topic"], order["depth"])
     try:
-        until_s = time.monotonic() + _MATCH_TIMEOUT_S
-        while side.matched() < order["readers"] and time.monotonic() < until_s:
-            time.sleep(0.01)
+        becomes_true(lambda: side.matched() >= order["readers"], _MATCH_TIMEOUT_S, poll_s=0.01)
         time.sleep(0.2)
         stream = Stream(side, order["rate_hz"], order["payload_bytes"])
-        say(phase="warm")
-        while told.empty():  # its own matched readers need not know of it as yet: each must have received something
+        answer(phase="warm")
+        while orders.empty():  # until each reader has received a sample: a matched reader may not know the writer yet
             stream.run(_WARM_S)
-        told.get()
+        orders.get()
         first = stream.sent
-        say(phase="still")
+        answer(phase="still")
         cpu = [time.process_time()]
         stream.run(order["still_s"])
-        say(phase="swaps")
+        answer(phase="swaps")
         cpu.append(time.process_time())
         stream.longest_publish_s = 0.0
         requests = []
@@ -167,7 +146,7 @@ def turn(node: Any, told: queue.SimpleQueue[dict[str, Any] | None], order: dict[
                 stream.run(0.1)
         stream.run(_SETTLE_S)
         cpu.append(time.process_time())
-        say(
+        answer(
             phase="done",
             first=first,
             end=stream.sent,
@@ -177,49 +156,43 @@ def turn(node: Any, told: queue.SimpleQueue[dict[str, Any] | None], order: dict[
             longest_publish_s=stream.longest_publish_s,
             matched=side.matched(),
         )
-        told.get()  # the readers have all there is
+        orders.get()  # the readers have received all samples
     finally:
         side.destroy()
-    say(phase="closed")
+    answer(phase="closed")
 
 
 def write() -> None:
     """Serve turns until the parent is gone."""
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node("bench_writer")
-    told = commands()
-    while (order := told.get()) is not None:
-        turn(node, told, order)
+    node = plain_node("bench_writer")
+    orders = commands()
+    while (order := orders.get()) is not None:
+        turn(node, orders, order)
 
 
 class Log:
-    """What arrived on one topic, in the order the application gets it."""
+    """The arrivals on one topic, in the order in which the application gets them."""
 
     def __init__(self, node: Any, topic: str) -> None:
         self._node = node
-        self._subscription = node.create_subscription(
-            String, topic, lambda _sample: None, QoSProfile(depth=_READ_DEPTH), raw=True
-        )
+        (self._subscription,) = raw_readers(node, [topic], _READ_DEPTH)
         self.numbers: list[int] = []
-        self.sequence: list[int] = []  # of the writer a sample came from; a fall marks a switch
-        self.received_ns: list[int] = []  # taken by DDS on reception, whatever this process is busy with
+        self.sequence: list[int] = []  # number of a sample within its writer; 1 marks a new writer
+        self.received_ns: list[int] = []  # noted by DDS on reception, even while this process is busy
         self.cpu_s = time.process_time()
 
     def take(self) -> None:
-        """Take all there is, as an executor would, without paying for one."""
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(String, True)) is not None:  # noqa: FBT003 - rclpy's own signature
-                sample, information = taken
-                self.numbers.append(number_of(sample))
-                self.sequence.append(information["publication_sequence_number"])
-                self.received_ns.append(information["received_timestamp"])
+        """Note all samples that are there."""
+        for sample, about in taken(self._subscription):
+            self.numbers.append(number_of(sample))
+            self.sequence.append(about["publication_sequence_number"])
+            self.received_ns.append(about["received_timestamp"])
 
     def is_complete(self, first: int, end: int) -> bool:
         return len(self.numbers) >= end - first and len({n for n in self.numbers if first <= n < end}) == end - first
 
     def report(self, first: int, end: int) -> dict[str, Any]:
-        """Count what went wrong among the samples from ``first`` to ``end``."""
+        """Return the faults among the samples from ``first`` to ``end``."""
         seen: set[int] = set()
         highest, doubled, reordered = -1, [], []
         times = []
@@ -254,21 +227,20 @@ class Log:
 
 def read() -> None:
     """Log one topic after the other until the parent is gone."""
-    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"bench_reader_{time.monotonic_ns()}")
-    told = commands()
-    while (order := told.get()) is not None:
+    node = plain_node(f"bench_reader_{time.monotonic_ns()}")
+    orders = commands()
+    while (order := orders.get()) is not None:
         log = Log(node, order["topic"])
-        say(open=True)
+        answer(open=True)
         finish: dict[str, Any] | None = None
         while finish is None:
             log.take()
             with suppress(queue.Empty):
-                finish = told.get(timeout=_POLL_S)
+                finish = orders.get(timeout=_POLL_S)
                 if finish is None:
                     return
                 if "peek" in finish:
-                    say(received=len(log.numbers))
+                    answer(received=len(log.numbers))
                     finish = None
         quiet_s = time.monotonic()
         while not log.is_complete(finish["first"], finish["end"]) and time.monotonic() - quiet_s < finish["tail_s"]:
@@ -279,7 +251,7 @@ def read() -> None:
             time.sleep(0.02)
         time.sleep(0.1)  # time for a double to show up
         log.take()
-        say(**log.report(finish["first"], finish["end"]))
+        answer(**log.report(finish["first"], finish["end"]))
         log.close()
 
 

@@ -1,4 +1,4 @@
-"""Judge the results of `swap.py`: where a way does worse than no swaps at all, and the bullets of docs/results.md."""
+"""The results of `swap.py`, as text and for docs/results.md: where a way does worse than no swaps at all."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Ways = dict[str, dict[str, Any]]
 
 
 def beyond(ways: Mapping[str, Mapping[str, Any]], way: str) -> list[str]:
-    """Name what a way shows that the baseline does not, beyond the scatter of the baseline's own losses."""
+    """Return the events that a way shows more often than the baseline, beyond the scatter of the baseline's own."""
     found = []
-    longer = ways[way]["expected"] / max(1, ways[STILL]["expected"])  # swaps that took their time
+    longer = ways[way]["expected"] / max(1, ways[STILL]["expected"])  # a phase with slow swaps has more samples
     for event in EVENTS:
         ours, still = ways[way][event], ways[STILL][event] * longer
         if ours > still + (3 * sqrt(ours + still) if still else 0):
@@ -31,12 +31,12 @@ def beyond(ways: Mapping[str, Mapping[str, Any]], way: str) -> list[str]:
 
 
 def promised(cells: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the cells deep enough to lose nothing."""
+    """Return the cells that are deep enough to lose nothing."""
     return [cell for cell in cells if cell["depth"] >= PROMISED_DEPTH]
 
 
 def verdict(cells: Sequence[dict[str, Any]]) -> list[str]:
-    """Say of both ways how often they are worse than the baseline, and what they lost in all."""
+    """Return for both ways in how many cells they are worse than the baseline, and their losses."""
     lines = []
     deep = promised(cells)
     for way in (ADAPTIVE, RECREATE):
@@ -52,7 +52,7 @@ def verdict(cells: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def markdown(document: dict[str, Any]) -> str:
-    """Return two bullets: what swaps lose beside the same run without swaps, and what they cost."""
+    """Return two bullets: the losses beside the same run without swaps, and the cost of swaps."""
     cells = document["cells"]
     deep = promised(cells)
     worse = [cell for cell in deep if beyond(cell["ways"], ADAPTIVE)]
@@ -69,13 +69,13 @@ def markdown(document: dict[str, Any]) -> str:
         f"{sum(cell['ways'][RECREATE]['lost'] for cell in recreated):,} samples."
     )
     if worse:
-        first += " Worse: " + "; ".join(map(_told, worse)) + "."
+        first += " Worse: " + "; ".join(map(_losses, worse)) + "."
     if any(cell["payload_bytes"] > MTU_BYTES for cell in worse):
         first += " See the point on samples above one MTU."
     return "\n".join([first, _costs(cells)])
 
 
-def _told(cell: dict[str, Any]) -> str:
+def _losses(cell: dict[str, Any]) -> str:
     ways, loss = cell["ways"], cell["setting"]["loss"]
     return (
         f"{cell['payload_bytes']:,} bytes at {cell['rate_hz']} Hz, DEPTH {cell['depth']}, {100 * loss:g} % loss, "

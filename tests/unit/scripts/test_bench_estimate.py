@@ -48,7 +48,7 @@ def at(moment_s, before, after):
 
 
 def test_a_reaction_ends_when_the_estimate_is_near_and_stays_there():
-    """A value that only passes by is none."""
+    """An estimate that is near only for a moment is no reaction."""
 
     def estimate(t_s):
         passes_by = 20.5 <= t_s < 21.0
@@ -59,13 +59,13 @@ def test_a_reaction_ends_when_the_estimate_is_near_and_stays_there():
 
 
 def test_an_estimate_that_never_comes_near_never_reacts():
-    """Infinite, not absent."""
+    """Its reaction time is infinite, not absent."""
     run = result(at(20.0, 20 * MBIT, 5 * MBIT), lambda _: 20 * MBIT)
     assert measure(scenario(falls=(20.0,)), run, None)["reaction, estimate"] == math.inf
 
 
 def test_the_gate_has_reacted_when_what_it_lets_through_fits():
-    """Gate times level, against the new truth."""
+    """Gate times level must fit into the new truth."""
     run = result(
         at(20.0, 20 * MBIT, 5 * MBIT), gate=at(20.4, 1.0, 0.29), level=lambda _: 17 * MBIT, estimate=lambda _: 1.0
     )
@@ -73,7 +73,7 @@ def test_the_gate_has_reacted_when_what_it_lets_through_fits():
 
 
 def test_a_rise_is_timed_for_the_estimate_and_for_what_is_delivered():
-    """The second against the oracle's last ten seconds, a second of delivery at a time."""
+    """Delivery is compared with the oracle's last ten seconds, a second at a time."""
     truth = at(20.0, 5 * MBIT, 20 * MBIT)
     run = result(truth, at(23.0, 5 * MBIT, 17 * MBIT), delivered=lambda t_s: 100.0 * t_s + 900.0 * max(0.0, t_s - 24.0))
     oracle = result(truth, delivered=lambda t_s: 1000.0 * t_s)
@@ -83,7 +83,7 @@ def test_a_rise_is_timed_for_the_estimate_and_for_what_is_delivered():
 
 
 def test_utilisation_leaves_the_start_out():
-    """What was delivered from 10 s on, over what the oracle delivered from then on."""
+    """It is the delivery from 10 s on, over the oracle's."""
     run = result(lambda _: 20 * MBIT, delivered=lambda t_s: 1e6 * min(t_s, 10.0) + 500.0 * max(0.0, t_s - 10.0))
     oracle = result(lambda _: 20 * MBIT, delivered=lambda t_s: 1000.0 * t_s)
     assert measure(scenario(), run, oracle)["utilisation"] == pytest.approx(0.5)
@@ -91,7 +91,7 @@ def test_utilisation_leaves_the_start_out():
 
 
 def test_the_error_is_that_of_rmax():
-    """An overhead that is known only as a lower rate is no error, for the packets there are."""
+    """A known overhead gives no error, and an unknown one does."""
     robot = (SimTopic(name="/small", payload_bytes=100, rate_hz=10.0),)
     lossless = scenario(robot=robot, model=LinkModel(packet_overhead_s=200e-6))
     run = result(lambda _: 1e6, overhead=lambda _: 200e-6)
@@ -103,7 +103,7 @@ def test_the_error_is_that_of_rmax():
 
 
 def test_an_outage_is_judged_by_gate_queue_and_recovery():
-    """The worst of all outages."""
+    """Each figure is that of the worst outage."""
     spans = ((15.0, 17.0), (25.0, 28.0))
     out = lambda t_s: any(start_s <= t_s < end_s for start_s, end_s in spans)  # noqa: E731
     run = result(
@@ -121,7 +121,7 @@ def test_an_outage_is_judged_by_gate_queue_and_recovery():
     assert "queue over oracle" not in found
     oracle = result(lambda t_s: 0.0 if out(t_s) else 20 * MBIT, queue=lambda _: 0.004)
     assert measure(scenario(outages=spans), run, oracle)["queue over oracle"] == pytest.approx(0.006)
-    assert found["queue peak"] == 0.25  # while nothing is served every queue lasts for ever
+    assert found["queue peak"] == 0.25  # moments without service do not count
 
 
 # -- targets and tables
@@ -132,27 +132,27 @@ def values(figure, *numbers):
 
 
 def test_a_target_is_met_by_median_and_worst_seed():
-    """Each against its own limit."""
+    """Each has its own limit."""
     target = Target(title="t", scenarios=("fall 20 to 5",), figure="reaction, gate", limit=0.6, worst_limit=1.5)
     for numbers, met in (((0.5, 0.6, 1.5), True), ((0.5, 0.7, 0.8), False), ((0.1, 0.1, 1.6), False)):
         assert target.is_met(target.values(values("reaction, gate", *numbers), "arpd")) is met
 
 
 def test_a_target_from_below_is_missed_by_its_smallest():
-    """More is better there."""
-    target = Target(title="t", scenarios=(), figure="utilisation", limit=0.95, at_least=True)
+    """Where more is better, the smallest value is the worst."""
+    target = Target(title="t", scenarios=(), figure="utilisation", limit=0.95)
     assert target.worst([0.99, 0.94]) == 0.94
     assert not target.is_met([0.99, 0.98, 0.94])
 
 
 def test_every_target_names_scenarios_that_exist():
-    """One that reads nothing is met by nobody."""
+    """A target without values would never be judged."""
     for target in TARGETS:
         assert set(target.scenarios) <= set(SCENARIOS)
 
 
-def test_what_never_happened_is_said_so():
-    """In both tables, and as null in JSON."""
+def test_what_never_happened_is_shown_as_never():
+    """Both tables say never, and JSON has null."""
     found = values("reaction, gate", 0.5, 0.5, math.inf)
     found["fall 20 to 5"]["arpd"] = [row | {"error p50": 0.0} for row in found["fall 20 to 5"]["arpd"]]
     assert "(never)" in scenario_table(found, seeds=3)
@@ -163,7 +163,7 @@ def test_what_never_happened_is_said_so():
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenario_is_a_link_for_any_seed(name):
-    """What depends on the seed does so repeatably, and what is looked at lies in the run."""
+    """The same seed gives the same schedule, and all changes lie within the run."""
     played = SCENARIOS[name]
     assert played.schedule(1) == played.schedule(1)
     assert played.schedule(2).duration_s < played.duration_s

@@ -1,8 +1,7 @@
-"""What the benchmark of the real link makes of its readings; the readings themselves need the link."""
+"""The figures of the benchmark of the real link, from made readings; real readings need the link."""
 
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,8 +13,8 @@ from scripts.bench.link_course import MBIT, SCENARIOS, Belief, Instant, Run, Sce
 from scripts.bench.link_figures import FIGURES, figures, gather
 from scripts.bench.link_report import draw, save, table
 from scripts.bench.link_sampler import BucketReading, believed, make_course
+from scripts.robot.run import CONFIG
 
-CONFIG = Path(__file__).resolve().parents[3] / "scripts" / "robot" / "arpd.yaml"
 DROP = Scenario(name="drop", schedule="0:20mbit,12:5mbit", duration_s=35.0)
 RISE = Scenario(name="rise", schedule="0:5mbit,12:20mbit", duration_s=35.0)
 STEADY = Scenario(name="steady", schedule="0:20mbit", duration_s=35.0)
@@ -23,19 +22,14 @@ OUTAGE = Scenario(name="outage", schedule="0:20mbit", duration_s=35.0, outages=(
 
 
 def belief(**changes):
-    values: dict[str, Any] = {
+    values: dict[str, Any] = dict.fromkeys(Belief.__slots__, 0.0) | {
         "estimate_bytes_per_second": 20 * MBIT,
-        "foreign_bytes_per_second": 0.0,
-        "level_bytes_per_second": 17 * MBIT,
         "kind": "peer",
         "state": "steady",
-        "queue_delay_s": 0.0,
         "gate": 1.0,
         "generation": 1,
         "levels_by_cause": {"start": 1},
         "swaps": 12,
-        "probe_bytes": 0,
-        "report_bytes": 0,
     }
     return Belief(**(values | changes))
 
@@ -56,7 +50,7 @@ def course_of(scenario, believe, *, queue_s=lambda _t: 0.01, sent=lambda t: roun
 
 
 def test_readings_at_their_own_moments_come_to_one_grid():
-    """An instant has the longest queue seen in it, the last rate, what was sent since the start, and a fresh belief."""
+    """An instant has its longest queue, the last rate, the bytes sent since the start, and a fresh belief."""
     buckets = [
         BucketReading(at_s=at_s, rate_bytes_per_second=rate, backlog_bytes=backlog, sent_bytes=sent)
         for at_s, rate, backlog, sent in (
@@ -76,7 +70,7 @@ def test_readings_at_their_own_moments_come_to_one_grid():
 
 
 def test_a_status_document_becomes_a_belief(sample_snapshot):
-    """Everything the bench plots is read from the status page, and swaps with a rest are not counted twice."""
+    """The status document has every figure, and a swap with two results counts once."""
     document = status_document(sample_snapshot)
     document["topics"][0]["swaps"] = {"ok": 2, "timeout": 1, "undelivered": 3}
     others = sum(sum(topic["swaps"].values()) for topic in document["topics"][1:])
@@ -101,7 +95,7 @@ def test_the_steady_error_leaves_out_the_start_and_the_reaction():
 
 
 def test_the_reaction_to_a_drop_is_when_the_estimate_is_near_and_stays():
-    """A value on the way through is no reaction; the gate reacts when it is below one half for the first time."""
+    """An estimate that passes the truth is no reaction; the gate reacts when it is first below one half."""
 
     def believe(t):
         near = 12.5 <= t < 12.8 or t >= 13.2
@@ -122,7 +116,7 @@ def test_what_never_happens_is_none():
 
 
 def test_the_rise_is_when_80_per_cent_are_known():
-    """80 % of 20 Mbit/s, and not before."""
+    """The rise ends at 80 % of 20 Mbit/s."""
 
     def believe(t):
         return belief(estimate_bytes_per_second=min(20.0, 5.0 + max(0.0, t - 12.0)) * MBIT)
@@ -131,7 +125,7 @@ def test_the_rise_is_when_80_per_cent_are_known():
 
 
 def test_an_outage_has_three_times():
-    """Until the gate is closed, until the estimate is back, and until the traffic is."""
+    """They end when the gate is closed, when the estimate is back, and when the traffic is back."""
 
     def believe(t):
         return belief(
@@ -149,7 +143,7 @@ def test_an_outage_has_three_times():
 
 
 def test_costs_are_counted_after_the_start_and_per_minute():
-    """Plans and swaps of the first seconds are the robot's start; probes and reports are shares of the truth."""
+    """Plans and swaps of the first seconds do not count; probes and reports are shares of the truth."""
 
     def believe(t):
         return belief(
@@ -175,7 +169,7 @@ def test_without_arpd_only_the_link_is_judged():
 
 
 def test_never_is_worse_than_any_number():
-    """Median and worst count what never happened as the worst; bias by its size; utilisation the other way round."""
+    """Never is the worst value; the worst bias is the largest, the worst utilisation the smallest."""
     assert gather([{"rise_s": 3.0}, {"rise_s": None}, {"rise_s": 2.0}], "rise_s") == (3.0, None)
     assert gather([{"rise_s": None}, {"rise_s": None}, {"rise_s": 2.0}], "rise_s") == (None, None)
     assert gather([{"bias": -0.2}, {"bias": 0.1}, {"bias": 0.05}], "bias") == (0.05, -0.2)
@@ -192,7 +186,7 @@ def virtual_runs():
 
 
 def test_a_simulated_run_has_the_same_form(virtual_runs):
-    """The course of a run in virtual time says what that of a real one says, levels counted from its causes."""
+    """The course of a run in virtual time has the fields of a real one, with levels counted by cause."""
     course = virtual_course(virtual_runs[True].moments, STEADY)
     last = course[-1].belief
     assert last is not None
@@ -203,7 +197,7 @@ def test_a_simulated_run_has_the_same_form(virtual_runs):
 
 
 def test_the_report_shows_every_run(virtual_runs, tmp_path):
-    """The table has a row for each figure that was found, the picture is drawn, the document has every run."""
+    """The table has a row for each figure, the picture is drawn, and the document has every run."""
     runs = [
         Run(
             scenario=STEADY.name,
@@ -219,9 +213,7 @@ def test_the_report_shows_every_run(virtual_runs, tmp_path):
         for is_managed, result in virtual_runs.items()
     ]
     text = table([STEADY], runs)
-    for name in runs[0].figures:
-        assert FIGURES[name][0] in text
-    assert "commands, latency p99" in text
+    assert all(FIGURES[name][0] in text for name in runs[0].figures)
     save({"commit": "abc"}, runs, tmp_path / "link.json")
     document = json.loads((tmp_path / "link.json").read_text())
     assert document["commit"] == "abc"
@@ -232,7 +224,7 @@ def test_the_report_shows_every_run(virtual_runs, tmp_path):
 
 
 def test_the_scenarios_are_what_they_are_called():
-    """Each has its event where its schedule puts it, and time after it to settle."""
+    """Each begins and ends at the rate of its name, and has time to settle after its changes."""
     by_name = {scenario.name: scenario for scenario in SCENARIOS}
     assert set(by_name) == {"steady 20", "steady 5", "20→5", "5→20", "outage"}
     assert by_name["20→5"].rates.rate_at(math.inf) == 5 * MBIT

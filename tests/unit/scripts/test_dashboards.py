@@ -26,7 +26,7 @@ RULES_FOLDER = REPO / "etc" / "prometheus" / "rules"
 # Not arpd's: Prometheus itself and prometheus_client make these.
 FOREIGN_METRICS = re.compile(r"up|ALERTS|scrape_\w+|process_\w+")
 DEPARTURES = {
-    ("template-instance-rule", "arpd-robot"): "the dashboard is of one robot; two laid over each other answer nothing",
+    ("template-instance-rule", "arpd-robot"): "the dashboard is of one robot; two laid over each other answer nothing"
 }
 
 
