@@ -1,8 +1,8 @@
-"""The demo: the same robot over the same link, with rclpy's defaults and with arpd, side by side.
+"""Run the same robot over the same link twice, with rclpy's defaults and with arpd, and compare.
 
-Eleven sensors on `robot` are read by a planner on `ceddp`, which sends commands back; the link between them drops and
-recovers by schedule. Both hosts are network namespaces of this machine, the link is a real rate-limited veth pair, and
-every process is the real one.
+A planner on `ceddp` reads eleven sensors on `robot` and sends commands back; the link between them drops and recovers
+by schedule. Both hosts are network namespaces of this machine, the link is a real rate-limited veth pair, and every
+process is the real one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _NESTED = "ARPD_DEMO_NESTED"
 _LISTENER = "ARPD_DEMO_LISTENER"
 _LEGEND = (
     "loss: sent on the link and never received.  withheld: pacing chose a fresher sample instead.",
-    "stalled: never published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
+    "stalled: not published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
 )
 
 
@@ -99,11 +99,11 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         print(json.dumps(as_document(pairs), indent=2))
     else:
-        # A pipe has no width of its own; the table must not be cut to 80 columns there.
+        # A pipe has no width: rich would cut the table to 80 columns.
         wide = console if console.is_terminal else Console(width=160)
         wide.print(final_table(pairs))
         unsent = sum(pair.with_arpd.unsent for pair in pairs)
-        before = [f"{unsent} samples were lost on the robot itself, between sensor and relay."] if unsent else []
+        before = [f"The robot itself lost {unsent} samples, between sensor and relay."] if unsent else []
         for sentence in (verdict(pairs)[1], *before, *_LEGEND):
             console.print(sentence, soft_wrap=True, highlight=False)
     return 0
@@ -167,7 +167,7 @@ def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
 def _watching(
     side: Side, schedule: RateSchedule, duration_s: float, name: str, console: Console
 ) -> Iterator[Callable[[float], None]]:
-    """Yield what shows the run: a live table on a terminal, nothing in a pipe."""
+    """Yield a function that shows the run: as a live table on a terminal, not at all in a pipe."""
     if not console.is_terminal:
         yield lambda _elapsed_s: None
         return
@@ -195,7 +195,7 @@ def _listen() -> socket.socket:
 
 
 def _namespaces(arguments: list[str], *, is_serving: bool) -> tuple[bool, str]:
-    """Whether namespaces work here; without root, this process becomes root of a user namespace first."""
+    """Return whether namespaces work here, or why not; without root, restart as root of a user namespace first."""
     usable, reason = available()
     if usable or os.geteuid() == 0 or os.environ.get(_NESTED):
         return usable, reason
@@ -203,7 +203,7 @@ def _namespaces(arguments: list[str], *, is_serving: bool) -> tuple[bool, str]:
         command = user_namespace_argv([sys.executable, "-m", "scripts.robot.demo", *arguments])
         environment = {**os.environ, _NESTED: "1"}
         if is_serving:
-            # A socket stays in the namespace it was made in, so this one can be reached from outside.
+            # A socket stays in the namespace that made it, so this one is reachable from outside.
             listener = _listen()
             listener.set_inheritable(True)
             environment[_LISTENER] = str(listener.fileno())

@@ -1,4 +1,4 @@
-"""How the robot publishes: by plain rclpy with some QoS, or under a daemon's care."""
+"""The ways in which the robot publishes: with plain rclpy and some QoS, or under a daemon."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ RCLPY_DEPTH = 10  # what every rclpy tutorial passes
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manner:
-    """What the nodes of one run are told.
+    """The settings of the nodes of one run.
 
     Parameters
     ----------
-    daemon : what governs them, as arguments of ``python -m``; empty = nobody
+    daemon : arguments of ``python -m`` for the daemon; empty = none
     depth : DEPTH of every writer and reader (samples)
     deadline_ns : DEADLINE that every writer offers and every reader requests (ns); 0 = none
-    rates_hz : topics published less often than their source would (Hz)
+    rates_hz : lower rates of some topics than their sources' (Hz)
     """
 
     daemon: tuple[str, ...] = ()
@@ -31,15 +31,15 @@ class Manner:
 
     @property
     def is_managed(self) -> bool:
-        """Whether a daemon governs the robot, with a peer and a relay."""
+        """True if a daemon governs the robot, with a peer and a relay."""
         return bool(self.daemon)
 
     def rate_hz(self, topic: str, source_rate_hz: float) -> float:
-        """Return the rate at which a topic is published (Hz)."""
+        """Return a topic's publishing rate (Hz)."""
         return min(source_rate_hz, self.rates_hz.get(topic, source_rate_hz))
 
     def arguments(self, topic: str, source_rate_hz: float) -> list[str]:
-        """Return what a node is told on its command line."""
+        """Return a node's command-line arguments."""
         return [
             *("--depth", str(self.depth), "--deadline-ns", str(self.deadline_ns)),
             *("--rate", repr(self.rate_hz(topic, source_rate_hz))),

@@ -1,6 +1,6 @@
-"""Pictures of arpd at work: the page, on a desk and on a phone, and `arpd top`, of a real run.
+"""Take pictures of a real run of arpd: the page, on a desk and on a phone, and `arpd top`.
 
-The demo's robot meets a slower link, an outage and a slower link again; then the pictures are taken. Needs network
+The demo's robot meets a slower link, an outage and a slower link again; then come the pictures. Needs network
 namespaces (root) and the Chromium of apt.
 """
 
@@ -49,7 +49,7 @@ _FONT = "DejaVu Sans Mono, Liberation Mono, monospace"
 def main() -> int:
     parser = argparse.ArgumentParser(prog="scripts/screenshots", description=__doc__)
     parser.add_argument("--to", type=Path, default=REPO / "scripts" / "pictures", help="folder (default %(default)s)")
-    parser.add_argument("--of", metavar="URL", help="take pictures of a daemon that runs already, such as the demo's")
+    parser.add_argument("--of", metavar="URL", help="take pictures of a running daemon, such as the demo's")
     options = parser.parse_args()
     try:
         if options.of:
@@ -65,7 +65,7 @@ def main() -> int:
 def run_and_take(folder: Path) -> None:
     usable, reason = available()
     if not usable:
-        raise DemoError(f"the pictures are of a real run, which needs network namespaces ({reason}); run it as root")
+        raise DemoError(f"a real run needs network namespaces ({reason}); run this as root")
     logs = Path(tempfile.mkdtemp(prefix="arpd-screenshots-"))
     print(f"logs in {logs}", file=sys.stderr)
     with (
@@ -73,13 +73,7 @@ def run_and_take(folder: Path) -> None:
         robot(link, logs, WITH_ARPD) as side,
         progress("the robot at work", total=_DURATION_S) as shown,
     ):
-        play(
-            side,
-            _SCHEDULE.rate_at,
-            _DURATION_S,
-            on_tick=shown.reach,
-            loss_at=lost_during([_OUTAGE_S]),
-        )
+        play(side, _SCHEDULE.rate_at, _DURATION_S, on_tick=shown.reach, loss_at=lost_during([_OUTAGE_S]))
         take(side.url, folder)
 
 
@@ -111,7 +105,7 @@ def _page(
     page = context.new_page()
     page.goto(url)
     page.wait_for_function("() => document.body.dataset.freshness === 'live' && document.querySelector('canvas')")
-    page.wait_for_timeout(1500)  # a poll or two, so that the charts have their newest sample
+    page.wait_for_timeout(1500)  # one or two polls, so that the charts are up to date
     if below:
         page.locator(below).evaluate("(title) => scrollTo(0, title.getBoundingClientRect().top + scrollY - 16)")
     _write(path, page.screenshot())
@@ -123,7 +117,7 @@ def _top(browser: Browser, url: str, path: Path) -> None:
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
     view = View(width=_COLUMNS, height=_LINES, url="http://robot.local:9464")
     console.print(frame(_get(f"{url}/api/v1/status"), _get(f"{url}/api/v1/history"), view))
-    # Without the web fonts that rich names, which would be fetched from elsewhere.
+    # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)
     page = browser.new_context(device_scale_factor=1).new_page()
     page.set_content(f"<body style='margin:0'>{console.export_svg(title='arpd top', code_format=plain)}</body>")
@@ -140,13 +134,9 @@ def _get(address: str) -> dict[str, Any]:
 
 
 def _write(path: Path, png: bytes) -> None:
-    """Write a picture with as many colours as a screen shot of text needs."""
-    picture = (
-        Image.open(io.BytesIO(png))
-        .convert("RGB")
-        .quantize(128, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    )
-    picture.save(path, optimize=True)
+    """Write a picture with 128 colours, enough for a screenshot of text."""
+    colours = Image.open(io.BytesIO(png)).convert("RGB")
+    colours.quantize(128, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The planner on the CEDDP: consumes every sensor topic and sends commands back.
+"""The planner on the CEDDP: it reads every sensor topic and sends commands back.
 
 Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
 
-It prints one JSON line a second with what arrived, for the live table; the same signals as the sensors.
+It prints one JSON line a second with the arrivals, for the live table. It obeys the same signals as the sensors.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from arpd import AdaptivePublisher
 from arpd.adapters.sim.demo import COMMAND_TOPIC
-from scripts.robot.process import live, told
+from scripts.robot.process import command_line, live
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 from scripts.robot.stamped import StampedArrivals
 
@@ -65,7 +65,7 @@ class Planner(Node):
 
 
 def main() -> None:
-    order = told("prefix", "kind", "out")
+    order = command_line("prefix", "kind", "out")
     live(
         lambda: Planner(
             order.prefix if order.prefix != "-" else "",

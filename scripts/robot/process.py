@@ -1,6 +1,6 @@
-"""How the demo's nodes live: told by signals, each ends by writing what it counted.
+"""The life of the demo's nodes: signals control them, and each writes its counts at the end.
 
-SIGUSR1 starts publishing, SIGUSR2 stops it and the node stays, SIGTERM writes the result and ends.
+SIGUSR1 starts publishing, SIGUSR2 stops it, SIGTERM writes the result and ends the node.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class DemoNode(Protocol):
     is_publishing: bool
 
     def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
-        """Return what it counted between two moments (Unix s)."""
+        """Return the node's counts between two times (Unix s)."""
 
 
-def told(*positional: str) -> argparse.Namespace:
-    """Read a node's command line: the names given, ``out`` as a path, QoS as ``qos``, ``rate_hz`` (0 = its own)."""
+def command_line(*positional: str) -> argparse.Namespace:
+    """Read a node's command line: the given names, ``out`` as a path, QoS as ``qos``, ``rate_hz`` (0 = its own)."""
     parser = argparse.ArgumentParser()
     for name in positional:
         parser.add_argument(name, type=Path if name == "out" else str)

@@ -1,4 +1,4 @@
-"""A window into a namespace: a port of this machine that leads to a port of the simulated robot."""
+"""A port of this machine that leads to a port of the simulated robot, in its namespace."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def window(host: Host, port: int, *, listener: socket.socket | None = None) -> Iterator[str]:
-    """Forward a port of 127.0.0.1 to the host's own 127.0.0.1:port; yields the URL on this side.
+    """Forward a port of 127.0.0.1 to the host's own 127.0.0.1:port; yield the URL on this side.
 
     Parameters
     ----------
-    listener : where to listen, for a port of another namespace's; None = a free port of this one
+    listener : a socket of another namespace; None = a free port of this one
     """
     listener = listener or socket.create_server(("127.0.0.1", 0))
 
@@ -46,7 +46,7 @@ def window(host: Host, port: int, *, listener: socket.socket | None = None) -> I
     try:
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
     finally:
-        # shutdown wakes the accept; close alone would leave the thread in it.
+        # shutdown ends the accept; after close alone, the thread would stay in it.
         with contextlib.suppress(OSError):
             listener.shutdown(socket.SHUT_RDWR)
         listener.close()

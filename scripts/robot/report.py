@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from arpd.adapters.sim.result import TopicResult
 
-_HURT_P99_S = 0.25  # a default robot whose topic is later than this at p99 is behind a link that cannot carry it
+_HURT_P99_S = 0.25  # p99 of a default robot above this means that the link cannot carry the topic
 _HURT_LOSS = 0.001
 
 
@@ -28,12 +28,12 @@ class Pair:
 
     @property
     def is_overloaded(self) -> bool:
-        """Whether the link could not carry the topic's demand without arpd."""
+        """True if the link could not carry the topic's demand without arpd."""
         return self.without.loss_ratio > _HURT_LOSS or (self.without.latency_p99_s or math.inf) > _HURT_P99_S
 
     @property
     def is_better(self) -> bool:
-        """Less loss (or none in both), lower p99 latency and lower p99 age with arpd."""
+        """True with less loss (or none in both), lower p99 latency and lower p99 age with arpd."""
         return (
             (self.with_arpd.loss_ratio < self.without.loss_ratio or self.with_arpd.lost == 0)
             and _less(_p99_of_sent_s(self.with_arpd), _p99_of_sent_s(self.without))
@@ -48,11 +48,11 @@ def pair_up(without: Sequence[TopicResult], with_arpd: Sequence[TopicResult]) ->
 
 
 def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
-    """Whether arpd was better on every topic the link could not carry, in a sentence."""
+    """Return whether arpd was better on every topic the link could not carry, and a sentence on it."""
     overloaded = [pair for pair in pairs if pair.is_overloaded]
     worse = [pair.without.topic for pair in overloaded if not pair.is_better]
     if not overloaded:
-        return True, "The link carried everything without help in this run."
+        return True, "In this run the link carried everything without arpd."
     if worse:
         return False, f"Not better on {', '.join(worse)} ({len(overloaded)} topics were overloaded)."
     return True, (
@@ -62,7 +62,7 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
 
 
 def final_table(pairs: Sequence[Pair]) -> Table:
-    """Both runs side by side, per topic and in all: every cell reads ``without → with arpd``."""
+    """Return both runs side by side, per topic and in all: every cell reads ``without → with arpd``."""
     table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10) → arpd", title_justify="left", pad_edge=False)
     table.add_column("topic", no_wrap=True)
     headings = ("source\nHz", "latency p50\nms", "latency p99\nms", "loss\n%", "withheld\n%")
@@ -83,7 +83,7 @@ def final_table(pairs: Sequence[Pair]) -> Table:
 def live_view(
     *, elapsed_s: float, duration_s: float, truth: float, side: str, status: dict[str, Any] | None, arrivals: Any
 ) -> Group:
-    """Show what is going on now: the link, the estimate, the gate, every topic."""
+    """Return the current state: the link, the estimate, the gate, every topic."""
     head = Text(f"{side}  {elapsed_s:4.0f} / {duration_s:.0f} s   link carries {truth * 8e-6:.1f} Mbit/s")
     table = Table(pad_edge=False)
     table.add_column("topic", no_wrap=True)
@@ -118,7 +118,7 @@ def live_view(
 
 
 def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """JSON form of the whole comparison."""
+    """Return the whole comparison for JSON."""
     better, sentence = verdict(pairs)
     return {
         "verdict": {"is_better": better, "text": sentence},
@@ -142,7 +142,7 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
 
 
 def _p99_of_sent_s(result: TopicResult) -> float | None:
-    """Return the p99 latency of what was sent: with more than 1 % lost there is none, however quick the survivors."""
+    """Return the p99 latency of all samples sent; None with more than 1 % lost, even if the survivors are quick."""
     return result.latency_p99_s if result.loss_ratio <= 0.01 else None
 
 
@@ -154,7 +154,7 @@ def _cell(value: float | None, *, scale: float = 1.0) -> str:
     return "" if value is None else f"{value * scale:.4g}"
 
 
-def _ms(value: float | None) -> str:
+def milliseconds(value: float | None) -> str:
     return "never" if value is None else f"{value * 1e3:.0f}"
 
 
@@ -164,30 +164,34 @@ def _arrow(without: str, with_arpd: str) -> str:
 
 def _cells(result: TopicResult) -> list[str]:
     return [
-        _ms(result.latency_p50_s),
-        _ms(result.latency_p99_s),
-        _percent(result.loss_ratio),
-        _percent(result.withheld_ratio),
-        _ms(result.age_p50_s),
-        _ms(result.age_p99_s),
-        _percent(result.stalled_ratio),
+        milliseconds(result.latency_p50_s),
+        milliseconds(result.latency_p99_s),
+        percent(result.loss_ratio),
+        percent(result.withheld_ratio),
+        milliseconds(result.age_p50_s),
+        milliseconds(result.age_p99_s),
+        percent(result.stalled_ratio),
         f"{result.delivered_bytes / 1e6:.2f}",
     ]
 
 
 def _totals(results: Sequence[TopicResult]) -> list[str]:
-    """Ratios over all samples; the worst topic's p99, because a mean of percentiles means nothing."""
+    """Return ratios over all samples, and the worst topic's p99, because a mean of percentiles means nothing."""
     offered, expected = sum(r.offered for r in results), sum(r.expected for r in results)
     return [
         "",
-        "≤" + _ms(_worst([r.latency_p99_s for r in results])),
-        _percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
-        _percent(_ratio(sum(r.withheld for r in results), offered)),
+        "≤" + milliseconds(_worst([r.latency_p99_s for r in results])),
+        percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
+        percent(_ratio(sum(r.withheld for r in results), offered)),
         "",
-        "≤" + _ms(_worst([r.age_p99_s for r in results])),
-        _percent(max(0.0, _ratio(expected - offered, expected))),
+        "≤" + milliseconds(_worst([r.age_p99_s for r in results])),
+        percent(max(0.0, _ratio(expected - offered, expected))),
         f"{sum(r.delivered_bytes for r in results) / 1e6:.2f}",
     ]
+
+
+def percent(ratio: float) -> str:
+    return f"{ratio * 100:.1f}"
 
 
 def _worst(values: Sequence[float | None]) -> float | None:
@@ -197,7 +201,3 @@ def _worst(values: Sequence[float | None]) -> float | None:
 
 def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else 0.0
-
-
-def _percent(ratio: float) -> str:
-    return f"{ratio * 100:.1f}"

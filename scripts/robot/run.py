@@ -39,13 +39,13 @@ CONFIG = Path(__file__).with_name("arpd.yaml")
 PREFIX = "/link"
 HTTP_PORT = 9464
 _START_S = 40.0
-_DRAIN_S = 4.0  # several heartbeats of rclpy's default writer, so that late samples still count as delivered
+_DRAIN_S = 4.0  # more than a heartbeat of rclpy's default writer, so that late samples still count as delivered
 _TICK_S = 0.5
 _SHAPE_S = 0.02  # how late the link may follow its schedule
 
 
 class DemoError(ArpdError):
-    """A part of the demo did not come up or died."""
+    """A part of the demo did not start, or has ended."""
 
 
 @dataclass(slots=True)
@@ -54,11 +54,9 @@ class Side:
 
     Parameters
     ----------
-    link : the two hosts
-    workdir : logs and results of the processes
-    manner : how the robot publishes
+    workdir : folder for logs and results of the processes
     started_s : monotonic clock when the sources began to publish (s)
-    final : arpd's status document when the sources had ended; None without arpd, and before
+    final : arpd's status document when the sources had ended; None before that, and without arpd
     """
 
     link: SimLink
@@ -76,11 +74,11 @@ class Side:
         return self.workdir / "arpd.yaml"
 
     def start_daemon(self) -> None:
-        """Start `arpd run`, or what stands for it, on the robot."""
+        """Start `arpd run` or its substitute on the robot."""
         self.start("run", "robot", *self.manner.daemon, "--config", str(self.config))
 
     def result(self, name: str) -> dict[str, Any]:
-        """Return what a source or the planner wrote about its run when it was stopped."""
+        """Return the result that a source or the planner wrote at its end."""
         document = json.loads((self.workdir / f"{name}.json").read_text())
         assert isinstance(document, dict)
         return document
@@ -99,7 +97,7 @@ class Side:
             )
 
     def await_ready(self, name: str) -> None:
-        """Wait for the process's line ``ready``, then keep reading what it says."""
+        """Wait for the process's line ``ready``, then keep reading its output."""
         process = self.processes[name]
         assert process.stdout is not None
         came, _, _ = select.select([process.stdout], [], [], _START_S)
@@ -140,12 +138,12 @@ class Side:
 
 @contextlib.contextmanager
 def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
-    """Bring up planner, sensors and, if somebody governs them, peer, daemon and relay; end them all on leaving.
+    """Start planner, sensors and, under a daemon, peer, daemon and relay; end them all on leaving.
 
     Raises
     ------
     DemoError
-        If something does not come up.
+        If a process does not start.
     """
     side = Side(link, workdir, manner)
     workdir.mkdir(parents=True, exist_ok=True)
@@ -153,9 +151,9 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
     prefix, kind = (PREFIX, "adaptive") if manner.is_managed else ("-", "plain")
     with contextlib.ExitStack() as stack:
         stack.callback(_end, side)
-        told = manner.arguments(COMMAND_TOPIC, COMMAND_RATE_HZ)
+        arguments = manner.arguments(COMMAND_TOPIC, COMMAND_RATE_HZ)
         out = str(workdir / "planner.json")
-        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *told, env=profile)
+        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *arguments, env=profile)
         if manner.is_managed:
             side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
             shutil.copyfile(CONFIG, side.config)
@@ -165,8 +163,8 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
         for topic in (*SENSORS, BASE_DRIVER):
             name = _process_name(topic)
             carried = COMMAND_TOPIC if topic == BASE_DRIVER else topic
-            told = manner.arguments(carried, _rate_hz(carried))
-            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"), *told)
+            arguments = manner.arguments(carried, _rate_hz(carried))
+            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"), *arguments)
         for name in _sources():
             side.await_ready(name)
         _await_discovery(side)
@@ -182,11 +180,16 @@ def run(
     loss_at: Callable[[float], float] = lambda _elapsed_s: 0.0,
     on_change: Callable[[float, float], None] = lambda _rate, _loss: None,
 ) -> list[TopicResult]:
-    """Let the robot work for ``duration_s`` while the link follows the schedule, and return what arrived.
+    """Run the robot for ``duration_s`` while the link follows the schedule, and return the arrivals.
 
     Parameters
     ----------
-    on_tick, loss_at, on_change : as `play` has them
+    on_tick, loss_at, on_change : as in `play`
+
+    Raises
+    ------
+    DemoError
+        If arpd does not answer at the end, or the link was bypassed.
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
     play(side, schedule.rate_at, duration_s, on_tick=on_tick, loss_at=loss_at, on_change=on_change)
@@ -219,8 +222,8 @@ def play(
     ----------
     rate_at : rate of both directions, by the time since the start (bytes/s by s)
     on_tick : called twice a second with the time since the start (s)
-    loss_at : probability that a packet is lost where it arrives, in both directions (by s)
-    on_change : called with rate and loss once at the start and when the link has changed (bytes/s, 0..1)
+    loss_at : probability that an arriving packet is lost, in both directions (by s)
+    on_change : called with rate and loss at the start and after each change of the link (bytes/s, 0..1)
     """
     side.signal(signal.SIGUSR1, *_sources())
     side.started_s = time.monotonic()
@@ -243,12 +246,12 @@ def play(
 
 
 def lost_during(outages: Sequence[tuple[float, float]]) -> Callable[[float], float]:
-    """Return the loss of a link that loses every packet in the spans (s, s) and none besides."""
+    """Return the loss of a link that loses every packet in the spans (s, s) and none outside."""
     return lambda elapsed_s: float(any(start_s <= elapsed_s < end_s for start_s, end_s in outages))
 
 
 def _await_discovery(side: Side) -> None:
-    """Wait until every writer has its reader, so that nothing is published into the void."""
+    """Wait until every writer has its reader, so that no sample is published without one."""
     if not side.manner.is_managed:
         time.sleep(4.0)
         return
@@ -281,7 +284,7 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
     for topic, summary in received.items():
         managed = by_topic.get(topic if topic == COMMAND_TOPIC else PREFIX + topic)
         rate_hz = _rate_hz(topic)
-        slowed = round((rate_hz - side.manner.rate_hz(topic, rate_hz)) * duration_s)  # what its source left out
+        slowed = round((rate_hz - side.manner.rate_hz(topic, rate_hz)) * duration_s)  # not published by its source
         results.append(
             TopicResult(
                 topic=topic,

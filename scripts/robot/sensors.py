@@ -1,9 +1,9 @@
-"""The robot's sensors: ordinary rclpy nodes that know nothing of arpd.
+"""The robot's sensors: ordinary rclpy nodes without arpd.
 
 Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
 
-Each is a process of its own, as a robot's drivers are: their send buffers are what fills the link's queue. On SIGUSR1
-they start, on SIGUSR2 they stop publishing and stay, on SIGTERM they write how many samples they published and leave.
+Each is a process of its own, as a robot's drivers are: their send buffers fill the link's queue. On SIGUSR1 they start
+to publish, on SIGUSR2 they stop, on SIGTERM they write the number of samples they published and end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sensor_msgs.msg import (
 )
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC, demo_topics
-from scripts.robot.process import DemoNode, live, told
+from scripts.robot.process import DemoNode, command_line, live
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
@@ -109,12 +109,12 @@ class Sensor(Node):
 
 
 class BaseDriver(Node):
-    """Obeys the command topic, and notes how the commands arrive."""
+    """Receives the command topic, and notes the arrivals of the commands."""
 
     def __init__(self, qos: QoSProfile) -> None:
         super().__init__(BASE_DRIVER)
         self.commands = StampedArrivals()
-        self.is_publishing = False  # what the signals call the time in which the run is measured
+        self.is_publishing = False  # the signals set it during the measured part of the run
         self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, qos, raw=True)
 
     def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class BaseDriver(Node):
 
 
 def main() -> None:
-    order = told("name", "out")
+    order = command_line("name", "out")
 
     def make() -> DemoNode:
         if order.name == BASE_DRIVER:

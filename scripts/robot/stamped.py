@@ -1,4 +1,4 @@
-"""Reading a stamped sample without deserializing it."""
+"""Reads the stamp of a sample without deserializing it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def read_stamp(sample: bytes) -> tuple[float, int]:
 
 @dataclass(slots=True)
 class StampedArrivals(Arrivals):
-    """The books of one rclpy reader, with what came lately for the live table.
+    """The counts of one rclpy reader, with recent arrivals for the live table.
 
     Parameters
     ----------
-    renewals : when the reader was handed a newer sample than it had, and that sample's stamp (Unix s, Unix s)
-    recent, recent_worst_s : what came since the live table asked last
+    renewals : time of each sample that was newer than all before, and its stamp (Unix s, Unix s)
+    recent, recent_worst_s : count and worst latency since the live table's last question
     """
 
     renewals: list[tuple[float, float]] = field(default_factory=list)
@@ -36,7 +36,7 @@ class StampedArrivals(Arrivals):
     recent_worst_s: float = 0.0
 
     def on_sample(self, sample: bytes, info: dict[str, int]) -> None:
-        """Take a raw sample with its MessageInfo: it left the wire when the DDS thread received it."""
+        """Note a raw sample with its MessageInfo; it arrived when the DDS thread received it."""
         stamp_s, sequence = read_stamp(sample)
         latency_s = info["received_timestamp"] * 1e-9 - stamp_s
         self.on_arrival(sequence, latency_s)
@@ -48,13 +48,9 @@ class StampedArrivals(Arrivals):
         self.recent_worst_s = max(self.recent_worst_s, latency_s)
 
     def sample_ages(self, began_s: float, ended_s: float) -> None:
-        """Sample the age at 20 Hz from the log, so that it grows on while nothing comes or the reader itself hangs.
+        """Sample the age at 20 Hz between two times (Unix s), from the log: it grows even if the reader itself hangs.
 
-        Before the first sample, the reader is as old as its wait.
-
-        Parameters
-        ----------
-        began_s, ended_s : when the sources began and ended (Unix s)
+        Before the first sample, the age is the time since the start.
         """
         self.ages_s.clear()
         newest_s, upcoming = began_s, 0
@@ -73,7 +69,7 @@ class StampedArrivals(Arrivals):
         }
 
     def take_recent(self) -> tuple[int, float]:
-        """Count and worst latency since the last call."""
-        taken = self.recent, self.recent_worst_s
+        """Return count and worst latency (s) since the last call."""
+        recent = self.recent, self.recent_worst_s
         self.recent, self.recent_worst_s = 0, 0.0
-        return taken
+        return recent
