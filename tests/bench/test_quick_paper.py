@@ -10,11 +10,7 @@ from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 CAN, WHY = available()
-pytestmark = [
-    pytest.mark.link,
-    pytest.mark.ros,
-    pytest.mark.skipif(not CAN, reason=f"no simulated link here: {WHY}"),
-]
+pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=f"no simulated link here: {WHY}")]
 
 
 @pytest.fixture(scope="module")

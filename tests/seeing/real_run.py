@@ -126,10 +126,6 @@ class RealRun:
         """Wait until an expression has a result, such as ``up == 1``, and return it."""
         return self.eventually(lambda: self.query(expression), timeout_s, expression)
 
-    def wait_while(self, expression: str, timeout_s: float = _PATIENCE_S) -> None:
-        """Wait until an expression has no result any more."""
-        self.eventually(lambda: not self.query(expression), timeout_s, f"nothing for {expression}")
-
     def eventually(self, condition: Callable[[], Any], timeout_s: float, text: str) -> Any:
         """Wait until a condition holds; returns what it returned."""
         until_s = time.monotonic() + timeout_s
