@@ -5,17 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import socket
 import threading
 import time
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-from arpd.adapters.host.addresses import Addresses
-from arpd.adapters.http.retrying_server import RetryingServer
-from arpd.adapters.http.server import HttpAddressError
 from arpd.daemon.run import stop
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import TICK_S
@@ -314,91 +309,3 @@ def test_the_loop_ends_when_a_new_process_would_reach_more(signals):
     daemon = Daemon(signals, *9 * [nothing])
     run(daemon, signals, is_cut_off=lambda: next(cut_off))
     assert (daemon.ticked, signals.stop) == (2, False)
-
-
-class Host:
-    """Interfaces and their addresses, and a clock."""
-
-    def __init__(self, **addresses):
-        self.now_s = 100.0
-        self.by_interface = addresses
-        self.link = "wlan0"
-        self.addresses = Addresses(lambda: self.link, addresses=self.known, clock=lambda: self.now_s)
-
-    def known(self):
-        return {name: frozenset([address]) for name, address in self.by_interface.items()}
-
-    def are_outdated(self, after_s):
-        until_s = self.now_s + after_s
-        while self.now_s < until_s:
-            self.now_s += 0.1
-            if self.addresses.are_outdated():
-                return True
-        return False
-
-
-def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
-    """A late or changed address of the link needs a new process, after a few seconds in which more may come."""
-    late = Host(lo="127.0.0.1")
-    assert not late.are_outdated(60.0)
-    late.by_interface["wlan0"] = "10.0.0.5"
-    assert not late.are_outdated(2.5)
-    assert late.are_outdated(3.0)
-    renumbered = Host(wlan0="10.0.0.5")
-    renumbered.by_interface["wlan0"] = "10.0.0.77"
-    assert renumbered.are_outdated(6.0)
-
-
-def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
-    """The link's address may go and return, other interfaces may come, and the link may be chosen late."""
-    host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
-    del host.by_interface["wlan0"]
-    assert not host.are_outdated(30.0)
-    host.by_interface |= {"wlan0": "10.0.0.5", "docker0": "172.17.0.1"}
-    assert not host.are_outdated(30.0)
-    host.link = "eth0"
-    assert not host.are_outdated(30.0)
-
-
-def test_an_address_that_is_passed_through_calls_for_nothing():
-    """A link-local address that is gone after two seconds needs no new process."""
-    host = Host(wlan0="10.0.0.5")
-    host.by_interface["wlan0"] = "169.254.3.4"
-    assert not host.are_outdated(2.0)
-    host.by_interface["wlan0"] = "10.0.0.5"
-    assert not host.are_outdated(30.0)
-
-
-@contextmanager
-def listening(port):
-    """Listen as the real server does; raise when the port is taken."""
-    try:
-        with socket.create_server(("127.0.0.1", port), reuse_port=False):
-            yield f"http://127.0.0.1:{port}"
-    except OSError as error:
-        raise HttpAddressError(f"http: cannot listen on 127.0.0.1:{port}: {error.strerror}; take another") from error
-
-
-def test_a_port_that_is_taken_is_tried_again(caplog):
-    """The daemon goes on without metrics, logs that once, and serves as soon as the port is free."""
-    caplog.set_level("INFO")
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        server = RetryingServer(lambda: listening(port), again_s=0.02)
-        with server.up():
-            assert server.fault.startswith(
-                f"no metrics: http: cannot listen on 127.0.0.1:{port}: Address already in use"
-            )
-            time.sleep(0.1)
-            other.close()
-            until_s = time.monotonic() + 10.0
-            while server.fault and time.monotonic() < until_s:
-                time.sleep(0.01)
-            assert server.fault == ""
-    assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
-
-
-def test_what_else_keeps_it_from_serving_at_the_start_is_raised():
-    """A faulty web configuration is raised, because trying again would not help."""
-    with pytest.raises(ValueError, match="a bug"), RetryingServer(fail).up():
-        raise AssertionError("must not be entered")

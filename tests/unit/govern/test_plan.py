@@ -1,32 +1,22 @@
-"""Plans from allocations, and steps from plans: safe at every interruption, and no step too many."""
+"""Plans from allocations."""
 
-import math
 from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.apply.transitions import is_confirmed, restore_plan
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import Topic
-from arpd.model.endpoints import Direction, RefusalReason
-from arpd.model.plan import QosPlan, TopicPlan
+from arpd.model.plan import QosPlan
 from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
 from arpd.solve.program import Program
-from tests.sample_publishers import plan_transitions, publisher
+from tests.sample_publishers import publisher
 
 PUBLISHER = publisher("/n", "/t")
 TOPIC = Topic(name="/t", wire_bytes=1200.0, packets=1, desired_rate_hz=20.0, min_rate_hz=2.0)
 PROGRAM = Program(settings=ProgramSettings(backend=Backend.EXACT), headroom=0.85)
 EMPTY = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
-PLANS = st.builds(
-    TopicPlan,
-    rate_hz=st.floats(0.0, 1000.0),
-    min_rate_hz=st.just(0.0),
-    deadline_ns=st.integers(0, 10**10),
-    depth=st.integers(1, 5000),
-)
 
 
 def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPTY, settings=None):
@@ -40,27 +30,9 @@ def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPT
     )
 
 
-def plan(rows, generation=2):
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=1e6)
-
-
-def applied(publishers, transition):
-    """Return what the publishers announce after one step."""
-    return [
-        replace(p, rate_hz=r.rate_hz, depth=r.depth, deadline_ns=r.deadline_ns, generation=transition.generation)
-        if p.node == transition.node and (r := transition.topics.get(p.topic))
-        else p
-        for p in publishers
-    ]
-
-
 def qos(row):
     """Return the fields of a row that the deadband keeps; a floor follows the link at no cost."""
     return row.rate_hz, row.depth, row.deadline_ns
-
-
-def load(publishers):
-    return sum(min(p.rate_hz, p.source_rate_hz) * p.payload_bytes for p in publishers)
 
 
 @pytest.mark.parametrize("capacity", [1e5, 1e6, 1e8])
@@ -180,46 +152,6 @@ def test_the_tightest_request_of_all_readers_counts():
     assert planned(1e6, publishers=publishers).topics["/t"].deadline_ns == 30_000_000
 
 
-def test_a_confirmed_publisher_needs_no_step():
-    """A publisher that announces the plan gets no step; the announced rate has six digits."""
-    target = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    publisher = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)
-    assert is_confirmed(publisher, target)
-    assert plan_transitions([publisher], plan({"/t": target}), reason="") == ()
-    assert not is_confirmed(replace(publisher, depth=4), target)
-
-
-@pytest.mark.parametrize("reason", sorted(RefusalReason))
-def test_only_a_refusal_for_good_settles_a_publisher(reason):
-    """After a lasting refusal only a change of the rate causes a step; after a passing one, any difference does."""
-    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    slowed = replace(PUBLISHER, rate_hz=5.0, refusal="no", refusal_reason=reason)
-    assert is_confirmed(slowed, target) == reason.is_lasting
-    assert (plan_transitions([slowed], plan({"/t": target}), reason="") == ()) == reason.is_lasting
-    assert not is_confirmed(replace(slowed, rate_hz=6.0), target)
-
-
-def test_a_publisher_that_keeps_all_has_no_depth_to_confirm():
-    """With a KEEP_ALL history, only rate and deadline count."""
-    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    everything = replace(PUBLISHER, rate_hz=5.0, deadline_ns=5, keeps_all=True)
-    assert is_confirmed(everything, target)
-    assert not is_confirmed(replace(everything, deadline_ns=6), target)
-
-
-def test_topics_outside_the_plan_are_left_alone():
-    """A topic without a row gets no step."""
-    target = plan({"/t": TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=5, depth=3)})
-    assert plan_transitions([replace(PUBLISHER, topic="/other")], target, reason="") == ()
-
-
-def test_a_topic_whose_far_reader_left_is_restored_too():
-    """A clean stop restores the QoS of topics that no longer cross the link."""
-    managed = replace(PUBLISHER, direction=Direction.LOCAL, rate_hz=5.0, depth=3, generation=7)
-    (step,) = plan_transitions([managed], restore_plan([managed], generation=8), reason="stop")
-    assert (step.topics["/t"].rate_hz, step.topics["/t"].depth) == (math.inf, 10)
-
-
 @pytest.mark.parametrize("requested_ns", [50_000_000, 60_000_000, 62_000_000])
 def test_the_deadband_never_costs_a_reader(requested_ns):
     """A row inside the deadband changes when a reader requests a shorter deadline than it offers."""
@@ -228,48 +160,3 @@ def test_the_deadband_never_costs_a_reader(requested_ns):
     for state in (demanding, replace(demanding, source_rate_hz=0.0)):
         second = planned(1e6, publishers=(state,), previous=first)
         assert 0 < second.topics["/t"].deadline_ns <= requested_ns
-
-
-PUBLISHERS = st.lists(
-    st.builds(
-        replace,
-        st.just(PUBLISHER),
-        node=st.sampled_from(["/a", "/b", "/c", "/d"]),
-        topic=st.sampled_from(["/t0", "/t1", "/t2"]),
-        rate_hz=st.floats(0.0, 1000.0),
-        source_rate_hz=st.floats(0.0, 1000.0),
-        payload_bytes=st.floats(1.0, 1e5),
-        depth=st.integers(1, 5000),
-    ),
-    max_size=10,
-    unique_by=lambda publisher: (publisher.node, publisher.topic),
-)
-
-
-@settings(deadline=None)
-@given(PUBLISHERS, st.dictionaries(st.sampled_from(["/t0", "/t1", "/t2"]), PLANS))
-def test_every_prefix_of_the_steps_is_safe(publishers, rows):
-    """After any number of steps each publisher has its old or new row, and the load never exceeds both ends."""
-    target = plan(rows)
-    steps = plan_transitions(publishers, target, reason="test")
-    assert len({step.node for step in steps}) == len(steps)
-    loads, now = [load(publishers)], publishers
-    for step in steps:
-        now = applied(now, step)
-        loads.append(load(now))
-        for old, new in zip(publishers, now, strict=True):
-            assert new == old or is_confirmed(new, rows[new.topic])
-    assert max(loads) <= max(loads[0], loads[-1]) * (1 + 1e-9) + 1e-6
-    assert plan_transitions(now, target, reason="test") == ()
-
-
-@settings(deadline=None)
-@given(PUBLISHERS)
-def test_restoring_gives_back_the_applications_qos(publishers):
-    """After a clean stop every publisher has its baseline QoS, is unpaced, and needs no further step."""
-    restored = restore_plan(publishers, generation=9)
-    now = publishers
-    for step in plan_transitions(publishers, restored, reason="stop"):
-        now = applied(now, step)
-    assert all((p.depth, p.deadline_ns, p.rate_hz) == (10, 0, math.inf) for p in now)
-    assert plan_transitions(now, restored, reason="stop") == ()
