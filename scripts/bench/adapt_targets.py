@@ -114,7 +114,7 @@ def _at_most(
     # An infinite bound is met by any finite value, not by never.
     values = {side: found[figure] for (where, side), found in figures.items() if where == link}
     meeting = [side for side, value in values.items() if math.isfinite(value) and value <= bound]
-    allowed = show(bound) if math.isfinite(bound) else "whatever arrives"
+    allowed = show(bound) if math.isfinite(bound) else "any arrival"
     why = f"{show(values[ARPD])}, allowed {allowed}, the oracle {show(values[ORACLE])}"
     return Verdict(link=link, target=target, is_met=ARPD in meeting, is_possible=bool(meeting), why=why)
 

@@ -163,7 +163,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _worst_age_s(run: Run) -> float | None:
-    """Return the worst p99 age of topics of at least 20 Hz; slower topics are old by nature (s)."""
+    """Return the worst p99 age of topics of at least 20 Hz; slower topics are always old (s)."""
     ages = [topic.age_p99_s for topic in run.topics if topic.source_rate_hz >= 20.0]
     known = [age for age in ages if age is not None]
     return max(known) if len(known) == len(ages) else None

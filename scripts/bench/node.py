@@ -1,4 +1,4 @@
-"""What the ROS nodes of the benchmarks share: a node without signal handlers, taking raw samples, waiting."""
+"""Shared parts of the benchmarks' ROS nodes: a node without signal handlers, raw samples, waiting."""
 
 from __future__ import annotations
 

@@ -39,6 +39,7 @@ from pyroute2 import IPRoute
 
 from arpd.cli.progress import progress
 from scripts.bench.child import Child, ChildError
+from scripts.bench.node import becomes_true
 from scripts.bench.record import REPO, RESULTS, conditions, keep, options_of, read
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
@@ -48,8 +49,8 @@ from scripts.bench.soak import footprint
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
-from scripts.robot.run import CONFIG, DemoError, Side, robot
-from scripts.robot.sensors import BASE_DRIVER, SENSORS
+from scripts.robot.run import CONFIG, SOURCES, DemoError, Side, robot
+from scripts.robot.sensors import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,7 +60,6 @@ _AFTER_KILL_S = 1.0  # RestartSec= of the units
 _POLL_S, _FOOTPRINT_S = 0.2, 2.0
 _CALM_RESTARTS, _SETTLED_S = 5, 15.0
 _PUBLISHERS = len(SENSORS) + 1 + TOPICS  # the relay's, the planner's and the application's
-SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), BASE_DRIVER)
 _LOUD = re.compile(r"^(WARNING|ERROR|CRITICAL) (.*)", re.MULTILINE)
 
 
@@ -85,7 +85,6 @@ class Watch:
     recoveries: list[Recovery] = field(default_factory=list)
     status: dict[str, Any] | None = None
     lives: list[dict[str, Any]] = field(default_factory=list)  # last totals of each life of arpd run
-    swaps: Counter[str] = field(default_factory=Counter)
     lock: threading.Lock = field(default_factory=threading.Lock)
     stopping: threading.Event = field(default_factory=threading.Event)
 
@@ -231,10 +230,8 @@ class Robot:
                 self._later(now_s + event.lasts_s, lambda: link.set_loss(0.0))
             case "interface":
                 inside(link.robot.namespace, partial(_set_interface, link, is_up=False))
-                self._later(
-                    now_s + event.lasts_s,
-                    lambda: inside(link.robot.namespace, partial(_set_interface, link, is_up=True)),
-                )
+                restore = partial(inside, link.robot.namespace, partial(_set_interface, link, is_up=True))
+                self._later(now_s + event.lasts_s, restore)
             case "restart run":
                 self.watch.forget()
                 self._side.stop("run")
@@ -254,14 +251,9 @@ class Robot:
 
     def _start(self, kind: str, name: str, since: dict[str, int]) -> None:
         side = self._side
-        if name == "run":
+        if name != "peer":
             self._write_good()
-            side.start_daemon()
-        elif name == "relay":
-            self._write_good()
-            side.start("relay", "robot", "arpd.cli", "relay", "--config", str(side.config))
-        else:
-            side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", side.link.ceddp.interface, "--name", "ceddp")
+        {"run": side.start_daemon, "relay": side.start_relay, "peer": side.start_peer}[name]()
         self.watch.expect(kind, time.monotonic() - self.started_s, since)
 
     def _note_footprints(self, now_s: float) -> None:
@@ -333,11 +325,8 @@ def _talker(link: SimLink, kind: str) -> Child:
 
 def _await_plan(watch: Watch) -> None:
     watch.expect("start", 0.0, {})
-    until_s = time.monotonic() + 60.0
-    while watch.pending:
-        if time.monotonic() > until_s:
-            raise DemoError(f"no plan is confirmed within a minute: {watch.status and watch.status['plan']}")
-        time.sleep(0.1)
+    if not becomes_true(lambda: not watch.pending, 60.0, poll_s=0.1):
+        raise DemoError(f"no plan is confirmed within a minute: {watch.status and watch.status['plan']}")
 
 
 def _loud(path: Path) -> dict[str, int]:

@@ -34,7 +34,7 @@ class Advice(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How a panel writes its numbers and colours them.
+    """Unit, digits and colours of a panel's numbers.
 
     Parameters
     ----------

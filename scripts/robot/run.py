@@ -24,7 +24,7 @@ from arpd.adapters.sim.demo import COMMAND_TOPIC
 from arpd.adapters.sim.result import TopicResult
 from arpd.model.errors import ArpdError
 from scripts.robot.proxy import window
-from scripts.robot.sensors import BASE_DRIVER, COMMAND_RATE_HZ, SENSORS
+from scripts.robot.sensors import BASE_DRIVER, COMMAND_RATE_HZ, SENSORS, node_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from scripts.netns.simlink import SimLink
     from scripts.robot.manner import Manner
 
+#: Processes that publish, by name.
+SOURCES = ("planner", *map(node_name, (*SENSORS, BASE_DRIVER)))
 REPO = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("arpd.yaml")
 PREFIX = "/link"
@@ -76,6 +78,14 @@ class Side:
     def start_daemon(self) -> None:
         """Start `arpd run` or its substitute on the robot."""
         self.start("run", "robot", *self.manner.daemon, "--config", str(self.config))
+
+    def start_relay(self) -> None:
+        """Start `arpd relay` on the robot."""
+        self.start("relay", "robot", "arpd.cli", "relay", "--config", str(self.config))
+
+    def start_peer(self) -> None:
+        """Start `arpd peer` on the CEDDP."""
+        self.start("peer", "ceddp", "arpd.cli", "peer", "--interface", self.link.ceddp.interface, "--name", "ceddp")
 
     def result(self, name: str) -> dict[str, Any]:
         """Return the result that a source or the planner wrote at its end."""
@@ -155,17 +165,17 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
         out = str(workdir / "planner.json")
         side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *arguments, env=profile)
         if manner.is_managed:
-            side.start("peer", "ceddp", "arpd.cli", "peer", "--interface", link.ceddp.interface, "--name", "ceddp")
+            side.start_peer()
             shutil.copyfile(CONFIG, side.config)
             side.start_daemon()
-            side.start("relay", "robot", "arpd.cli", "relay", "--config", str(side.config))
+            side.start_relay()
             side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
-            name = _process_name(topic)
+            name = node_name(topic)
             carried = COMMAND_TOPIC if topic == BASE_DRIVER else topic
             arguments = manner.arguments(carried, _rate_hz(carried))
             side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"), *arguments)
-        for name in _sources():
+        for name in SOURCES:
             side.await_ready(name)
         _await_discovery(side)
         yield side
@@ -193,12 +203,12 @@ def run(
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
     play(side, schedule.rate_at, duration_s, on_tick=on_tick, loss_at=loss_at, on_change=on_change)
-    side.signal(signal.SIGUSR2, *_sources())
+    side.signal(signal.SIGUSR2, *SOURCES)
     time.sleep(_DRAIN_S)
     side.final = side.status()
     if side.manner.is_managed and side.final is None:
         raise DemoError(f"arpd does not answer at {side.url}; see {side.workdir / 'run.log'}")
-    side.stop(*_sources())
+    side.stop(*SOURCES)
     crossed = sum(counters.rx_bytes for counters in side.link.counters().values()) - before
     results = _results(side, side.final, duration_s)
     delivered = sum(result.delivered_bytes for result in results)
@@ -225,7 +235,7 @@ def play(
     loss_at : probability that an arriving packet is lost, in both directions (by s)
     on_change : called with rate and loss at the start and after each change of the link (bytes/s, 0..1)
     """
-    side.signal(signal.SIGUSR1, *_sources())
+    side.signal(signal.SIGUSR1, *SOURCES)
     side.started_s = time.monotonic()
     now: tuple[float, float] | None = None
     next_tick_s = 0.0
@@ -276,7 +286,7 @@ def _check_alive(side: Side) -> None:
 
 
 def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> list[TopicResult]:
-    files = [side.result(name) for name in _sources()]
+    files = [side.result(name) for name in SOURCES]
     offered = {topic: count for file in files for topic, count in file["offered"].items()}
     received = {topic: summary for file in files for topic, summary in file.get("received", {}).items()}
     by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}
@@ -301,14 +311,6 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
 
 def _rate_hz(topic: str) -> float:
     return COMMAND_RATE_HZ if topic == COMMAND_TOPIC else SENSORS[topic][0]
-
-
-def _process_name(topic: str) -> str:
-    return topic.strip("/").replace("/", "_")
-
-
-def _sources() -> list[str]:
-    return ["planner", *(_process_name(topic) for topic in (*SENSORS, BASE_DRIVER))]
 
 
 def _end(side: Side) -> None:

@@ -83,13 +83,17 @@ COMMAND_RATE_HZ = _RATES_HZ[COMMAND_TOPIC]
 BASE_DRIVER = "base_driver"
 
 
+def node_name(topic: str) -> str:
+    return topic.strip("/").replace("/", "_")
+
+
 class Sensor(Node):
     """One sensor: a timer and a publisher."""
 
     def __init__(self, topic: str, rate_hz: float, message: Any, qos: QoSProfile) -> None:
-        super().__init__(topic.strip("/").replace("/", "_"))
+        super().__init__(node_name(topic))
         self._message = message
-        self._frame = topic.strip("/").replace("/", "_")
+        self._frame = node_name(topic)
         self.topic = topic
         self.offered = 0
         self.is_publishing = False

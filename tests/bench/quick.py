@@ -1,4 +1,4 @@
-"""Playing the short form of a benchmark as `scripts/bench/all --quick` does."""
+"""Runs the short form of a benchmark as `scripts/bench/all --quick` does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scripts.bench.record import REPO
 
 
 def played(folder, name, *arguments):
-    """Run a benchmark; return its document, which it left in the folder, and what it printed."""
+    """Run a benchmark; return its document, which it wrote into the folder, and its output."""
     path = folder / f"{name}.json"
     command = [sys.executable, "-m", f"scripts.bench.{name}", "--quick", "--json", path, *arguments]
     finished = subprocess.run(command, cwd=REPO, capture_output=True, text=True, timeout=240, check=False)

@@ -1,4 +1,4 @@
-"""The Chromium of apt, without a window, and what it saw go wrong."""
+"""The Chromium of apt, without a window, and the faults of a page in it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _SWITCHES = (
 )
 PHONE = {"width": 390, "height": 844}
 DESKTOP = {"width": 1280, "height": 900}
-# What a reader of the page must be able to tell from its background (WCAG 2.2 AA, 1.4.3 and 1.4.11).
+# Contrast that text needs against its background (WCAG 2.2 AA, 1.4.3 and 1.4.11).
 LEAST_CONTRAST = 4.5
 
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Start the browser; skips the test where there is none."""
+    """Start the browser; skip the test without one."""
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         pytest.skip("chromium is not installed (apt-get install chromium)")
@@ -46,13 +46,12 @@ def chromium() -> Iterator[Browser]:
 
 @dataclass
 class Visit:
-    """One page, and everything that went wrong on it.
+    """One page, and all its faults.
 
     Attributes
     ----------
-    page : the page (playwright)
     complaints : console errors and warnings, exceptions, breaches of the content security policy
-    requests : every address asked for
+    requests : every address that the page requested
     """
 
     page: Page
@@ -64,11 +63,11 @@ class Visit:
         self.page.wait_for_function(f"() => {expression}", timeout=timeout_s * 1000)
 
     def texts(self, selector: str) -> list[str]:
-        """Return the text of every element shown, its white space joined."""
+        """Return the text of every visible element, with its white space joined."""
         return [" ".join(text.split()) for text in self.page.locator(selector).all_inner_texts()]
 
     def last_status(self) -> dict[str, Any]:
-        """Cut the page off, and return the status document it got last, which it shows from then on."""
+        """Cut the page off, and return its last status document, which it goes on showing."""
         answers: list[Any] = []
         self.page.on("response", lambda answer: answer.url.endswith("/api/v1/status") and answers.append(answer.json()))
         with self.page.expect_response("**/api/v1/status"):
@@ -78,26 +77,26 @@ class Visit:
         return answers[-1]
 
     def fields(self) -> dict[str, list[str]]:
-        """Return what stands in each place of the page, by path; times aside, which depend on the zone."""
+        """Return the text of each field of the page, by path, without times, which depend on the zone."""
         return self.page.evaluate(_FIELDS)
 
     def least_contrast(self) -> tuple[float, str]:
-        """Return the lowest contrast of any text against what is behind it, and the text."""
+        """Return the lowest contrast of any text against its background, and the text."""
         ratio, text = self.page.evaluate(_CONTRAST)
         return ratio, text
 
     def drawn(self, selector: str) -> int:
-        """Count the pixels of a canvas that something was drawn on."""
+        """Return the number of painted pixels of a canvas."""
         return self.page.evaluate(_DRAWN, selector)
 
 
 @contextmanager
 def visit(browser: Browser, url: str, *, size: dict[str, int] | None = None, **options: Any) -> Iterator[Visit]:
-    """Open an address in a browser that has never seen it.
+    """Open an address in a fresh browser context.
 
     Parameters
     ----------
-    size : of the window, `DESKTOP` by default
+    size : of the window, by default `DESKTOP`
     options : of playwright's ``new_context``: color_scheme, java_script_enabled, http_credentials …
     """
     context = browser.new_context(viewport=size or DESKTOP, ignore_https_errors=True, **options)
@@ -129,7 +128,7 @@ _DRAWN = """(selector) => {
   return drawn;
 }"""
 
-# Of every text shown: its colour over the backgrounds of the elements around it, by the formula of WCAG 2.
+# For every visible text: its colour over the backgrounds of its elements, by the formula of WCAG 2.
 _CONTRAST = """() => {
   const parse = (color) => (color.match(/[\\d.]+/g) ?? []).map(Number);
   const over = ([r, g, b, a = 1], under) => [r, g, b].map((part, index) => part * a + under[index] * (1 - a));

@@ -1,4 +1,4 @@
-"""The one real run that every test of this folder looks at; it takes a minute or two, so it is played once."""
+"""The one real run for every test of this folder; it takes a minute or two, so it plays once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def run(tmp_path_factory):
-    """Play the run once and keep it alive (`tests.seeing.real_run.RealRun`)."""
+    """Play the run once, and keep it alive (`tests.seeing.real_run.RealRun`)."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from scripts.netns.simlink import available
     from scripts.robot.run import REPO

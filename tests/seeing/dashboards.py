@@ -1,4 +1,4 @@
-"""The Grafana dashboards as tests read them: their panels and queries, and what Grafana puts in for its variables."""
+"""The Grafana dashboards for tests: their panels and queries, and Grafana's values of their variables."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Query:
     Attributes
     ----------
     where : dashboard, panel and letter, for messages
-    expression : PromQL with Grafana's variables in it
-    is_instant : whether Grafana asks for now only
+    expression : PromQL with Grafana's variables
+    is_instant : whether Grafana asks only for the present
     """
 
     where: str
@@ -40,7 +40,7 @@ def load(name: str) -> Json:
 
 
 def panels(document: Json) -> list[Json]:
-    """Return all panels but the headings, those under collapsed headings, too."""
+    """Return all panels, also those under collapsed headings, without the headings."""
     found: list[Json] = []
     for panel in document["panels"]:
         found += panel["panels"] if panel["type"] == "row" else [panel]
@@ -48,7 +48,7 @@ def panels(document: Json) -> list[Json]:
 
 
 def queries(document: Json) -> Iterator[Query]:
-    """Yield what the panels ask."""
+    """Yield the queries of the panels."""
     for panel in panels(document):
         for target in panel.get("targets", ()):
             yield Query(
@@ -59,7 +59,7 @@ def queries(document: Json) -> Iterator[Query]:
 
 
 def marks(document: Json) -> Iterator[Query]:
-    """Yield what the annotations ask."""
+    """Yield the queries of the annotations."""
     for annotation in document["annotations"]["list"]:
         yield Query(where=f"{document['uid']}, {annotation['name']}", expression=annotation["expr"], is_instant=False)
 
@@ -69,7 +69,8 @@ def fill_in(expression: str, values: Mapping[str, str]) -> str:
 
     Raises
     ------
-    KeyError : it uses a variable that has no value
+    KeyError
+        If a variable of the expression has no value.
     """
     return re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda variable: values[variable[1] or variable[2]], expression)
 
@@ -77,12 +78,12 @@ def fill_in(expression: str, values: Mapping[str, str]) -> str:
 def as_opened(
     document: Json, ask: Callable[[str], list[tuple[dict[str, str], float]]], *, span_s: float
 ) -> dict[str, str]:
-    """Return what Grafana puts in for the variables of a dashboard that was just opened.
+    """Return Grafana's values of the variables of a dashboard on opening.
 
     Parameters
     ----------
     ask : evaluates PromQL now
-    span_s : the time range shown (s)
+    span_s : shown time range (s)
     """
     values = {"__range": f"{span_s:.0f}s", "__rate_interval": "10s"}
     for variable in document["templating"]["list"]:

@@ -1,7 +1,7 @@
-"""One real run for all tests of the folder: the demo's robot over a real link, watched by a real Prometheus.
+"""Play one real run for all tests of the folder: the demo's robot over a real link, under a real Prometheus.
 
-Prometheus runs on the robot, with the configuration, the rules and the alerts of etc/prometheus as they stand; only its
-intervals are shorter. It and the daemon are reached from here through windows into the robot's network namespace.
+Prometheus runs on the robot, with the configuration, the rules and the alerts of etc/prometheus; only its intervals are
+shorter. Forwarded ports lead from here to it and to the daemon, in the robot's network namespace.
 """
 
 from __future__ import annotations
@@ -22,28 +22,27 @@ import yaml
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.proxy import window
-from scripts.robot.run import REPO, Side, robot
-from scripts.robot.sensors import BASE_DRIVER, SENSORS
+from scripts.robot.run import REPO, SOURCES, Side, robot
+from scripts.robot.sensors import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
-# What must fire while every packet is lost; the outage lasts until they do.
+# They must fire while every packet is lost; the outage lasts until they do.
 OUTAGE_ALERTS = ("ArpdLinkDown", "ArpdPeerLost")
 PROMETHEUS_ETC = REPO / "etc" / "prometheus"
 _PROMETHEUS_PORT = 9090
-_SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), BASE_DRIVER)
 _POLL_S = 0.2
 _PATIENCE_S = 60.0  # for one condition
-_PLAY_S = 200.0  # for all of them: before pytest's timeout, which would show no logs
+_PLAY_S = 200.0  # for all of them: less than pytest's timeout, which would show no logs
 _TRICKLE = 10.0  # bytes/s; a bucket of one frame still fits into the kernel's 275 s
-_REFUSED = (400, 422)  # an expression that cannot be parsed, or not be evaluated
+_REFUSED = (400, 422)  # the expression does not parse, or does not evaluate
 
 
 class NotInTimeError(AssertionError):
-    """A condition of the run did not come true in its time; the message shows what the processes said."""
+    """A condition of the run did not come true in its time; the message shows the logs."""
 
 
 @dataclass(kw_only=True)
@@ -52,13 +51,12 @@ class RealRun:
 
     Attributes
     ----------
-    side : processes, link and logs of the robot (`scripts.robot.run.Side`)
     url : the daemon's HTTP server, such as http://127.0.0.1:40001
     prometheus_url : Prometheus's HTTP server
     moments : Unix times at which the phases began, by name (s): start, steady, slow, slow_confirmed, outage,
-        outage_end, recovered. arpd's own state is outage for the first 10 s of it: then it gives the peer up.
+        outage_end, recovered. arpd's own state is outage for its first 10 s; then it gives up the peer.
     missed : conditions of the play that did not come true in their time, in plain words
-    outage_alerts : what Prometheus would have sent of the outage: the firing alerts at its end, by name
+    outage_alerts : the firing alerts at the end of the outage, by name
     """
 
     side: Side
@@ -69,7 +67,7 @@ class RealRun:
     outage_alerts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def get(self, path: str) -> bytes:
-        """Return what the daemon answers to a path."""
+        """Return the daemon's answer to a path."""
         with urllib.request.urlopen(self.url + path, timeout=20) as answer:
             return answer.read()
 
@@ -78,11 +76,12 @@ class RealRun:
         return json.loads(self.get("/api/v1/status"))
 
     def query(self, expression: str, *, at_s: float | None = None) -> list[tuple[dict[str, str], float]]:
-        """Evaluate an expression now or at a Unix time; returns (labels, value) pairs.
+        """Evaluate an expression now or at a Unix time; return (labels, value) pairs.
 
         Raises
         ------
-        ValueError : Prometheus refuses the expression; its reason is the message.
+        ValueError
+            If Prometheus refuses the expression; the message is its reason.
         """
         answer = self.ask("query", query=expression, **({} if at_s is None else {"time": at_s}))
         if answer["resultType"] in ("scalar", "string"):
@@ -92,7 +91,7 @@ class RealRun:
     def query_range(
         self, expression: str, begin_s: float, end_s: float, step_s: float = 1.0
     ) -> list[tuple[dict[str, str], list[tuple[float, float]]]]:
-        """Evaluate an expression over a span of Unix time; returns (labels, [(time, value), …]) pairs."""
+        """Evaluate an expression over a span of Unix time; return (labels, [(time, value), …]) pairs."""
         answer = self.ask("query_range", query=expression, start=begin_s, end=end_s, step=step_s)
         return [
             (series["metric"], [(float(at_s), float(value)) for at_s, value in series["values"]])
@@ -115,7 +114,7 @@ class RealRun:
         self.moments[moment] = time.time()
 
     def expect(self, condition: Callable[[], Any], text: str) -> None:
-        """Wait as `eventually`, and note what did not come: one test says so, and the others have their run."""
+        """Wait as `eventually`, but note a failure: one test reports it, and the others still have their run."""
         left_s = self.moments["start"] + _PLAY_S - time.time()
         try:
             self.eventually(condition, min(_PATIENCE_S, left_s), text)
@@ -127,7 +126,7 @@ class RealRun:
         return self.eventually(lambda: self.query(expression), timeout_s, expression)
 
     def eventually(self, condition: Callable[[], Any], timeout_s: float, text: str) -> Any:
-        """Wait until a condition holds; returns what it returned."""
+        """Wait until a condition holds; return its result."""
         until_s = time.monotonic() + timeout_s
         while True:
             with contextlib.suppress(OSError):
@@ -138,23 +137,23 @@ class RealRun:
             time.sleep(_POLL_S)
 
     def logs(self, lines: int = 15) -> str:
-        """Return the last lines that every process wrote."""
+        """Return the last lines of every process's log."""
         return tail_of_logs(self.side.workdir, lines)
 
 
 def tail_of_logs(folder: Path, lines: int = 15) -> str:
-    """Return the last lines of every log of a folder, under its name."""
+    """Return the last lines of every log in a folder, under its name."""
     texts = {log.name: log.read_text(errors="replace").splitlines() for log in sorted(folder.glob("*.log"))}
     return "\n".join("\n".join([f"--- {name}", *text[-lines:]]) for name, text in texts.items() if text)
 
 
 @contextlib.contextmanager
 def real_run(workdir: Path, *, prometheus: str) -> Iterator[RealRun]:
-    """Bring everything up, play steady, slow, cut off and recovered, and keep it alive for the block.
+    """Start everything, play steady, slow, cut off and recovered, and keep it alive for the block.
 
     Parameters
     ----------
-    workdir : where processes keep their logs and data; empty
+    workdir : empty folder for logs and data of the processes
     prometheus : path of the server's program
     """
     with contextlib.ExitStack() as stack:
@@ -171,7 +170,7 @@ def real_run(workdir: Path, *, prometheus: str) -> Iterator[RealRun]:
 
 
 def _kill(side: Side) -> None:
-    """End everything at once: a daemon that ends cleanly would wait for publishers that end beside it."""
+    """Kill all processes: a daemon that ends cleanly would wait for publishers, which end at the same time."""
     for process in side.processes.values():
         process.kill()
 
@@ -200,10 +199,10 @@ def _start_prometheus(side: Side, prometheus: str, folder: Path) -> None:
 
 
 def _play(run: RealRun) -> None:
-    """Play the phases, each until what it is about has come; a condition that does not come is noted, not raised."""
+    """Play each phase until its conditions come true; note a condition that does not, instead of raising."""
     side, link = run.side, run.side.link
     run.begin("start")
-    side.signal(signal.SIGUSR1, *_SOURCES)
+    side.signal(signal.SIGUSR1, *SOURCES)
     run.eventually(lambda: run.query("up == 1"), _PATIENCE_S, "Prometheus scrapes the daemon")
     run.expect(lambda: _is_confirmed(run), "the first plan is confirmed")
     run.begin("steady")
@@ -220,7 +219,7 @@ def _play(run: RealRun) -> None:
     run.begin("outage")
     for alert in OUTAGE_ALERTS:
         run.expect(lambda alert=alert: run.query(_firing(alert)), f"{alert} fires in the outage")
-    # Longer than alerts are kept firing for, so that one that ends before the outage does shows it.
+    # Longer than alerts keep firing, so that an alert that ends before the outage is visible.
     lasting = f"count_over_time({_firing('ArpdPeerLost')}[1m]) > 11"
     run.expect(lambda: run.query(lasting), "the outage lasts")
     run.outage_alerts = {
@@ -235,7 +234,7 @@ def _play(run: RealRun) -> None:
 
 
 def _cut(link: SimLink) -> None:
-    """Let nothing across, with the interfaces up: loss alone would drop packets that the receiver has counted."""
+    """Let nothing cross while the interfaces are up: with loss alone, the receiver counts packets before the drop."""
     link.set_loss(1.0)
     link.set_rate(_TRICKLE)
 

@@ -1,6 +1,6 @@
-"""What an operator sees of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd top`.
+"""The operator's view of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd top`.
 
-The only test file that uses the run (`tests.seeing.real_run`): pytest-xdist runs file by file, and it is played once.
+Only this file uses the run (`tests.seeing.real_run`): pytest-xdist runs file by file, so it plays once.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def test_the_play_went_as_planned(run):
 
 
 def test_every_rule_evaluates_and_records(run):
-    """Prometheus reports no rule with an error, and every recorded series has data of this run."""
+    """No rule has an error, and every recorded series has data of this run."""
     rules = [rule for group in run.ask("rules")["groups"] for rule in group["rules"]]
     assert {rule["health"] for rule in rules} == {"ok"}, [rule for rule in rules if rule["health"] != "ok"]
     recorded = {rule["name"] for rule in rules if rule["type"] == "recording"}
@@ -47,7 +47,7 @@ def test_every_rule_evaluates_and_records(run):
 
 
 def test_every_metric_of_the_rules_is_there(run):
-    """The running daemon exposes every metric that a rule or an alert names; readers and radios have no series here."""
+    """The running daemon exposes every metric that a rule or an alert names."""
     exposed = set(re.findall(r"^# TYPE (\w+) ", run.get("/metrics").decode(), flags=re.MULTILINE))
     expressions = " ".join(rule["expr"] for name in RULE_FILES for rule in rules_of(name))
     named = set(re.findall(r"(?<![\w:])(?:arpd|process)_\w+", expressions))
@@ -56,7 +56,7 @@ def test_every_metric_of_the_rules_is_there(run):
 
 
 def test_prometheus_scraped_arpd_throughout(run):
-    """Nearly every scrape of the run was answered, in the outage too, and the daemon was one process all the time."""
+    """The daemon answered nearly every scrape, in the outage too, and never restarted."""
     begin_s = run.moments["steady"]
     ((_, points),) = run.query_range("up", begin_s, time.time())
     answered = [value for _, value in points]
@@ -67,7 +67,7 @@ def test_prometheus_scraped_arpd_throughout(run):
 
 
 def test_the_alerts_fire_in_the_outage_and_clear_after_it(run):
-    """ArpdLinkDown and ArpdPeerLost fire while nothing crosses, as long as that lasts, and are gone after it."""
+    """ArpdLinkDown and ArpdPeerLost fire from within the outage to its end, and not after it."""
     outage_s, end_s = run.moments["outage"], run.moments["outage_end"]
     for name in ("ArpdLinkDown", "ArpdPeerLost"):
         ((labels, points),) = run.query_range(
@@ -75,7 +75,7 @@ def test_the_alerts_fire_in_the_outage_and_clear_after_it(run):
         )
         times = [at_s for at_s, _ in points]
         assert outage_s < times[0] < end_s
-        # Longer than alerts are kept firing: it lasts as long as the outage, and not as long as arpd calls it one.
+        # The alert lasts as long as the outage, which is longer than arpd's own outage state.
         assert [at_s for at_s in times if at_s < end_s][-1] > end_s - 3.0
         assert labels["severity"] == "critical"
         sent = run.outage_alerts[name]
@@ -90,7 +90,7 @@ def rules_of(name):
 
 
 def numbers(run, query, values):
-    """All numbers that a query of a dashboard has over the run, or now, with the labels of their series."""
+    """Return all numbers of a dashboard's query over the run, or now, with the labels of their series."""
     expression = dashboards.fill_in(query.expression, values)
     if query.is_instant:
         series = [(labels, [(0.0, value)]) for labels, value in run.query(expression)]
@@ -105,7 +105,7 @@ def opened(run, document):
 
 @pytest.mark.parametrize("name", dashboards.NAMES)
 def test_every_query_of_a_dashboard_returns_data(run, name):
-    """Each query of each panel has a number to show of this run, with the variables as they are when it is opened."""
+    """Each query of each panel has a number of this run, with the variables' values on opening."""
     document = dashboards.load(name)
     values = opened(run, document)
     empty = [query for query in dashboards.queries(document) if not numbers(run, query, values)]
@@ -114,7 +114,7 @@ def test_every_query_of_a_dashboard_returns_data(run, name):
 
 @pytest.mark.parametrize("name", dashboards.NAMES)
 def test_annotations_mark_what_happened(run, name):
-    """Plans, swaps and the outage of the run are marked in the dashboards; kinds that did not occur could be."""
+    """The dashboards mark plans, swaps and the outage of the run; marks of other kinds evaluate."""
     document = dashboards.load(name)
     values = opened(run, document)
     for query in dashboards.marks(document):
@@ -126,26 +126,27 @@ def test_annotations_mark_what_happened(run, name):
             assert numbers(run, query, values), query
 
 
-def test_the_first_row_tells_the_outage(run):
-    """While every packet is lost, the first row says outage in words, and counts more alerts than before."""
+def test_the_first_row_shows_the_outage(run):
+    """While every packet is lost, the first row says outage, and counts more alerts than before."""
     document = dashboards.load("arpd-robot")
     values = opened(run, document)
     shown = {panel["title"]: panel for panel in dashboards.panels(document)}
     (mapping,) = shown["Link"]["fieldConfig"]["defaults"]["mappings"]
     words = {int(number): state["text"] for number, state in mapping["options"].items()}
 
-    def told(title, begin, end):
+    def shown_by(title, begin, end):
         expression = dashboards.fill_in(shown[title]["targets"][0]["expr"], values)
         ((_, points),) = run.query_range(expression, run.moments[begin], run.moments[end])
         return [int(value) for _, value in points]
 
-    assert "outage" in {words[number] for number in told("Link", "outage", "outage_end")}
-    assert {words[number] for number in told("Link", "steady", "slow")} != {"outage"}
-    assert max(told("Alerts firing", "outage", "outage_end")) > max(told("Alerts firing", "steady", "slow"))
+    assert "outage" in {words[number] for number in shown_by("Link", "outage", "outage_end")}
+    assert {words[number] for number in shown_by("Link", "steady", "slow")} != {"outage"}
+    before = shown_by("Alerts firing", "steady", "slow")
+    assert max(shown_by("Alerts firing", "outage", "outage_end")) > max(before)
 
 
 def test_a_row_of_the_topics_table_is_one_publisher(run):
-    """Each column of the table of topics has one value at most for a publisher, and every publisher has its rates."""
+    """Each column of the table of topics has at most one value for a publisher, and every publisher has its rates."""
     document = dashboards.load("arpd-robot")
     values = opened(run, document)
     columns = [query for query in dashboards.queries(document) if ", Topics now, " in query.where]
@@ -167,8 +168,8 @@ def test_a_row_of_the_topics_table_is_one_publisher(run):
 
 
 def command(*arguments):
-    """Run ``arpd`` in a pipe; returns its exit code and what it printed."""
-    environment = {**os.environ, "COLUMNS": "400", "LINES": "200"}  # so that nothing is cut
+    """Run ``arpd`` in a pipe; return its exit code and its output."""
+    environment = {**os.environ, "COLUMNS": "400", "LINES": "200"}  # wide enough for everything
     done = subprocess.run(
         [sys.executable, "-m", "arpd.cli", *arguments], capture_output=True, text=True, check=False, env=environment
     )
@@ -176,8 +177,8 @@ def command(*arguments):
     return done.returncode, done.stdout + done.stderr
 
 
-def test_status_tells_that_the_recovered_robot_is_well(run):
-    """Exit 0 with the daemon's own verdict, and every topic with the rate and depth that it announces."""
+def test_status_reports_the_recovered_robot_as_well(run):
+    """It exits with 0, and prints the daemon's verdict and every topic with its announced rate and depth."""
 
     def is_well():
         status = run.status()
@@ -200,7 +201,7 @@ def test_status_tells_that_the_recovered_robot_is_well(run):
 
 
 def test_top_shows_the_run_in_one_frame(run):
-    """Topics, the course of capacity and gate through the outage, and the decision log, without control codes."""
+    """The frame has topics, capacity and gate through the outage, and the decision log, without control codes."""
     before = run.status()
     code, told = command("top", "--once", "--url", run.url)
     assert code == 0
@@ -222,7 +223,7 @@ def browser():
 
 
 def test_the_page_shows_what_the_status_says(run, browser):
-    """Every value on the live page is that of the status document it asked for last, and nothing goes wrong."""
+    """Every value on the live page is that of its last status document, and there are no faults."""
     with visit(browser, run.url) as seen:
         seen.wait_for("document.querySelectorAll('canvas').length === 4")
         assert seen.complaints == []
@@ -232,8 +233,8 @@ def test_the_page_shows_what_the_status_says(run, browser):
         assert all(request.startswith((run.url, "data:")) for request in seen.requests)
 
 
-def test_the_page_tells_the_outage(run, browser):
-    """The charts have drawn the run, and the decision log tells the drop and the outage in plain sentences."""
+def test_the_page_shows_the_outage(run, browser):
+    """The charts show the run, and the decision log has the drop and the outage."""
     with visit(browser, run.url) as seen:
         seen.wait_for("document.querySelectorAll('canvas').length === 4")
         assert all(seen.drawn(f"#chart-{name} canvas") > 1000 for name in ("rate", "delay", "gate", "topic"))
@@ -244,23 +245,23 @@ def test_the_page_tells_the_outage(run, browser):
 
 
 def test_the_page_is_a_summary_without_scripts(run, browser):
-    """With JavaScript off the page of the real robot has its verdict, its topics and its log."""
+    """Without JavaScript the page of the real robot has its verdict, its topics and its log."""
     with visit(browser, run.url, java_script_enabled=False) as seen:
         assert seen.texts("#verdict p")[0].endswith(".")
         assert len(seen.texts("#topics tbody th")) >= 12
         assert seen.texts("#log li")
 
 
-def test_the_history_tells_the_run(run):
-    """The outage stands in the history where it was, and columns are as long as the times."""
+def test_the_history_has_the_run(run):
+    """The outage is in the history at its time, and all columns are as long as the times."""
     history = json.loads(run.get("/api/v1/history"))
     states = list(zip(history["times"], history["link"]["state"], strict=True))
 
-    def said(begin, end):
+    def states_between(begin, end):
         return [state for at_s, state in states if run.moments[begin] < at_s < run.moments[end]]
 
-    during = said("outage", "outage_end")
+    during = states_between("outage", "outage_end")
     assert during.count("outage") > len(during) / 2
-    assert "outage" not in said("steady", "slow")
+    assert "outage" not in states_between("steady", "slow")
     assert len(history["topics"]) >= 12
     assert {len(topic["published_rate_hz"]) for topic in history["topics"]} == {len(history["times"])}

@@ -14,10 +14,10 @@ from arpd.adapters.sim.result import TopicResult
 from arpd.solve.topics import assumed_traffic
 from scripts.bench.adapt import renewed
 from scripts.bench.adapt_figures import beyond_period, check, document, due, late_share, over_time, pooled
-from scripts.bench.adapt_links import CALM_S, MBIT, SEED, links, quick_link
+from scripts.bench.adapt_links import CALM_S, MBIT, SEED, links
 from scripts.bench.adapt_plot import draw
 from scripts.bench.adapt_report import markdown, summary, table
-from scripts.bench.adapt_sides import SIDES, manner, papers_optimum, plain_wire_bytes, throttle
+from scripts.bench.adapt_sides import SIDES, papers_optimum, plain_wire_bytes, throttle
 from scripts.bench.adapt_targets import TARGETS, figures_of, judge
 from scripts.bench.adapt_walk import TRACE, text, walk
 from scripts.bench.record import conditions
@@ -104,17 +104,6 @@ def test_the_throttle_gives_every_topic_what_solve_prints():
     assert slowed.rate_hz("/camera/image/compressed", 30.0) < 10.0
     assert slowed.rate_hz(COMMAND_TOPIC, 20.0) == pytest.approx(20.0)
     assert slowed.depth == 10
-
-
-def test_every_side_has_a_manner(tmp_path):
-    """Only arpd and the oracle have a daemon, and only the oracle is told the truth."""
-    manners = {side: manner(side, quick_link(), tmp_path / "truth.json") for side in SIDES}
-    assert [side for side, each in manners.items() if each.is_managed] == ["arpd", "oracle"]
-    assert str(tmp_path / "truth.json") in manners["oracle"].daemon
-    assert {side: each.depth for side, each in manners.items() if "keep" in side} == {
-        "keep-last-1": 1,
-        "keep-last-5000": 5000,
-    }
 
 
 # -- ages

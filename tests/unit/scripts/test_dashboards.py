@@ -1,4 +1,4 @@
-"""The Grafana dashboards hold the linter's rules, and a few of our own; no Grafana is needed."""
+"""The Grafana dashboards keep the linter's rules and a few of our own; the tests need no Grafana."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.unit.dashboard_rules import LINT, SENTINELS, nodes, parsed
 
 REPO = Path(__file__).parents[3]
 RULES_FOLDER = REPO / "etc" / "prometheus" / "rules"
-# Not arpd's: Prometheus itself and prometheus_client make these.
+# Prometheus itself and prometheus_client make these.
 FOREIGN_METRICS = re.compile(r"up|ALERTS|scrape_\w+|process_\w+")
 DEPARTURES = {
     ("template-instance-rule", "arpd-robot"): "the dashboard is of one robot; two laid over each other answer nothing"
@@ -33,7 +33,7 @@ DEPARTURES = {
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("rule", LINT)
 def test_the_linters_rules_hold(rule, name):
-    """Each rule finds nothing in each dashboard; a departure that finds nothing any more is taken off the list."""
+    """Each rule finds nothing in each dashboard, except for the listed departures, which must still exist."""
     complaints = list(LINT[rule](load(name)))
     assert bool(complaints) is ((rule, name) in DEPARTURES), "\n".join(complaints)
 
@@ -60,7 +60,7 @@ def test_the_linters_rules_hold(rule, name):
     ],
 )
 def test_each_rule_notices_what_it_is_for(rule, good, bad):
-    """A dashboard with the fault that a rule is about does not pass it."""
+    """A dashboard with the fault of a rule does not pass it."""
     text = (GRAFANA / "dashboards" / "arpd-fleet.json").read_text(encoding="utf-8")
     assert good in text
     assert list(LINT[rule](json.loads(text.replace(good, bad))))
@@ -68,7 +68,7 @@ def test_each_rule_notices_what_it_is_for(rule, good, bad):
 
 @pytest.mark.parametrize("document", [robot(), fleet()], ids=NAMES)
 def test_the_committed_json_is_what_the_script_writes(document):
-    """`python -m scripts.dashboards` was run after the last change."""
+    """After a change, `python -m scripts.dashboards` must run."""
     path = GRAFANA / "dashboards" / f"{document['uid']}.json"
     assert path.read_text(encoding="utf-8") == as_json(document)
 
@@ -97,7 +97,7 @@ def test_every_metric_asked_for_is_one_that_arpd_has(name):
 
 
 def test_prometheus_itself_reads_every_query(tmp_path):
-    """Its promtool accepts each query as the expression of a recording rule."""
+    """Promtool accepts each query as the expression of a recording rule."""
     found = subprocess.run([REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False)
     if found.returncode != 0:
         pytest.skip(f"promtool is not installed: {found.stderr.strip()}")
@@ -137,7 +137,7 @@ def test_panels_fill_the_grid_without_overlap(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_panels_can_be_told_apart(name):
-    """No two panels share a number or a title, so that links to them and advice that names them lead to one."""
+    """No two panels share a number or a title, so that links and advice lead to one panel."""
     document = load(name)
     everything = [*document["panels"], *panels(document)]
     identified = {(panel["id"], panel["title"]) for panel in everything}
@@ -145,7 +145,7 @@ def test_panels_can_be_told_apart(name):
 
 
 def test_advice_names_panels_that_exist():
-    """A description that sends the reader to another panel, by its title in quotes, sends to one that is there."""
+    """A title in quotes in a description is that of a panel."""
     titles = {panel["title"] for name in NAMES for panel in panels(load(name))}
     titles |= {panel["title"] for name in NAMES for panel in load(name)["panels"]}
     for name in NAMES:
@@ -155,18 +155,8 @@ def test_advice_names_panels_that_exist():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_charts_begin_at_zero_and_have_legends(name):
-    """No chart exaggerates by its axis, and no line in one is without a name."""
-    for panel in panels(load(name)):
-        if panel["type"] == "timeseries":
-            assert panel["fieldConfig"]["defaults"]["min"] == 0, panel["title"]
-            assert panel["options"]["legend"]["showLegend"], panel["title"]
-            assert all(target["legendFormat"] != "__auto" for target in panel["targets"]), panel["title"]
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_a_colour_by_name_is_of_a_series_that_exists(name):
-    """Overrides that go by legend match one; those of tables match a column."""
+    """Overrides by name match a legend, or a column of a table."""
     for panel in panels(load(name)):
         names = {target["legendFormat"] for target in panel.get("targets", ())}
         names |= {"rate", "gate", "blocked", "failed", "closed"} if "{{cause}}" in names else set()
@@ -179,7 +169,7 @@ def test_a_colour_by_name_is_of_a_series_that_exists(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_columns_of_tables_are_what_the_queries_return(name):
-    """Each column is the value of a query, or a label by which one groups; all rows share the labels they merge by."""
+    """Each column is a query's value or one of its labels, and the queries share a label to merge by."""
     for panel in panels(load(name)):
         if panel["type"] != "table":
             continue
@@ -205,7 +195,7 @@ def test_columns_of_tables_are_what_the_queries_return(name):
     ],
 )
 def test_every_state_has_a_number_a_word_and_a_colour(metric, states):
-    """A state that arpd knows is never blank in a timeline, and no two states look alike."""
+    """Every state of arpd has words and a colour, and no two states look alike."""
     known = next(each for each in STATE_SETS if each.metric == metric)
     assert {state for state, _, _ in known.states} == set(states)
     assert len({words for _, words, _ in known.states}) == len({colour for *_, colour in known.states}) == len(states)
@@ -213,7 +203,7 @@ def test_every_state_has_a_number_a_word_and_a_colour(metric, states):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_links_lead_to_a_dashboard_and_keep_the_time(name):
-    """Links at the top, and those of values, name a dashboard of ours and carry the time range over."""
+    """Links at the top and on values name one of our dashboards and keep the time range."""
     document = load(name)
     for link in document["links"]:
         assert link["url"].removeprefix("/d/").partition("?")[0] in NAMES
@@ -225,15 +215,8 @@ def test_links_lead_to_a_dashboard_and_keep_the_time(name):
         assert "&var-instance=" in url
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_nothing_hard_wires_a_data_source(name):
-    """Every data source named in a dashboard is the one the reader chose."""
-    uids = re.findall(r'"uid": "([^"]*)"', json.dumps(load(name)))
-    assert set(uids) == {name, "${datasource}"}
-
-
 def test_provisioning_is_what_grafana_reads():
-    """The files name a Prometheus, its scrape interval as shipped, and a folder that the comments fill."""
+    """The files name a Prometheus, its shipped scrape interval, and the folder of the comments."""
     source = yaml.safe_load((GRAFANA / "provisioning/datasources/arpd.yaml").read_text())
     scraped = yaml.safe_load((REPO / "etc/prometheus/prometheus.yml").read_text())["global"]["scrape_interval"]
     assert source["apiVersion"] == 1

@@ -1,0 +1,63 @@
+"""The short forms of benchmarks with real rclpy over a real link run to their end, and leave sound documents."""
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from scripts.bench.soak import QUICK_SWAPS, TOPICS
+from scripts.netns.simlink import available
+from tests.bench.quick import played
+
+CAN, WHY = available()
+pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
+
+
+def test_adapt_measures_both_sides_of_a_step_down(tmp_path):
+    """Two robots meet a step down; every topic arrives, only arpd withholds and swaps, and there is a picture."""
+    picture = tmp_path / "adapt.png"
+    document, printed = played(tmp_path, "adapt", "--plot", picture)
+    plain, managed = (next(run for run in document["runs"] if run["side"] == side) for side in ("defaults", "arpd"))
+    for run in (plain, managed):
+        assert len(run["topics"]) == 12
+        assert all(topic["received"] > 0 for topic in run["topics"].values())
+        assert len(run["ages_over_time_s"]) >= 10
+    assert plain["cpu"].keys() == {"sources", "machine"}
+    assert managed["cpu"].keys() == {"run", "relay", "peer", "sources", "machine"}
+    assert plain["all"]["withheld_ratio"] == 0.0 == plain["swaps"]
+    assert managed["all"]["withheld_ratio"] > 0.0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert str(picture) in printed
+
+
+def test_overhead_measures_every_phase(tmp_path):
+    """Twelve topics at rest, carried and paced: each phase has CPU, memory and bytes of run and peer."""
+    document, _ = played(tmp_path, "overhead")
+    (case,) = document["cases"]
+    assert [span["phase"] for span in case["spans"]] == ["rest without", "rest", "load", "paced"]
+    for span in case["spans"][1:]:
+        assert span["cpu_share"]["run"] > 0 < span["cpu_share"]["peer"]
+        assert span["rss_bytes"]["run"] > 30e6
+        assert span["control_bytes_per_second"]["probes"] > 0 < span["control_bytes_per_second"]["reports"]
+
+
+def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path):
+    """Eleven sensors keep the DEADLINE rate, more bytes cross than arrive, and a DEPTH above 1 repairs every loss."""
+    document, _ = played(tmp_path, "paper", "--plot", tmp_path / "paper.png")
+    assert {path.name for path in tmp_path.iterdir()} == {"paper.json", "paper-latency.png", "paper-loss.png"}
+    assert sorted(run["depth"] > 1 for run in document["runs"]) == [False, True, True]
+    for run in document["runs"]:
+        assert (run["void"], run["reached_ratio"]) == ("", pytest.approx(1.0, abs=0.05))
+        assert run["sensors_cpu"] > 0 < run["planner_cpu"]
+        assert run["robot_sent_bytes"] > run["sensing"]["count"] * run["payload_bytes"] > 0
+        assert run["end_to_end"]["count"] > 0
+        assert run["end_to_end"]["p50_s"] > run["sensing"]["p50_s"] > 0
+        assert run["depth"] == 1 or (run["lost"], run["end_to_end"]["lost_ratio"]) == (0, 0.0)
+
+
+def test_soak_loses_no_sample(tmp_path):
+    """Hundreds of swaps on a link that loses nothing: every topic delivers every sample, each once and in order."""
+    document, _ = played(tmp_path, "soak")
+    assert document["notes"][-1]["swaps"] == QUICK_SWAPS
+    assert document["received"] == [document["sent"]] * TOPICS
+    assert sum(document["late"]) == 0
