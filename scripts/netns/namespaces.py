@@ -32,6 +32,7 @@ _RUN_ID = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 _NAMESPACE = re.compile(r"arpd-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|ceddp)")
 _GRACE_S = 2.0
 _POLL_S = 0.02
+_TICK_NS = 10**9 // os.sysconf("SC_CLK_TCK")
 
 
 def namespace_of(run_id: str, host: HostName) -> str:
@@ -162,7 +163,9 @@ def _owner(run_id: str) -> int | None:
         pid, start_ticks = int(record["pid"]), int(record["start_ticks"])
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         return None
-    return pid if _start_ticks(pid) == start_ticks else None
+    started = _start_ticks(pid)
+    # One tick apart where either of the two was rounded in another time namespace.
+    return pid if started is not None and abs(started - start_ticks) <= 1 else None
 
 
 def _start_ticks(pid: int) -> int | None:
@@ -173,4 +176,17 @@ def _start_ticks(pid: int) -> int | None:
         return None
     # The second field is the command in parentheses; it may hold spaces and parentheses.
     fields = stat.rpartition(")")[2].split()
-    return None if fields[0] in "ZX" else int(fields[19])
+    if fields[0] in "ZX":
+        return None
+    # The kernel shows it in 64 bits, and moved by the offset of the reader's time namespace (time_namespaces(7)).
+    return (int(fields[19]) * _TICK_NS - _boot_offset_ns()) % 2**64 // _TICK_NS
+
+
+def _boot_offset_ns() -> int:
+    """Return the offset of this time namespace's clock since boot (ns)."""
+    try:
+        lines = Path("/proc/self/timens_offsets").read_text(encoding="ascii").splitlines()
+    except OSError:  # a kernel without time namespaces
+        return 0
+    offsets = {name: 10**9 * int(seconds) + int(rest) for name, seconds, rest in map(str.split, lines)}
+    return offsets.get("boottime", 0)

@@ -17,7 +17,7 @@ from dataclasses import replace
 from arpd.adapters.ros import rmw
 from arpd.adapters.ros.writer import RosWriter
 from arpd.apply.endpoint.writer_swap import SwapState, WriterSwap
-from scripts.bench.child import commands, number_of, sample_of, say
+from scripts.bench.child import answer, commands, number_of, sample_of
 
 RATE_HZ = 20.0
 BASELINE_DEPTH = 60
@@ -79,7 +79,7 @@ class Stops:
             if topic in self._wanted and (swap._draining if where == DRAINING else swap.state == where):
                 del self._wanted[topic]
                 self._stopped[swap] = time.monotonic()
-                say(stopped=topic)
+                answer(stopped=topic)
 
     def _is_hidden(self, writer):
         """Return whether to hide an acknowledgement, so that the swap comes to its stop and passes no other state."""
@@ -94,7 +94,7 @@ def obey(roles):
     """Carry out the parent's commands, ``{"do": name, …}``, until it is gone."""
     orders = commands()
     while (order := orders.get()) is not None:
-        say(answer=roles[order.pop("do")](**order))
+        answer(answer=roles[order.pop("do")](**order))
 
 
 def obey_aside(stops):

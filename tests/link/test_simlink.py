@@ -216,6 +216,16 @@ def test_what_a_killed_holder_leaves_is_cleaned_up(run_id):
     eventually(lambda: not stat.exists() or stat.read_text(encoding="utf-8").split()[2] == "Z")
 
 
+def test_a_holder_lives_for_a_process_with_other_clocks_too(run_id):
+    """In a time namespace the same holder shows another start; its link stays nevertheless."""
+    clocks = ["unshare", "--time", f"--boottime=-{int(time.clock_gettime(time.CLOCK_BOOTTIME)) - 1}", "--fork", "--"]
+    if subprocess.run([*clocks, "true"], capture_output=True, check=False).returncode != 0:
+        pytest.skip("unshare --time is refused here")
+    with SimLink(run_id):
+        cleaned = run_script("--cleanup", prefix=clocks)
+        assert (cleaned.returncode, len(namespaces_of(run_id))) == (0, 2), cleaned.stderr
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_the_script_cleans_up_when_told_to_stop(run_id, number, code):
     """Ctrl-C and SIGTERM end the commands and remove the link."""
