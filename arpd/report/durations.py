@@ -55,7 +55,7 @@ _TICK = Distribution.over(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.
 # A dozen topics take half a millisecond, a thousand some tens (scripts/bench/solve.py).
 _SOLVE = Distribution.over(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
 # The timeouts of `arpd.apply.endpoint.writer_swap.SwapTiming` lie between bounds, never on one: 0.3, 3, 4 and 10 s.
-_SWAP_PHASE = Distribution.over(0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 2.9, 3.5, 4.5, 7.5, 9.5, 15.0)
+_PHASE = Distribution.over(0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 2.9, 3.5, 4.5, 7.5, 9.5, 15.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,7 +74,7 @@ class Durations:
     lateness: Distribution = _TICK
     solves: Distribution = _SOLVE
     swap_phases: Mapping[str, Distribution] = field(
-        default_factory=lambda: MappingProxyType(dict.fromkeys(SwapPhase, _SWAP_PHASE))
+        default_factory=lambda: MappingProxyType(dict.fromkeys(SwapPhase, _PHASE))
     )
 
     def with_tick(self, tick_s: float, *, solve_s: float | None, phases: Mapping[str, list[float]]) -> Durations:
@@ -88,7 +88,7 @@ class Durations:
         """
         swap_phases = self.swap_phases
         if phases:
-            more = {phase: swap_phases.get(phase, _SWAP_PHASE).including(each) for phase, each in phases.items()}
+            more = {phase: swap_phases.get(phase, _PHASE).including(each) for phase, each in phases.items()}
             swap_phases = MappingProxyType({**swap_phases, **more})
         return replace(
             self,

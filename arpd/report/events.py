@@ -34,8 +34,8 @@ class EventKind(StrEnum):
     INFEASIBLE = "infeasible"  # not everything asked for fits
     FEASIBLE = "feasible"  # it does again
     MEMORY = "memory"  # depths follow memory
-    SWAP = "swap"  # a topic has a new writer
-    SWAP_FAILED = "swap_failed"  # a topic keeps its old writer
+    WRITER_REPLACED = "swap"  # a topic has a new writer
+    WRITER_KEPT = "swap_failed"  # a topic keeps its old writer
     REFUSED = "refused"  # a publisher or reader refuses new QoS
     TOPIC_FOUND = "topic_found"
     TOPIC_LOST = "topic_lost"

@@ -35,7 +35,7 @@ _KEPT = {
     "incompatible": "a reader would have been lost to the new QoS",
     "failed": "the middleware refused the new writer",
 }
-_OF_SWAPS = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, RefusalReason.FAILED})
+_FAILED_CHANGES = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE, RefusalReason.FAILED})
 
 
 class EndpointLog:
@@ -136,8 +136,8 @@ class _SwapLog:
             return
         self._since_s = math.inf
         done, self._done, kept, self._kept = self._done, [], self._kept, []
-        yield from self._tell(done, EventKind.SWAP, Severity.INFO, _swapped, "swapped")
-        yield from self._tell(kept, EventKind.SWAP_FAILED, Severity.WARNING, _not_swapped, "not swapped")
+        yield from self._tell(done, EventKind.WRITER_REPLACED, Severity.INFO, _swapped, "swapped")
+        yield from self._tell(kept, EventKind.WRITER_KEPT, Severity.WARNING, _not_swapped, "not swapped")
 
     @staticmethod
     def _tell(
@@ -247,7 +247,7 @@ class _RefusalLog:
 
 
 def _is_of_a_swap(endpoint: PublisherState | ReaderState) -> bool:
-    return endpoint.refusal_reason in _OF_SWAPS and getattr(endpoint, "last_swap", None) is not None
+    return endpoint.refusal_reason in _FAILED_CHANGES and getattr(endpoint, "last_swap", None) is not None
 
 
 def _is_due(now_s: float, since_s: Iterable[float]) -> bool:

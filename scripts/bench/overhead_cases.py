@@ -14,7 +14,7 @@ from scripts.robot.run import CONFIG
 PREFIX = "/link"
 DEMO_TOPICS = 12
 _RELAY_TOPICS = 250  # one node announces at most 256 publishers (`arpd.observe.registry.MOST_OF_NODE`)
-_SWAPS_PER_TOPIC = 20  # per minute, as in the default budget of 240 for twelve topics
+_PLANS_PER_TOPIC = 20  # per minute, as in the default budget of 240 for twelve topics
 _NO_TEXT_BYTES = len(sample_of(0, 10)) - 10  # of a serialized std_msgs/String
 
 #: Number of topics → serialized size (bytes) and rate (Hz) of each; twelve are the demo robot's.
@@ -85,7 +85,7 @@ class Case:
         """Return the configuration of each relay; the first is also the daemon's."""
         names = [topic.name for topic in self.sensing]
         shares = [names[at : at + _RELAY_TOPICS] for at in range(0, len(names), _RELAY_TOPICS)]
-        governor = {"swaps_per_minute": _SWAPS_PER_TOPIC * max(len(self.topics), DEMO_TOPICS)}
+        governor = {"swaps_per_minute": _PLANS_PER_TOPIC * max(len(self.topics), DEMO_TOPICS)}
         return [
             {
                 **self.preferences,

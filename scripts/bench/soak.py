@@ -40,7 +40,7 @@ RATE_HZ = 20.0
 DEPTH = 20
 PAYLOAD_BYTES = 100
 EVERY = 100
-SWAPS, QUICK_SWAPS = 10_000, 300
+COUNT, QUICK_COUNT = 10_000, 300
 STUCK_S = 20.0
 _POLL_S = 0.005
 
@@ -225,8 +225,8 @@ def draw(notes: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = options_of(__doc__, "soak", quick=f"{QUICK_SWAPS} swaps, some ten seconds", has_plot=True)
-    parser.add_argument("--swaps", type=int, default=SWAPS, metavar="N", help="default %(default)s")
+    parser = options_of(__doc__, "soak", quick=f"{QUICK_COUNT} swaps, some ten seconds", has_plot=True)
+    parser.add_argument("--swaps", type=int, default=COUNT, metavar="N", help="default %(default)s")
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="stop earlier, after this time")
     parser.add_argument("--role", choices=("writer", "reader"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -239,7 +239,7 @@ def main() -> None:
         print(f"{'s':>7}{'swaps':>8}" + 2 * f"{'MiB':>9}{'thr':>5}{'fds':>5}" + f"{'received':>10}{'late':>6}  swaps")
         noted = conditions()
         try:
-            document = soak(QUICK_SWAPS if options.quick else options.swaps, options.seconds)
+            document = soak(QUICK_COUNT if options.quick else options.swaps, options.seconds)
         except ChildError as error:
             sys.exit(f"soak: {error}")
         print("\n".join(["", *verdict(document)]))

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 LINK_BYTES_PER_SECOND = 100e6 / 8
 WIRE_OVERHEAD = 180  # bytes of headers around a payload
 MOST_DELIVERIES_HZ = 4000  # limit of a writer and its readers on two cores
-STILL_S, SPACING_S, SWAPS = 1.0, 0.5, 6
+STILL_S, SPACING_S, REQUESTS = 1.0, 0.5, 6
 # An adaptive swap settles for so long. The others go on publishing for as long, because time alone causes some losses:
 # IP fragments of large samples fill the kernel's reassembly memory within half a minute, with or without swaps.
 SETTLE_S = 3.2
@@ -197,7 +197,7 @@ class Bench:
             depth=cell.depth,
             payload_bytes=cell.payload_bytes,
             still_s=max(STILL_S, 10 / cell.rate_hz),
-            swaps=SWAPS,
+            swaps=REQUESTS,
             spacing_s=SPACING_S if way == ADAPTIVE else SPACING_S + SETTLE_S,
         )
         self._writer.receive()

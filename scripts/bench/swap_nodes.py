@@ -28,7 +28,7 @@ _READ_DEPTH = 5000
 _POLL_S = 0.002
 _MATCH_TIMEOUT_S = 30.0
 _WARM_S = 0.2
-_SWAP_TIMEOUT_S = 8.0
+_TIMEOUT_S = 8.0
 _SETTLE_S = 0.6  # after the last swap, so that its drain is measured with it
 
 
@@ -141,7 +141,7 @@ def turn(node: Any, orders: queue.SimpleQueue[dict[str, Any] | None], order: dic
             requests.append(stream.sent)
             side.swap(order["depth"] + 1 - k % 2)
             stream.run(order["spacing_s"])
-            give_up_s = time.monotonic() + _SWAP_TIMEOUT_S
+            give_up_s = time.monotonic() + _TIMEOUT_S
             while side.ended() <= k and time.monotonic() < give_up_s:
                 stream.run(0.1)
         stream.run(_SETTLE_S)

@@ -33,7 +33,7 @@ def remedies() -> Section:
     """Return the section on what arpd does."""
     return Section(
         title="What arpd does about it",
-        lines=((8, evenly(_PLANS, _KEPT, _DROPS)), (8, evenly(_SWAP_FAILURES, _DEADLINES_MISSED, _EVENTS))),
+        lines=((8, evenly(_PLANS, _KEPT, _DROPS)), (8, evenly(_FAILURES, _DEADLINES_MISSED, _EVENTS))),
     )
 
 
@@ -124,7 +124,7 @@ _DROPS = _lines(
     then="click a robot to open it and see 'Drops by cause'.",
 )
 
-_SWAP_FAILURES = _often(
+_FAILURES = _often(
     "Swaps that failed, each robot",
     "arpd_topic_swap_failures_total",
     'reason!="superseded"',

@@ -13,11 +13,14 @@ def swaps() -> Section:
     """Return the section on putting a plan into force."""
     return Section(
         title="Swaps: what changing QoS cost",
-        lines=((8, evenly(_SWAPS, _PLAN_REACHES, _GENERATIONS)), (8, evenly(_PHASE_TIMES, _SWAP_COST, _READERS))),
+        lines=(
+            (8, evenly(_RESULTS, _PLAN_REACHES, _GENERATIONS)),
+            (8, evenly(_PHASE_TIMES, _WRITER_COST, _READERS)),
+        ),
     )
 
 
-_SWAPS = bars(
+_RESULTS = bars(
     "Swaps",
     [
         query(f"sum(increase(arpd_topic_swaps_total{{{_TOPIC}}}[$__rate_interval]))", "begun"),
@@ -75,7 +78,7 @@ _PHASE_TIMES = ranking(
     then="long draining: the link is full. Long matching: discovery is slow, look at the peer's CPU.",
 )
 
-_SWAP_COST = ranking(
+_WRITER_COST = ranking(
     "Topics that spent longest in swaps",
     [
         instant(

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from scripts.bench.soak import QUICK_SWAPS, TOPICS
+from scripts.bench.soak import QUICK_COUNT, TOPICS
 from scripts.netns.simlink import available
 from tests.bench.quick import played
 
@@ -58,6 +58,6 @@ def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path)
 def test_soak_loses_no_sample(tmp_path):
     """Hundreds of swaps on a link that loses nothing: every topic delivers every sample, each once and in order."""
     document, _ = played(tmp_path, "soak")
-    assert document["notes"][-1]["swaps"] == QUICK_SWAPS
+    assert document["notes"][-1]["swaps"] == QUICK_COUNT
     assert document["received"] == [document["sent"]] * TOPICS
     assert sum(document["late"]) == 0

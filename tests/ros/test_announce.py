@@ -23,7 +23,7 @@ LATCHED = publisher(
     refusal_reason=RefusalReason.TRANSIENT_LOCAL,
     keeps_all=True,
 )
-SWAPPED = publisher(
+REPLACED = publisher(
     "/n",
     "/t",
     direction=Direction.LOCAL,
@@ -69,7 +69,7 @@ def ros_reader(request):
     return request.param
 
 
-@pytest.mark.parametrize("state", [PLAIN, LATCHED, SWAPPED], ids=["plain", "refused", "swapped"])
+@pytest.mark.parametrize("state", [PLAIN, LATCHED, REPLACED], ids=["plain", "refused", "swapped"])
 def test_a_publisher_is_read_as_it_was_announced(state):
     """Encoding and decoding an announcement changes nothing."""
     assert from_status(to_status(state)) == state
@@ -128,7 +128,7 @@ def test_an_older_announcer_is_understood():
 
 def test_an_announcer_of_before_the_accounts_is_understood():
     """Missing counters are zero: no cause, no phase, no last swap."""
-    status = to_status(SWAPPED)
+    status = to_status(REPLACED)
     status.values = [pair for pair in status.values if not pair.key.startswith(NEW_KEYS)]
     state = from_status(status)
     assert (state.withheld, dict(state.withheld_by_cause), state.deadlines_missed) == (1300, {}, 0)
@@ -145,7 +145,7 @@ def test_what_never_happened_is_not_announced():
 
 def test_unknown_causes_and_phases_make_no_labels():
     """Only known causes and phases of an announcement are kept."""
-    status = to_status(SWAPPED)
+    status = to_status(REPLACED)
     invented = {
         "withheld_by_cause": "moon=1 gate=2 =3 x",
         "swap_seconds_by_phase": "moon=1 holding=0.5",
@@ -190,7 +190,7 @@ def test_unknown_causes_and_phases_make_no_labels():
 )
 def test_what_no_publisher_is_like_is_refused(key, value):
     """A publisher's announcement with absurd values is refused."""
-    status = to_status(SWAPPED)
+    status = to_status(REPLACED)
     status.values = [pair for pair in status.values if pair.key != key] + [KeyValue(key=key, value=value)]
     with pytest.raises(ValueError, match=f"announcement.*{key if value.isascii() else 'name'}"):
         from_status(status)
@@ -204,7 +204,7 @@ def test_a_reader_cannot_ask_a_writer_for_a_nanosecond():
 
 def test_words_of_others_do_nothing_to_a_terminal():
     """Every text of an announcement is printable."""
-    lurid = replace(SWAPPED.last_swap, result="\x1b[2J")
+    lurid = replace(REPLACED.last_swap, result="\x1b[2J")
     status = to_status(
         replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07", swaps_by_result={"\x1b": 1}, last_swap=lurid)
     )

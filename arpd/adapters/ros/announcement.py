@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from enum import StrEnum
 
-_SWAP_PREFIX = "swaps_"
-_READER_SWAP_PREFIX = "handovers_"
+_WRITER_RESULTS = "swaps_"
+_READER_RESULTS = "handovers_"
 _CAUSES = "withheld_by_cause"
 _PHASES = "swap_seconds_by_phase"
 _BEGUN = "begun_swaps"  # not "swaps_…": an older daemon would read that as a result
-_LAST_SWAP = "last_swap"
+_LAST_RESULT = "last_swap"
 _MISSED = "deadlines_missed"
 _PUBLISHED_RATE = "published_rate_hz"
 _KEEP_ALL = "keep_all"
@@ -67,7 +67,7 @@ def to_status(state: PublisherState) -> Any:
     values += _remarks(state)
     values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
     values += [(key, str(getattr(state, key))) for key in _INTEGERS]
-    values += [(_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
+    values += [(_WRITER_RESULTS + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
     values += _account(state)
     return _status(state, values, warning=state.refusal, summary=f"{state.rate_hz:.3g} Hz, depth {state.depth}")
 
@@ -78,7 +78,7 @@ def reader_to_status(state: ReaderState) -> Any:
     values += [("refusal", state.refusal)] if state.refusal else []
     values += _remarks(state)
     values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
-    values += [(_READER_SWAP_PREFIX + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
+    values += [(_READER_RESULTS + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
     # A lasting refusal is no fault, so it is no warning.
     return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
@@ -97,11 +97,11 @@ def from_status(status: Any) -> PublisherState:
         type_name=_plain(fields.pop("type")),
         direction=Direction.LOCAL,
         published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
-        swaps_by_result=_counts(values, _SWAP_PREFIX),
+        swaps_by_result=_counts(values, _WRITER_RESULTS),
         withheld_by_cause=_by_name(_CAUSES, values.get(_CAUSES, "").split(), DropCause, _bounded),
         swaps_begun=_bounded(_BEGUN, values.get(_BEGUN, "0")),
         swap_seconds_by_phase=_by_name(_PHASES, values.get(_PHASES, "").split(), SwapPhase, _seconds),
-        last_swap=_record(values[_LAST_SWAP]) if _LAST_SWAP in values else None,
+        last_swap=_record(values[_LAST_RESULT]) if _LAST_RESULT in values else None,
         **fields,
     )
 
@@ -118,7 +118,7 @@ def reader_from_status(status: Any) -> ReaderState:
     # A writer is asked to offer what its readers request, so a false announcement could ask it for a nanosecond.
     if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
         raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
-    return ReaderState(swaps_by_result=_counts(values, _READER_SWAP_PREFIX), **fields)
+    return ReaderState(swaps_by_result=_counts(values, _READER_RESULTS), **fields)
 
 
 def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
@@ -171,7 +171,7 @@ def _account(state: PublisherState) -> list[tuple[str, str]]:
         values += [(_BEGUN, str(state.swaps_begun)), (_PHASES, _words(state.swap_seconds_by_phase))]
     if (last := state.last_swap) is not None:
         what = f"{last.number} {last.result} {last.depth} {last.deadline_ns} "
-        values += [(_LAST_SWAP, what + _words(last.seconds_by_phase))]
+        values += [(_LAST_RESULT, what + _words(last.seconds_by_phase))]
     return values
 
 
@@ -185,11 +185,11 @@ def _record(text: str) -> SwapRecord:
     """Decode the last swap: its number, result, depth and deadline, and the seconds of its phases by name."""
     number, result, depth, deadline_ns, *phases = [*text[:_MAX_NAME].split(), "", "", "", ""]
     return SwapRecord(
-        number=_bounded(_LAST_SWAP, number),
+        number=_bounded(_LAST_RESULT, number),
         result=_plain(result)[:_MAX_RESULT],
-        depth=_bounded(_LAST_SWAP, depth),
-        deadline_ns=_bounded(_LAST_SWAP, deadline_ns),
-        seconds_by_phase=_by_name(_LAST_SWAP, phases, SwapPhase, _seconds),
+        depth=_bounded(_LAST_RESULT, depth),
+        deadline_ns=_bounded(_LAST_RESULT, deadline_ns),
+        seconds_by_phase=_by_name(_LAST_RESULT, phases, SwapPhase, _seconds),
     )
 
 

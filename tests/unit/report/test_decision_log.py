@@ -391,7 +391,7 @@ def test_a_swap_says_what_it_came_to_and_where_its_time_went(log):
     record = swapped(1, matching=3.1, watching=0.0, proving=0.3, draining=2.0)
     told = log.wait(3.0, publishers=with_swap(log, "/camera", record))
     assert texts(told) == ["/camera swapped to depth 10, deadline 125 ms in 3.4 s (matching 3.1, proving 0.3)"]
-    assert (told[0].topic, told[0].node, told[0].kind) == ("/camera", "/camera", EventKind.SWAP)
+    assert (told[0].topic, told[0].node, told[0].kind) == ("/camera", "/camera", EventKind.WRITER_REPLACED)
     assert told[0].details["matching_seconds"] == "3.100"
     assert not log.wait(3.0)
 
@@ -416,7 +416,7 @@ def test_a_swap_that_failed_says_why_and_is_no_refusal_as_well(log):
     assert texts(told) == [
         "/camera kept its writer, not swapped to depth 10, deadline 125 ms: /rviz did not match the new writer in 10 s"
     ]
-    assert (told[0].kind, told[0].severity) == (EventKind.SWAP_FAILED, Severity.WARNING)
+    assert (told[0].kind, told[0].severity) == (EventKind.WRITER_KEPT, Severity.WARNING)
 
 
 def test_swaps_from_before_the_start_are_history():
@@ -425,7 +425,7 @@ def test_swaps_from_before_the_start_are_history():
     told = log.wait(3.0, publishers=(publisher("/n", "/a", last_swap=swapped(7)),))
     assert [event.kind for event in told] == [EventKind.STARTED, EventKind.TOPIC_FOUND]
     told = log.wait(3.0, publishers=(publisher("/n", "/a", last_swap=swapped(8)),))
-    assert [event.kind for event in told] == [EventKind.SWAP]
+    assert [event.kind for event in told] == [EventKind.WRITER_REPLACED]
 
 
 def test_a_refusal_is_told_once_however_often_it_is_announced(log):

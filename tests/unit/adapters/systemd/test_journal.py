@@ -125,7 +125,7 @@ def test_an_event_is_an_entry_with_its_fields(journal, logger):
 
 def test_a_topic_and_a_node_are_fields_where_there_is_one(journal, logger):
     """An event of one publisher has fields for its topic and its node."""
-    log_event(event(kind=EventKind.SWAP, topic="/scan", node="/lidar"))
+    log_event(event(kind=EventKind.WRITER_REPLACED, topic="/scan", node="/lidar"))
     entry = journal.entry()
     assert (entry["ARPD_TOPIC"], entry["ARPD_NODE"], entry["ARPD_EVENT"]) == ("/scan", "/lidar", "swap")
 
