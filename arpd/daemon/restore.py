@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from arpd.daemon.world import World
     from arpd.model.observation import Observation
 
-_LOOK_S = 0.1
 _RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
 _RESTORE_READERS_S = 4.0  # more when readers move first
 _UNPACE_S = 3.0  # more for the rates, which need no swap
@@ -26,7 +25,7 @@ def restore(
     *,
     generation: int,
     clock: Callable[[], float],
-    wait: Callable[[float], None],
+    wait: Callable[[], None],
 ) -> int:
     """Restore every publisher and reader that carries a plan, and wait for the announcements.
 
@@ -37,7 +36,7 @@ def restore(
     observe : observes the world at a time of the monotonic clock (s)
     generation : of the plan that restores, above every plan of this daemon
     clock : monotonic clock (s)
-    wait : sleeps for the given time (s)
+    wait : sleeps for one tick
 
     Returns
     -------
@@ -74,4 +73,4 @@ def restore(
             return missing
         world.set_gate(1.0)
         world.apply(steps.transitions, now_s=now_s)
-        wait(_LOOK_S)
+        wait()

@@ -15,6 +15,7 @@ from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.adapters.sim.writer import LinkPath
+from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
 
@@ -42,7 +43,6 @@ _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
 _ARPD_HEARTBEAT_S = 0.05  # arpd/adapters/ros/fastdds.xml
 _RELAY_HOP_S = 0.0005
 _ON_HOST_S = 0.001
-_LEAST_PAUSE_S = 0.02  # as in arpd.daemon.supervisor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -256,7 +256,7 @@ def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker |
     ticked_s = clock.now_s
 
     def wake() -> None:
-        alarm.set(min(alarm.when_s, max(clock.now_s + _ON_HOST_S, ticked_s + _LEAST_PAUSE_S)))
+        alarm.set(min(alarm.when_s, max(clock.now_s + _ON_HOST_S, ticked_s + LEAST_PAUSE_S)))
 
     world = SimulatedWorld(
         clock,

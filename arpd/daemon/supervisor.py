@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_LEAST_PAUSE_S = 0.02  # between two ticks, also when many reports arrive
+LEAST_PAUSE_S = 0.02  # between two ticks, also when many reports arrive
 
 
 @dataclass(slots=True)
@@ -133,7 +133,7 @@ class Supervisor:
             self._tidy()
             self._resting.set()
             next_s = now_s + TICK_S
-            time.sleep(_LEAST_PAUSE_S)
+            time.sleep(LEAST_PAUSE_S)
             self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
             self._signals.wakeup.clear()
 

@@ -246,7 +246,7 @@ class Daemon:
             # Endpoints with a predecessor's plan, or the active daemon, may not have been heard yet.
             wait(TICK_S)
             self._observe(self._clock())
-        return restore(self._world, self._observe, generation=generation, clock=self._clock, wait=wait)
+        return restore(self._world, self._observe, generation=generation, clock=self._clock, wait=lambda: wait(TICK_S))
 
     def status_line(self) -> str:
         """Return one line for ``systemctl status``."""

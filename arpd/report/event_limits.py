@@ -68,7 +68,7 @@ class Episode:
     Parameters
     ----------
     hold_s : how long a change must last to be one (s)
-    most : begins that are told in a minute
+    most : begins logged per minute
 
     Attributes
     ----------
