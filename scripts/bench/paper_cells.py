@@ -12,8 +12,9 @@ TOPICS = SENSORS + 1  # N: all sensing topics and the one of actuation
 RMAX_HZ = (100, 200, 500, 1000)
 FIXED_DEPTHS = (1, 5000)
 PAYLOADS_BYTES = (10, 100, 1000)
+LIVE_HZ = 100  # of every source under arpd: more than 2.4 GHz carries of 1000 B, less than it carries of 10 B
 
-FIGURES, LOSS = "figures", "loss"
+FIGURES, LOSS, LIVE = "figures", "loss", "live"
 DEFAULT, ARPD = "rclpy's default", "arpd's"
 HEARTBEAT_S = {DEFAULT: 3.0, ARPD: 0.05}
 
@@ -51,7 +52,10 @@ WIRED = LinkProfile(name="wired", rate_bytes_per_second=1e9 / 8, queue_bytes=1_0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Configuration:
-    """DEPTH (samples) and DEADLINE (as a rate, Hz) of both ends of all topics, and the payload of each sample."""
+    """DEPTH (samples) and DEADLINE (as a rate, Hz) of both ends of all topics, and the payload of each sample.
+
+    Under arpd the rate is that of the sources, and DEPTH 0 stands for what arpd chooses.
+    """
 
     depth: int
     deadline_hz: int
@@ -64,7 +68,7 @@ class Turn:
 
     Parameters
     ----------
-    experiment : FIGURES or LOSS
+    experiment : FIGURES, LOSS or LIVE
     loss : of the link in this turn (0..1)
     heartbeat : whose heartbeat period the writers have: DEFAULT or ARPD
     """
@@ -118,13 +122,33 @@ def loss_turns() -> list[Turn]:
     ]
 
 
+def live_turns(payloads_bytes: tuple[int, ...] = PAYLOADS_BYTES) -> list[Turn]:
+    """Return the turns under `arpd run` with the uniform policy, which finds Rmax, R and D itself."""
+    return [
+        Turn(
+            experiment=LIVE,
+            link=WIFI,
+            loss=WIFI.loss,
+            heartbeat=ARPD,
+            configuration=Configuration(depth=0, deadline_hz=LIVE_HZ, payload_bytes=payload_bytes),
+        )
+        for payload_bytes in payloads_bytes
+    ]
+
+
+def command_number(index: int, number: int) -> int:
+    """Return the number of the command that answers a sample of a sensor; divmod by SENSORS gives both back."""
+    return number * SENSORS + index
+
+
 def quick_turns() -> list[Turn]:
-    """Return three turns that a busy machine can generate: both depths and an optimum, on the lossy link."""
+    """Return turns that a busy machine can generate, on the lossy link: both depths, an optimum, and arpd."""
     rate_hz, depth = optimum(max(RMAX_HZ))
     cells = [
         Configuration(depth=d, deadline_hz=hz, payload_bytes=100) for d, hz in ((1, 100), (5000, 100), (depth, rate_hz))
     ]
-    return [Turn(experiment=FIGURES, link=WIFI, loss=WIFI.loss, heartbeat=DEFAULT, configuration=c) for c in cells]
+    figures = [Turn(experiment=FIGURES, link=WIFI, loss=WIFI.loss, heartbeat=DEFAULT, configuration=c) for c in cells]
+    return [*figures, *live_turns(payloads_bytes=(max(PAYLOADS_BYTES),))]
 
 
 def shuffled(turns: list[Turn], *, seed: int) -> list[Turn]:

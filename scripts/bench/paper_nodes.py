@@ -88,8 +88,8 @@ class Effort:
 class Sensor:
     """A publisher at its own rate; the phases of all sensors are spread over the period."""
 
-    def __init__(self, node: Any, order: dict[str, Any], index: int) -> None:
-        self.publisher = node.create_publisher(String, sensing(order, index), profile(order))
+    def __init__(self, publisher: Any, order: dict[str, Any], index: int) -> None:
+        self.publisher = publisher
         self.index = index
         self.period_ns = round(1e9 / order["deadline_hz"])
         self.phase_ns = self.period_ns * index // order["sensors"]
@@ -130,15 +130,18 @@ def publish_all(sensors: Sequence[Sensor], order: dict[str, Any], start_ns: int)
 
 def sense(orders: Orders, node: Any) -> None:
     """Serve turns: make publishers, wait for their reader, publish, report the samples."""
-    while order := _next_order(orders):
-        sensors = [Sensor(node, order, index) for index in order["indices"]]
-        _answer_matched(lambda: all(s.publisher.get_subscription_count() > 0 for s in sensors))  # noqa: B023
-        spent = publish_all(sensors, order, _next_order(orders)["start_ns"])
+    while order := next_order(orders):
+        sensors = [
+            Sensor(node.create_publisher(String, sensing(order, index), profile(order)), order, index)
+            for index in order["indices"]
+        ]
+        answer_matched(lambda: all(s.publisher.get_subscription_count() > 0 for s in sensors))  # noqa: B023
+        spent = publish_all(sensors, order, next_order(orders)["start_ns"])
         answer(
-            sensors=[{"index": s.index, "left": _kept(s.left_ns, order, f"left-{s.index}")} for s in sensors],
+            sensors=[{"index": s.index, "left": kept(s.left_ns, order, f"left-{s.index}")} for s in sensors],
             spent=spent,
         )
-        _next_order(orders)  # samples under way have arrived or are lost
+        next_order(orders)  # samples under way have arrived or are lost
         for sensor in sensors:
             node.destroy_publisher(sensor.publisher)
         answer(closed=True)
@@ -158,8 +161,8 @@ class Arrivals:
     def kept(self, order: dict[str, Any], name: str) -> dict[str, str]:
         """Write both into files and return the paths."""
         return {
-            "numbers": _kept(self.numbers, order, f"{name}-numbers"),
-            "received": _kept(self.received_ns, order, f"{name}-received"),
+            "numbers": kept(self.numbers, order, f"{name}-numbers"),
+            "received": kept(self.received_ns, order, f"{name}-received"),
         }
 
 
@@ -168,7 +171,7 @@ def plan(orders: Orders) -> None:
 
     A command answers sample n of the sensor n mod 11 with its number, so commands cover all sensors at the rate of one.
     """
-    while order := _next_order(orders):
+    while order := next_order(orders):
         with spinning("planner") as (node, executor):
             _plan_once(orders, order, node, executor)
         answer(closed=True)
@@ -193,24 +196,24 @@ def _plan_once(orders: Orders, order: dict[str, Any], node: Any, executor: Any) 
         return on_sample
 
     subscriptions = [
-        node.create_subscription(String, sensing(order, index), _taking(reader(index)), qos, raw=True)
+        node.create_subscription(String, sensing(order, index), taking(reader(index)), qos, raw=True)
         for index in range(sensors)
     ]
-    _answer_matched(
+    answer_matched(
         lambda: all(s.get_publisher_count() > 0 for s in subscriptions) and commanded.get_subscription_count() > 0
     )
-    spent = _spin(orders, executor, lambda: (sum(len(each.numbers) for each in arrivals), len(commands_sent)))
+    spent = spin(orders, executor, lambda: (sum(len(each.numbers) for each in arrivals), len(commands_sent)))
     answer(
         arrived=[each.kept(order, f"arrived-{index}") for index, each in enumerate(arrivals)],
-        commands=_kept(commands_sent, order, "commands"),
+        commands=kept(commands_sent, order, "commands"),
         spent=spent,
     )
-    _next_order(orders)
+    next_order(orders)
 
 
 def act(orders: Orders) -> None:
     """Serve turns: note the arrivals of the commands."""
-    while order := _next_order(orders):
+    while order := next_order(orders):
         with spinning("actuator") as (node, executor):
             _act_once(orders, order, node, executor)
         answer(closed=True)
@@ -219,15 +222,15 @@ def act(orders: Orders) -> None:
 def _act_once(orders: Orders, order: dict[str, Any], node: Any, executor: Any) -> None:
     arrivals = Arrivals()
     subscription = node.create_subscription(
-        String, actuation(order), _taking(arrivals.on_sample), profile(order), raw=True
+        String, actuation(order), taking(arrivals.on_sample), profile(order), raw=True
     )
-    _answer_matched(lambda: subscription.get_publisher_count() > 0)
-    _spin(orders, executor, lambda: (len(arrivals.numbers), 0))
+    answer_matched(lambda: subscription.get_publisher_count() > 0)
+    spin(orders, executor, lambda: (len(arrivals.numbers), 0))
     answer(**arrivals.kept(order, "actuated"))
-    _next_order(orders)
+    next_order(orders)
 
 
-def _spin(orders: Orders, executor: Any, counts: Callable[[], tuple[int, int]]) -> dict[str, float]:
+def spin(orders: Orders, executor: Any, counts: Callable[[], tuple[int, int]]) -> dict[str, float]:
     """Spin until the parent says stop, answer its questions, and return how the time of the load was spent (s).
 
     The parent asks for the first time when the load is over.
@@ -237,7 +240,7 @@ def _spin(orders: Orders, executor: Any, counts: Callable[[], tuple[int, int]]) 
         while orders.empty():
             executor.spin_once(timeout_sec=_SPIN_S)
         spent = spent or {**effort.seconds(), "wall_s": time.monotonic() - began_s}
-        if "stop" in _next_order(orders):
+        if "stop" in next_order(orders):
             return spent
         arrived, answered = counts()
         answer(arrived=arrived, answered=answered)
@@ -259,7 +262,7 @@ def spinning(name: str) -> Iterator[tuple[Any, Any]]:
         context.shutdown()
 
 
-def _taking(callback: Callable[[bytes, dict[str, int]], None]) -> Callable[..., None]:
+def taking(callback: Callable[[bytes, dict[str, int]], None]) -> Callable[..., None]:
     """Return a callback for sample and info; the EventsExecutor of rclpy 7.1 passes both as one tuple."""
 
     def on_message(both: tuple[bytes, dict[str, int]]) -> None:
@@ -269,18 +272,18 @@ def _taking(callback: Callable[[bytes, dict[str, int]], None]) -> Callable[..., 
     return on_message
 
 
-def _next_order(orders: Orders) -> dict[str, Any]:
+def next_order(orders: Orders) -> dict[str, Any]:
     """Return the parent's next command; end when the parent is gone."""
     if (command := orders.get()) is None:
         raise SystemExit
     return command
 
 
-def _answer_matched(is_matched: Callable[[], bool]) -> None:
+def answer_matched(is_matched: Callable[[], bool]) -> None:
     answer(matched=becomes_true(is_matched, _MATCH_TIMEOUT_S, poll_s=_POLL_S))
 
 
-def _kept(values: array[int], order: dict[str, Any], name: str) -> str:
+def kept(values: array[int], order: dict[str, Any], name: str) -> str:
     path = Path(order["folder"]) / f"{name}.i64"
     path.write_bytes(values.tobytes())
     return str(path)

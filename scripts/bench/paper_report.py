@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.paper_cells import ARPD, DEFAULT, FIGURES, HEARTBEAT_S, LOSS
+from scripts.bench.paper_cells import ARPD, DEFAULT, FIGURES, HEARTBEAT_S, LIVE, LOSS
+from scripts.bench.paper_live_report import live_markdown, live_table
 from scripts.bench.paper_summary import REACHED_RATIO
 from scripts.bench.paper_verdict import LIKE, Cell, cells, milliseconds, misses, percent, rounds, verdicts
 from scripts.bench.record import described
@@ -48,7 +49,7 @@ def voids(document: dict[str, Any]) -> list[str]:
 
 
 def table(document: dict[str, Any]) -> str:
-    """Return every configuration's figures, the verdicts, and the cost of a lost packet."""
+    """Return every configuration's figures, the verdicts, the cost of a lost packet, and the figures under arpd."""
     head = (
         f"{'link':>8} {'B':>5} {'Hz':>5} {'DEPTH':>5} {'mean ms':>9} {'p50':>9} {'p95':>9} {'p99 ms':>27}"
         f" {'sensing p99':>11} {'lost %':>7} {'unanswered':>10} {'rate %':>7} {'blocked':>7} {'link %':>6}"
@@ -68,7 +69,7 @@ def table(document: dict[str, Any]) -> str:
             f"{name} {mean:>9} {p50:>9} {p95:>9} {_shown_p99(cell):>27} {sensing:>11} {percent(cell.lost_ratio):>7}"
             f" {unanswered:>10} {reached:>7} {blocked:>7} {percent(cell.used_ratio):>6}"
         )
-    return "\n".join([*rows, "", *_judged(document), "", *_loss_table(document)])
+    return "\n".join([*rows, "", *_judged(document), "", *_loss_table(document), "", *live_table(document)])
 
 
 def markdown(document: dict[str, Any]) -> str:
@@ -94,6 +95,8 @@ def markdown(document: dict[str, Any]) -> str:
         *markdown_table("lr", titles, map(_row, verdicts(document))),
         *("", "</details>", "", *_loss_markdown(document)),
     ]
+    if live := live_markdown(document):
+        lines += ["", *live]
     return "\n".join(lines)
 
 
@@ -199,6 +202,8 @@ def _shown_p99(cell: Cell) -> str:
 
 
 def _named(run: dict[str, Any]) -> str:
+    if run["experiment"] == LIVE:
+        return f"{run['payload_bytes']} B under arpd"
     return f"{run['payload_bytes']} B at {run['deadline_hz']} Hz, DEPTH {run['depth']}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from contextlib import ExitStack
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
 
 QUIET_S = 3.2  # more than a heartbeat, 3 s by default, after which a lost sample is sent again
 DRAIN_S = 8.0
-_LEAD_S = 0.2
+LEAD_S = 0.2
 _POLL_S = 0.1
-_PROCESSES = 3  # share the sensors, because publish() holds the GIL
+PROCESSES = 3  # share the sensors, because publish() holds the GIL
 _MODULE = "scripts.bench.paper_nodes"
 
 
@@ -50,7 +51,7 @@ class Robot:
                     queue_bytes=self._profile.queue_bytes,
                 )
             )
-            self._sensors = [self._child(stack, "robot", "sensors", str(k)) for k in range(1, _PROCESSES + 1)]
+            self._sensors = [self._child(stack, "robot", "sensors", str(k)) for k in range(1, PROCESSES + 1)]
             self._actuator = self._child(stack, "robot", "actuator")
             self._planner = self._child(stack, "ceddp", "planner")
             self._stack = stack.pop_all()
@@ -77,19 +78,22 @@ class Robot:
         }
         children = [*self._sensors, self._planner, self._actuator]
         for number, child in enumerate(children):
-            child.send(**order, indices=list(range(number, SENSORS, _PROCESSES)))
+            child.send(**order, indices=list(range(number, SENSORS, PROCESSES)))
         matched = [child.receive()["matched"] for child in children]
         if not all(matched):
             raise ChildError("not all topics were matched")
         self._link.set_loss(turn.loss)  # not before: discovery is no part of the experiment
         hosts = self._link.hosts
         sent_before, overflows_before = self._sent_bytes(), sum(map(overflows, hosts))
-        start_ns = time.time_ns() + round(_LEAD_S * 1e9)
+        start_ns = time.time_ns() + round(LEAD_S * 1e9)
         for child in self._sensors:
             child.send(start_ns=start_ns)
         answers = [child.receive(timeout_s=60.0 + seconds) for child in self._sensors]
         sent_in_load = self._sent_bytes()
-        drained_s = self._drain(answers)
+        published = sum(
+            Path(sensor["left"]).stat().st_size // 8 for process in answers for sensor in process["sensors"]
+        )
+        drained_s = drain(self._planner, self._actuator, published=published)
         sent = self._sent_bytes()
         arrived, actuated = self._planner.ask(stop=True), self._actuator.ask(stop=True)
         self._link.set_loss(0.0)
@@ -105,25 +109,6 @@ class Robot:
             "drained_s": drained_s,
         }
 
-    def _drain(self, answers: list[dict[str, Any]]) -> float:
-        """Wait until all has arrived, for QUIET_S without arrivals, or for DRAIN_S; return the time it took (s)."""
-        published = sum(
-            Path(sensor["left"]).stat().st_size // 8 for process in answers for sensor in process["sensors"]
-        )
-        began_s = changed_s = time.monotonic()
-        last = None
-        while (now_s := time.monotonic()) < began_s + DRAIN_S:
-            planner, actuator = self._planner.ask(count=True), self._actuator.ask(count=True)
-            seen = (planner["arrived"], planner["answered"], actuator["arrived"])
-            if planner["arrived"] >= published and actuator["arrived"] >= planner["answered"]:
-                break
-            if seen != last:
-                last, changed_s = seen, now_s
-            elif now_s - changed_s > QUIET_S:
-                break
-            time.sleep(_POLL_S)
-        return time.monotonic() - began_s
-
     def _sent_bytes(self) -> int:
         return sent_bytes(self._link.robot)
 
@@ -132,6 +117,28 @@ class Robot:
         child = Child(self._link, host, _MODULE, *argv, environment=plain)
         stack.callback(child.end)
         return child
+
+
+def drain(planner: Child, actuator: Child, *, published: float = math.inf) -> float:
+    """Wait until all has arrived, for QUIET_S without arrivals, or for DRAIN_S; return the time it took (s).
+
+    Parameters
+    ----------
+    published : number of samples that should arrive at the planner, ``inf`` = not known
+    """
+    began_s = changed_s = time.monotonic()
+    last = None
+    while (now_s := time.monotonic()) < began_s + DRAIN_S:
+        at_planner, at_actuator = planner.ask(count=True), actuator.ask(count=True)
+        seen = (at_planner["arrived"], at_planner["answered"], at_actuator["arrived"])
+        if at_planner["arrived"] >= published and at_actuator["arrived"] >= at_planner["answered"]:
+            break
+        if seen != last:
+            last, changed_s = seen, now_s
+        elif now_s - changed_s > QUIET_S:
+            break
+        time.sleep(_POLL_S)
+    return time.monotonic() - began_s
 
 
 def overflows(host: Host) -> int:

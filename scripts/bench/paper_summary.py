@@ -42,14 +42,9 @@ def summary(
     asked = sum(len(range(index, len(moments), SENSORS)) for index, moments in left.items())
     answered = len(np.unique(_read(arrived["commands"])))
     lost = published - sum(map(len, sensing)) + answered - len(commands)
-    spent = [process["spent"] for process in sensors]
     return {
         **_reached(configuration, seconds, sensors, published),
-        "void": _void(configuration, seconds, sensors, arrived["spent"]),
-        "sensors_cpu": sum(each["process_cpu_s"] for each in spent) / seconds,
-        "planner_cpu": arrived["spent"]["process_cpu_s"] / arrived["spent"]["wall_s"],
-        "sensors_core_wait": sum(each["core_wait_s"] for each in spent) / seconds,
-        "planner_core_wait": arrived["spent"]["core_wait_s"] / arrived["spent"]["wall_s"],
+        **_effort(configuration, seconds, sensors, arrived["spent"]),
         "published": published + answered,
         "lost": lost,
         "sensing": {
@@ -61,6 +56,56 @@ def summary(
             "count": len(commands),
             "lost_ratio": 1.0 - len(commands) / asked if asked else None,
             **latency((received - begun) / 1e9),
+        },
+    }
+
+
+def live_summary(
+    configuration: Configuration,
+    seconds: float,
+    sensors: list[dict[str, Any]],
+    arrived: dict[str, Any],
+    actuated: dict[str, Any],
+) -> dict[str, Any]:
+    """Return the figures of one turn under arpd.
+
+    What pacing withholds is not lost: it was never sent. On the eleven topics of sensing only samples of the measured
+    time count; lost commands are those of the whole turn, warm-up included.
+
+    Parameters
+    ----------
+    sensors : as in `summary`; beside its file each sensor has the ``first`` sample of the measured time, and the number
+        of samples ``sent`` since
+    arrived : answer of the planner: ``arrived`` per sensor, commands ``sent``, ``spent``
+    actuated : answer of the actuator: files of numbers and times
+    """
+    every = {sensor["index"]: sensor for process in sensors for sensor in process["sensors"]}
+    left = {index: _read(sensor["left"]) for index, sensor in every.items()}
+    first = np.array([every[index]["first"] for index in range(SENSORS)])
+    sensing = [_delays(each, left[index], since=first[index]) for index, each in enumerate(arrived["arrived"])]
+    commands, received = _first(actuated)
+    numbers, indices = np.divmod(commands, SENSORS)
+    is_measured = numbers >= first[indices]
+    begun = np.array([left[i][n] for n, i in zip(numbers, indices, strict=True)], dtype=np.int64)
+    offered = sum(len(left[index]) - sensor["first"] for index, sensor in every.items())
+    sent = sum(sensor["sent"] for sensor in every.values())
+    came = sum(map(len, sensing))
+    lost_commands = arrived["sent"] - len(commands)
+    return {
+        **_reached(configuration, seconds, sensors, offered),
+        **_effort(configuration, seconds, sensors, arrived["spent"]),
+        "published": sent + arrived["sent"],
+        "lost": sent - came + lost_commands,
+        "withheld_ratio": 1.0 - sent / offered if offered else None,
+        "sensing": {
+            "count": came,
+            "lost_ratio": 1.0 - came / sent if sent else None,
+            **latency(np.concatenate(sensing)),
+        },
+        "end_to_end": {
+            "count": int(is_measured.sum()),
+            "lost_ratio": lost_commands / arrived["sent"] if arrived["sent"] else None,
+            **latency((received - begun)[is_measured] / 1e9),
         },
     }
 
@@ -85,6 +130,20 @@ def _reached(
     }
 
 
+def _effort(
+    configuration: Configuration, seconds: float, sensors: list[dict[str, Any]], planner: dict[str, float]
+) -> dict[str, Any]:
+    """Return the processor time of sensors and planner, and the process whose lack of it makes the turn void."""
+    spent = [process["spent"] for process in sensors]
+    return {
+        "void": _void(configuration, seconds, sensors, planner),
+        "sensors_cpu": sum(each["process_cpu_s"] for each in spent) / seconds,
+        "planner_cpu": planner["process_cpu_s"] / planner["wall_s"],
+        "sensors_core_wait": sum(each["core_wait_s"] for each in spent) / seconds,
+        "planner_core_wait": planner["core_wait_s"] / planner["wall_s"],
+    }
+
+
 def wanted(configuration: Configuration, seconds: float, sensors: int) -> float:
     """Return the number of samples that so many sensors should publish."""
     return configuration.deadline_hz * seconds * sensors
@@ -100,7 +159,7 @@ def _void(
     Otherwise this machine cannot generate that load.
     """
     for process in sensors:
-        published = sum(len(_read(sensor["left"])) for sensor in process["sensors"])
+        published = sum(len(_read(sensor["left"])) - sensor.get("first", 0) for sensor in process["sensors"])
         should = wanted(configuration, seconds, len(process["sensors"]))
         busy_s = process["spent"]["cpu_s"] + process["spent"]["core_wait_s"]
         if published < REACHED_RATIO * should and (not published or should * busy_s / published > seconds):
@@ -120,7 +179,9 @@ def _first(files: dict[str, str]) -> tuple[Numbers, Numbers]:
     return numbers, _read(files["received"])[at]
 
 
-def _delays(files: dict[str, str], left: Numbers) -> Seconds:
+def _delays(files: dict[str, str], left: Numbers, *, since: int = 0) -> Seconds:
+    """Return the latencies of the samples from a number on (s)."""
     numbers, received = _first(files)
-    delays: Seconds = (received - left[numbers]) / 1e9
+    is_measured = numbers >= since
+    delays: Seconds = (received - left[numbers])[is_measured] / 1e9
     return delays

@@ -1,0 +1,197 @@
+"""The paper's robot under arpd: what counts in the measured time, and its place beside the solved optima."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+import pytest
+
+from scripts.bench.paper_cells import (
+    FIGURES,
+    LIVE,
+    LIVE_HZ,
+    PAYLOADS_BYTES,
+    SENSORS,
+    Configuration,
+    command_number,
+    live_turns,
+    quick_turns,
+)
+from scripts.bench.paper_live_report import live_markdown, live_table
+from scripts.bench.paper_report import nonsense, voids
+from scripts.bench.paper_summary import live_summary
+
+MS = 1_000_000
+WARM, MEASURED = 20, 40  # samples that each source offers; pacing lets every second one leave
+SPENT = {"process_cpu_s": 0.3, "cpu_s": 0.1, "core_wait_s": 0.01, "wall_s": 1.2, "publish_s": 0.1}
+
+
+class Files:
+    """Files as the processes leave them: what leaves arrives after 2 ms, and every command after 5 ms."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.left = {index: [index + n * 10 * MS for n in range(WARM + MEASURED)] for index in range(SENSORS)}
+        self.arrived = {
+            index: [(n, at + 2 * MS) for n, at in enumerate(left) if n % 2 == 0] for index, left in self.left.items()
+        }
+        self.sent = dict.fromkeys(range(SENSORS), MEASURED // 2)
+        self.actuated = [
+            (command_number(index, number), self.left[index][number] + 5 * MS)
+            for index in range(SENSORS)
+            for number in (4, 44)
+        ]
+        self.commands_sent = len(self.actuated)
+        self.spent = dict(SPENT)
+
+    def summary(self):
+        told = [
+            {
+                "sensors": [
+                    {"index": i, "left": self.keep(f"left-{i}", left), "first": WARM, "sent": self.sent[i]}
+                    for i, left in self.left.items()
+                ],
+                "spent": self.spent,
+            }
+        ]
+        arrived = {
+            "arrived": [self.pairs(f"arrived-{i}", pairs) for i, pairs in self.arrived.items()],
+            "sent": self.commands_sent,
+            "spent": SPENT,
+        }
+        cell = Configuration(depth=0, deadline_hz=MEASURED, payload_bytes=1000)
+        return live_summary(cell, 1.0, told, arrived, self.pairs("actuated", self.actuated))
+
+    def pairs(self, name, pairs):
+        return {
+            "numbers": self.keep(f"{name}-n", [n for n, _ in pairs]),
+            "received": self.keep(f"{name}-r", [at for _, at in pairs]),
+        }
+
+    def keep(self, name, values):
+        path = self.folder / f"{name}.i64"
+        path.write_bytes(array("q", values).tobytes())
+        return str(path)
+
+
+@pytest.fixture
+def files(tmp_path):
+    return Files(tmp_path)
+
+
+def test_only_samples_of_the_measured_time_count(files):
+    """Samples of the warm-up have no latency; the others have that of the sample a command answers."""
+    files.arrived[0][0] = (0, 900 * MS)  # late, but in the warm-up
+    run = files.summary()
+    assert run["sensing"] == pytest.approx(
+        {"count": 220, "lost_ratio": 0.0, **dict.fromkeys(("mean_s", "p50_s", "p95_s", "p99_s"), 0.002)}
+    )
+    assert run["end_to_end"] == pytest.approx(
+        {"count": SENSORS, "lost_ratio": 0.0, **dict.fromkeys(("mean_s", "p50_s", "p95_s", "p99_s"), 0.005)}
+    )
+    assert (run["reached_ratio"], run["void"], run["lost"]) == (1.0, "", 0)
+
+
+def test_what_pacing_withholds_is_not_lost(files):
+    """Half of what the sources offer never leaves; that is withheld, and none of it is lost."""
+    run = files.summary()
+    assert (run["withheld_ratio"], run["lost"], run["published"]) == (0.5, 0, 220 + 22)
+
+
+def test_what_leaves_and_does_not_arrive_is_lost(files):
+    """A sample and a command that were sent and never came are lost; a sample of the warm-up is not."""
+    files.arrived[3] = [pair for pair in files.arrived[3] if pair[0] not in {0, 30}]
+    files.actuated.pop()
+    run = files.summary()
+    assert run["lost"] == 2
+    assert run["sensing"]["lost_ratio"] == pytest.approx(1 / 220)
+    assert run["end_to_end"]["lost_ratio"] == pytest.approx(1 / 22)
+
+
+def test_a_source_that_cannot_keep_its_rate_is_void(files):
+    """Too few samples in the measured time, from a busy process, make the turn void, however many there were before."""
+    files.left = {index: left[: WARM + MEASURED // 2] for index, left in files.left.items()}
+    files.arrived = {index: [pair for pair in pairs if pair[0] < 40] for index, pairs in files.arrived.items()}
+    files.actuated = files.actuated[::2]
+    files.spent = {**SPENT, "cpu_s": 0.6, "wall_s": 1.0}
+    assert files.summary()["void"] == "generator"
+
+
+def test_commands_name_their_sensor_and_their_sample():
+    """Every pair of sensor and sample has a number of its own."""
+    pairs = [(index, number) for index in range(SENSORS) for number in range(50)]
+    codes = np.array([command_number(*pair) for pair in pairs])
+    numbers, indices = np.divmod(codes, SENSORS)
+    assert [*zip(indices.tolist(), numbers.tolist(), strict=True)] == pairs
+
+
+def test_arpd_takes_a_turn_with_each_payload():
+    """A round has one turn under arpd for each payload, and the quick form has the one that the link cannot carry."""
+    assert [turn.configuration.payload_bytes for turn in live_turns()] == [*PAYLOADS_BYTES]
+    (quick,) = (turn for turn in quick_turns() if turn.experiment == LIVE)
+    assert LIVE_HZ * SENSORS * quick.configuration.payload_bytes > quick.link.rate_bytes_per_second
+
+
+def made_up(experiment, p99_s, **fields):
+    figures = {"mean_s": p99_s / 3, "p50_s": p99_s / 4, "p95_s": p99_s / 2, "p99_s": p99_s}
+    return {
+        "experiment": experiment,
+        "link": "2.4 GHz",
+        "link_loss": 0.0002,
+        "heartbeat": "arpd's" if experiment == LIVE else "rclpy's default",
+        "payload_bytes": 1000,
+        "void": "",
+        "reached_ratio": 1.0,
+        "blocked_ratio": 0.0,
+        "published": 1000,
+        "lost": 0,
+        "used_ratio": 0.5,
+        "robot_sent_bytes": 10**7,
+        "receive_buffer_overflows": 0,
+        "sensing": {"count": 1100, "lost_ratio": 0.0, **figures},
+        "end_to_end": {"count": 100, "lost_ratio": 0.0, **figures},
+        **fields,
+    }
+
+
+@pytest.fixture
+def document():
+    """Two rounds of arpd beside one optimum of two."""
+    found = {"topics": 12, "max_rate_hz": 700.0, "rate_hz": 57.0, "depth": 408}
+    runs = []
+    for number in (1, 2):
+        runs += [
+            made_up(LIVE, 0.02 * number, deadline_hz=100, depth=0, round=number, uniform=found, withheld_ratio=0.4),
+            made_up(FIGURES, 3.0, deadline_hz=82, depth=410, round=number, lost=20),
+        ]
+    return {
+        "conditions": {"seconds": 2.0},
+        "optima": [{"rmax_hz": 100, "rate_hz": 7, "depth": 365}, {"rmax_hz": 1000, "rate_hz": 82, "depth": 410}],
+        "runs": runs,
+    }
+
+
+def test_arpd_stands_beside_the_optima(document):
+    """One row has what arpd found, the next ones what was solved beforehand for the same link and payload."""
+    assert nonsense(document) == []
+    assert live_markdown(document)[-2:] == [
+        "| 1000 | arpd | 57 (Rmax 700) | 408 | 50 | 7.5 | 30 (20–40) | 30 | 0 | 50 |",
+        "| 1000 | Rmax 1000 | 82 | 410 | 50 | 750 | 3000 (3000–3000) | 3000 | 2 | 50 |",
+    ]
+    assert len(live_table(document)) == 4
+
+
+def test_a_void_turn_under_arpd_has_no_figures(document):
+    """Its row says why, and the short form of the benchmark names it."""
+    for run in document["runs"]:
+        if run["experiment"] == LIVE:
+            run["void"] = "generator"
+    assert any("| void: generator |" in line for line in live_markdown(document))
+    assert "1000 B under arpd" in voids(document)[0]
+
+
+def test_without_such_turns_the_report_says_nothing(document):
+    """A document of before has no third table."""
+    document["runs"] = [run for run in document["runs"] if run["experiment"] != LIVE]
+    assert live_table(document) == live_markdown(document) == []
