@@ -96,9 +96,9 @@ class Ordering:
 
     Invariant: no order of answers makes a compatible pair incompatible.
 
-    Rates wait for nobody. Depth waits with the deadline, because each change costs a new writer or reader. Nobody waits
-    longer than ``patience_s``. Then the writer offers what the slowest reader still requests, or the reader requests
-    what the slowest writer still offers, until the other side answers.
+    Ceilings and terms of the price wait for nobody. Depth waits with the deadline, because each change costs a new
+    writer or reader. Nobody waits longer than ``patience_s``. Then the writer offers what the slowest reader still
+    requests, or the reader requests what the slowest writer still offers, until the other side answers.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Ordering:
 
     def __init__(self, *, patience_s: float = PATIENCE_S) -> None:
         self._writers, self._readers = _Side(patience_s), _Side(patience_s)
-        self._floors: dict[_Identity, float] = {}  # last requests; no announcement shows a floor
+        self._silent: dict[_Identity, tuple[float, ...]] = {}  # last requests of what no announcement shows
 
     def steps(
         self,
@@ -133,7 +133,7 @@ class Ordering:
         self._writers.hear(publishers)
         self._readers.hear(readers)
         live = {(publisher.node, publisher.topic) for publisher in publishers}
-        self._floors = {identity: floor for identity, floor in self._floors.items() if identity in live}
+        self._silent = {identity: terms for identity, terms in self._silent.items() if identity in live}
         driven = [reader for reader in readers if (reader.node, reader.topic) in reader_plans]
         readers_of, writers_of = _by_topic(driven), _by_topic(publishers)
         rows = {
@@ -220,9 +220,10 @@ class Ordering:
             if identity not in rows:
                 continue
             row, _ = rows[identity]
-            has_floor = self._floors.get(identity, row.min_rate_hz) == row.min_rate_hz
-            self._floors[identity] = row.min_rate_hz
-            is_settled = has_floor and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
+            # A predecessor's terms are unknown, even where its QoS is the planned one.
+            known = self._silent.get(identity, row.terms if publisher.generation == generation else ())
+            self._silent[identity] = row.terms
+            is_settled = known == row.terms and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
             if not is_settled or self._writers.is_unanswered(publisher):
                 self._writers.ask(identity, _Ask(generation, row.deadline_ns))
                 due.append((publisher, row))

@@ -1,4 +1,4 @@
-"""Ordered steps that bring publishers to a plan, and the plan that restores them."""
+"""Steps that bring publishers to a plan, and the plan that restores them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
     """Return whether an announcement shows the row in force; announced rates have six digits.
 
-    A publisher that refuses new QoS for good is confirmed by its rate: it is paced and gated, and takes no more.
+    A publisher that refuses new QoS for good is confirmed by its ceiling: it is paced, and takes no more.
     """
     if not (publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)):
         return False
@@ -29,21 +29,17 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
 def publisher_transitions(
     due: Iterable[tuple[PublisherState, TopicPlan]], *, generation: int, reason: str, lease_s: float
 ) -> tuple[Transition, ...]:
-    """Return one step per node that brings these publishers to these rows; nodes that free link time come first.
+    """Return one step per node that brings these publishers to these rows.
 
-    Invariant: any prefix of the steps leaves every publisher in its old or its new row, and puts no more on the link
-    than the larger of the two plans.
+    Invariant: any prefix of the steps leaves every publisher in its old or its new row. Their order does not matter to
+    the link, because the rates follow its price.
     """
     wanted: dict[str, dict[str, TopicPlan]] = {}
-    change_hz: dict[str, float] = {}
     for publisher, row in due:
         wanted.setdefault(publisher.node, {})[publisher.topic] = row
-        now_hz = min(publisher.rate_hz, publisher.source_rate_hz)
-        cost = (min(row.rate_hz, publisher.source_rate_hz) - now_hz) * publisher.payload_bytes
-        change_hz[publisher.node] = change_hz.get(publisher.node, 0.0) + cost
     return tuple(
-        Transition(node=node, generation=generation, topics=wanted[node], reason=reason, lease_s=lease_s)
-        for node in sorted(wanted, key=lambda name: (change_hz[name], name))
+        Transition(node=node, generation=generation, topics=topics, reason=reason, lease_s=lease_s)
+        for node, topics in sorted(wanted.items())
     )
 
 
@@ -60,7 +56,7 @@ def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> Qo
 
 def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
     """Return the plan that gives every publisher its application's QoS back, at the rate it has now."""
-    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.rate_hz) for publisher in publishers}
+    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.paced_rate_hz) for publisher in publishers}
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
 
 

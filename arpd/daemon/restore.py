@@ -71,6 +71,5 @@ def restore(
             continue
         if is_done or spent_s > patience_s + _UNPACE_S:
             return missing
-        world.set_gate(1.0)
         world.apply(steps.transitions, now_s=now_s)
         wait()

@@ -77,7 +77,7 @@ class Supervisor:
     """Ticks a daemon until a signal stops it, reloads its configuration, and reports to systemd.
 
     Only a finished tick feeds the watchdog. A tick that raises leaves the plan in force. When every tick raises,
-    publishers open their gate after five seconds, and systemd restarts the daemon after ten.
+    publishers keep the last price, and systemd restarts the daemon after ten seconds.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Supervisor:
                 self._note_success()
             self._tidy()
             self._resting.set()
-            next_s = now_s + TICK_S
+            next_s = now_s + self._daemon.pause_s
             time.sleep(LEAST_PAUSE_S)
             self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
             self._signals.wakeup.clear()

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
+from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd import __version__
+from arpd.apply.broadcast import Broadcast
 from arpd.apply.ordering import Ordering
 from arpd.apply.readers import plan_readers
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
 from arpd.estimate.estimator import Estimator
+from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
+from arpd.model.price import Price
 from arpd.model.settings import Backend
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot, Totals
@@ -27,7 +33,7 @@ if TYPE_CHECKING:
     from arpd.apply.ordering import Steps
     from arpd.daemon.world import CapacityEstimator, World
     from arpd.model.allocation import Allocation, Topic
-    from arpd.model.link import LinkEstimate
+    from arpd.model.link import LinkEstimate, LinkState
     from arpd.model.observation import Observation
     from arpd.model.plan import Decision, ReaderPlans
     from arpd.model.settings import Settings
@@ -37,6 +43,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
+BUSY_TICK_S = 0.03  # while the link is well used, when a fall fills its queue within a few of these
+_WELL_USED = 0.5
+_STEP = 0.005  # of the logarithm of a budget or capacity
+_LEAST_SHARE = 1e-6  # the program divides nothing less
 _HEAR_S = 2.5  # time until every endpoint with a plan, and any other daemon, has been heard
 
 
@@ -74,7 +84,9 @@ class Daemon:
         self._wall_clock = wall_clock
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._program = self._program_of(settings)
+        self._budget = Budget(settings.link)
         self._governor = Governor(settings)
+        self._broadcast = Broadcast()
         self._ordering = Ordering()
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
         self.record = Record(tell=tell)
@@ -95,6 +107,15 @@ class Daemon:
         return self.record.snapshot
 
     @property
+    def pause_s(self) -> float:
+        """Most time until the next tick (s)."""
+        if (snapshot := self.record.snapshot) is None:
+            return TICK_S
+        link = snapshot.link
+        is_busy = link.delivery_rate_bytes_per_second > _WELL_USED * link.capacity_bytes_per_second
+        return BUSY_TICK_S if is_busy else TICK_S
+
+    @property
     def history(self) -> History:
         """The last ten minutes."""
         return self.record.history
@@ -105,10 +126,13 @@ class Daemon:
         link = self._estimator.update(observation)
         topics = topics_to_plan(observation.publishers, self.settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self.settings.program)
-        allocation = self._program.solve(
-            link.available_bytes_per_second, topics, memory, packet_overhead_s=link.available_packet_overhead_s
-        )
-        decision = self._decide(now_s, observation, link, allocation, topics)
+        budget, lasting_budget = self._budget.update(now_s, link), self._budget.lasting_bytes_per_second
+        crossing = observation.sensing_topics + observation.actuation_topics
+        divide = partial(self._divide, link, topics, memory, crossing)
+        rates = divide(capacity=link.available_bytes_per_second, budget=budget)
+        # A history stands for a part of the link, so what lasts needs the capacity that lasts.
+        lasting = divide(capacity=lasting_budget / self.settings.link.headroom, budget=lasting_budget)
+        decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
         reader_plans = plan_readers(observation.readers, decision.plan)
         steps = self._ordering.steps(
             now_s,
@@ -120,17 +144,39 @@ class Daemon:
             lease_s=self.settings.lease_s,
         )
         if not observation.active_daemon:
-            self._act(now_s, decision, steps)
+            self._act(now_s, link, decision, steps)
         self._report(
             now_s,
             observation=observation,
             link=link,
-            allocation=allocation,
+            allocation=rates,
             decision=decision,
             steps=steps,
             reader_plans=reader_plans,
         )
         return decision
+
+    def _divide(
+        self,
+        link: LinkEstimate,
+        topics: Sequence[Topic],
+        memory_bytes: float,
+        crossing: int,
+        *,
+        capacity: float,
+        budget: float,
+    ) -> Allocation:
+        """Divide a budget (bytes/s); it and the capacity come in steps, so most ticks ask the program nothing new."""
+        budget = _stepped(budget)
+        capacity = max(_stepped(capacity), budget)
+        return self._program.solve(
+            capacity,
+            topics,
+            memory_bytes,
+            packet_overhead_s=link.available_packet_overhead_s,
+            share=min(1.0, max(_LEAST_SHARE, round(budget / capacity, 6))) if capacity > 0 else 0.0,
+            crossing=crossing,
+        )
 
     def _observe(self, now_s: float) -> Observation:
         observation = self._world.observe(now_s)
@@ -144,23 +190,29 @@ class Daemon:
         self,
         now_s: float,
         observation: Observation,
-        link: LinkEstimate,
-        allocation: Allocation,
+        state: LinkState,
+        *,
+        rates: Allocation,
+        lasting: Allocation,
         topics: Sequence[Topic],
     ) -> Decision:
         if observation.active_daemon:
             return self._governor.stand_by()
         return self._governor.decide(
             now_s,
-            link=link,
-            allocation=allocation,
+            state=state,
+            rates=rates,
+            lasting=lasting,
             topics=topics,
             publishers=observation.publishers,
             newest=max((reader.generation for reader in observation.readers), default=0),
         )
 
-    def _act(self, now_s: float, decision: Decision, steps: Steps) -> None:
-        self._world.set_gate(decision.gate)
+    def _act(self, now_s: float, link: LinkEstimate, decision: Decision, steps: Steps) -> None:
+        free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
+        price = replace(decision.price or free, loss_ratio=link.loss_ratio)
+        if self._broadcast.is_due(price, now_s):
+            self._world.set_price(price)
         self._world.apply(steps.transitions, now_s=now_s)
         for request in self._estimator.wanted_probes(now_s):
             self._world.probe(request)
@@ -220,6 +272,7 @@ class Daemon:
     def _reconfigure(self, settings: Settings) -> None:
         self._world.reconfigure(settings.graph)
         self._estimator.reconfigure(settings.link)
+        self._budget.reconfigure(settings.link)
         self._governor.reconfigure(settings)
 
     def _program_of(self, settings: Settings) -> Program:
@@ -251,3 +304,8 @@ class Daemon:
     def status_line(self) -> str:
         """Return one line for ``systemctl status``."""
         return status_line(self.snapshot)
+
+
+def _stepped(bytes_per_second: float) -> float:
+    """Return a rate rounded to steps of half a per cent, 0 below 1 byte/s."""
+    return math.exp(round(math.log(bytes_per_second) / _STEP) * _STEP) if bytes_per_second >= 1.0 else 0.0

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.plan import Transition
+    from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings, LinkSettings
 
@@ -20,8 +21,8 @@ class World(Protocol):
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""
 
-    def set_gate(self, gate: float) -> None:
-        """Send the gate to every publisher."""
+    def set_price(self, price: Price) -> None:
+        """Send the price of the link to every publisher."""
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
         """Carry out the steps of a plan; called at every tick until the endpoints announce it."""

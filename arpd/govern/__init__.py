@@ -1,1 +1,1 @@
-"""Governor: turns measured changes into a gate, a level and a plan."""
+"""Governor: turns what the link carries into a budget, and lasting changes into plans."""

@@ -91,6 +91,7 @@ class OfflinePlanner:
     settings : the configuration
     traffic : load of the topics to plan for
     publishers : the measured ones among them, for the deadlines that their readers request
+    crossing : topics that cross the link, managed or not, as far as known
     backend : solver; None = the one in ``settings``
     """
 
@@ -100,11 +101,13 @@ class OfflinePlanner:
         traffic: Iterable[Traffic],
         *,
         publishers: Iterable[PublisherState] = (),
+        crossing: int = 0,
         backend: Backend | None = None,
     ) -> None:
         self._settings = settings
         self._traffic = {each.topic: each for each in traffic}
         self._publishers = tuple(publishers)
+        self._crossing = crossing
         self._topics = rows_of_traffic(self._traffic.values(), settings)
         self._program = Program.of(settings, backend=backend)
 
@@ -116,7 +119,7 @@ class OfflinePlanner:
         capacity_bytes_per_second : before headroom, ≥ 0 (bytes/s)
         """
         budget_bytes = self._settings.program.memory_budget_bytes
-        allocation = self._program.solve(capacity_bytes_per_second, self._topics, budget_bytes)
+        allocation = self._program.solve(capacity_bytes_per_second, self._topics, budget_bytes, crossing=self._crossing)
         plan = make_plan(
             allocation, self._topics, self._publishers, previous=_NO_PLAN, generation=1, settings=self._settings
         )

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.model.price import Price
 
 
 class Binding(StrEnum):
@@ -80,6 +84,23 @@ class AllocationStatus(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Uniform:
+    """What all topics have in common under the uniform policy: Eq. (4) of the paper.
+
+    Parameters
+    ----------
+    topics : N, the topics that share the link
+    max_rate_hz : Rmax, the rate with the divided capacity for one topic alone, of the topics' mean cost (Hz)
+    rate_hz, depth : R and D, for each topic alike (Hz, samples)
+    """
+
+    topics: int
+    max_rate_hz: float
+    rate_hz: float
+    depth: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Allocation:
     """Answer of the program for all topics.
 
@@ -90,6 +111,8 @@ class Allocation:
     binding : the constraint to relax first
     capacity_bytes_per_second : capacity that was divided, after cross traffic and headroom (bytes/s)
     degradation : what was given up, in words; empty if nothing
+    price : message that gives every endpoint these rates; None without topics
+    uniform : what all topics have in common; None where each has a share of its own
     backend : back end that answered
     solve_s : time the solution took (s)
     """
@@ -99,5 +122,7 @@ class Allocation:
     binding: Binding
     capacity_bytes_per_second: float
     degradation: str = ""
+    price: Price | None = None
+    uniform: Uniform | None = None
     backend: str = "exact"
     solve_s: float = 0.0

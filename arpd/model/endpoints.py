@@ -68,8 +68,8 @@ NO_REFUSAL = Refusal()
 class DropCause(StrEnum):
     """Reason why a sample of the application was not published."""
 
-    RATE = "rate"  # the application publishes faster than the plan's rate
-    GATE = "gate"  # the same, while the gate or a slow start keeps the rate below that
+    RATE = "rate"  # the application publishes faster than the ceiling of the plan
+    PRICE = "price"  # the same, while the price or a slow start keeps the rate below that
     BLOCKED = "blocked"  # the writer blocked; no rate held the sample back
     FAILED = "failed"  # writing it raised
     CLOSED = "closed"  # it still waited when the publisher was destroyed
@@ -128,6 +128,9 @@ class Writer(Protocol):
     def is_acknowledged(self) -> bool:
         """Return whether every written sample was acknowledged; never blocks."""
 
+    def readers_acknowledge(self) -> bool:
+        """Return whether the readers acknowledge what arrives; not so a best-effort one. Never blocks."""
+
     def disconnects_readers(self) -> bool:
         """Return whether a reader of its predecessor was discovered and refuses this writer's QoS; never blocks."""
 
@@ -170,7 +173,9 @@ class FlowState:
     withheld : samples that did not leave: replaced, dropped from the queue, or given up
     queued : samples waiting in the pacing queue now
     blocked_s : time spent inside the middleware's ``publish()`` since start (s)
-    rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` ``inf`` = unpaced, ``deadline_ns`` 0 = infinite
+    rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` is the ceiling, ``inf`` = unpaced, and ``deadline_ns``
+        0 = infinite
+    paced_rate_hz : rate that the price leaves the publisher now, ``inf`` = unpaced (Hz)
     swaps_by_result : QoS swaps since start, by result
     published_rate_hz : rate at which samples leave by the writer; 0 when silent or slower than 0.2 Hz (Hz)
     withheld_by_cause : ``withheld``, by `DropCause`
@@ -189,6 +194,7 @@ class FlowState:
     queued: int = 0
     blocked_s: float = 0.0
     rate_hz: float = math.inf
+    paced_rate_hz: float = math.inf
     depth: int
     deadline_ns: int = 0
     swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))

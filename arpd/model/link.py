@@ -42,8 +42,10 @@ class LinkEstimate:
     ----------
     capacity_bytes_per_second : wire bytes the link carries (bytes/s), ≥ 0
     kind, state : source of the capacity, and state of the link
-    queue_delay_s : one-way delay above its 10 s minimum (s)
+    queue_delay_s : queue before the link now, the longest that pings, bytes or this host show (s)
     queue_allowance_s : delay that one large message explains; only a longer one is a standing queue (s)
+    standing_delay_s : shortest queue of the last moments; bursts come and go, and leave it at 0 (s)
+    cautious_ratio : part of the capacity that the link most likely exceeds; 1 while the evidence is sharp
     delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms (bytes/s)
     age_s : time since the newest evidence for the capacity (s)
     evidence : the last change, in words
@@ -52,7 +54,7 @@ class LinkEstimate:
     loss_ratio : share of recent probe packets that never arrived, None while too few were sent to tell
     return_delay_s : one-way delay of the peer's reports above its recent minimum; commands to the robot wait as long.
         None without a peer (s)
-    events_by_kind : number of changes by each rule, and of outages, since the start
+    events_by_kind : number of changes of the capacity of each kind, and of outages, since the start
     """
 
     capacity_bytes_per_second: float
@@ -63,6 +65,8 @@ class LinkEstimate:
     age_s: float
     evidence: str
     queue_allowance_s: float = 0.05
+    standing_delay_s: float = 0.0
+    cautious_ratio: float = 1.0
     cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
     loss_ratio: float | None = None
@@ -88,14 +92,11 @@ class LinkEstimate:
 
 
 class EstimatorEvent(StrEnum):
-    """Rule that changed the estimate (docs/design.md, The estimator), or an outage."""
+    """Change of the capacity that is stated, or an outage (docs/design.md, The estimator)."""
 
     FIRST = "first"  # the first trains replace the configured capacity
-    DOWN = "down"  # a queue stands: the delivery is the capacity
-    UNDO = "undo"  # trains contradict the last fall
-    AGREE = "agree"  # two trains see clearly more
-    CARRIED = "carried"  # clearly more arrived than the capacity that was believed
-    FOLLOW = "follow"  # a step towards what trains see, up or down
+    DOWN = "down"  # evidence of less
+    UP = "up"  # evidence of more
     RESUME = "resume"  # reports return after an outage
     OUTAGE = "outage"  # reports stopped
     LOCAL = "local"  # no peer: the queue of this host's interface shows it

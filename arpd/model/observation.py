@@ -72,7 +72,7 @@ class Observation:
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
     rmw : the middleware of ROS, empty where there is none
-    rmw_refusal : why its publishers are only paced and gated, empty when QoS swaps are on
+    rmw_refusal : why its publishers are only paced, empty when QoS swaps are on
     other_daemons : hosts of the other daemons in the ROS domain
     active_daemon : host of the active daemon when that is another one, else empty
     radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)

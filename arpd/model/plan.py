@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from arpd.model.price import Price
+
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
@@ -19,16 +21,21 @@ class TopicPlan:
 
     Parameters
     ----------
-    rate_hz : paced publish rate, ≥ 0, ``inf`` = unpaced (Hz)
-    min_rate_hz : floor; the gate does not push the rate below it (Hz)
+    rate_hz : ceiling of the paced rate, ≥ 0, ``inf`` = unpaced (Hz)
+    min_rate_hz : floor, which the price keeps as long as the link carries all floors (Hz)
     deadline_ns : offered DEADLINE period, 0 = infinite (ns)
     depth : KEEP_LAST depth (samples), 1..5000
+    weight : w, share of link time relative to other topics; 0 = no price applies, the rate is the ceiling
+    wire_bytes, packets : s and k, what one sample puts on the link, over all copies
     """
 
     rate_hz: float
     min_rate_hz: float
     deadline_ns: int
     depth: int
+    weight: float = 0.0
+    wire_bytes: float = 0.0
+    packets: int = 0
 
     def __post_init__(self) -> None:
         """Refuse nonsense at birth."""
@@ -39,10 +46,28 @@ class TopicPlan:
         if self.deadline_ns < 0:
             raise ValueError(f"deadline_ns {self.deadline_ns} must be at least 0")
 
+    @property
+    def qos(self) -> tuple[int, int]:
+        """Depth and deadline, which only a swap changes."""
+        return self.depth, self.deadline_ns
+
+    @property
+    def promised_hz(self) -> float:
+        """Rate that keeps the offered deadline, 0 without one (Hz)."""
+        return NANOSECONDS_PER_SECOND / self.deadline_ns if self.deadline_ns else 0.0
+
+    @property
+    def terms(self) -> tuple[float, ...]:
+        """What the price needs besides the ceiling; no announcement shows it."""
+        return self.min_rate_hz, self.weight, self.wire_bytes, self.packets
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QosPlan:
-    """Whole plan for the managed publishers; ``topics`` maps a topic name to its row."""
+    """Whole plan for the managed publishers; ``topics`` maps a topic name to its row.
+
+    ``level_bytes_per_second`` is the lasting budget that its deadlines were made for.
+    """
 
     generation: int
     topics: Mapping[str, TopicPlan]
@@ -77,10 +102,11 @@ class Decision:
 
     Parameters
     ----------
-    gate : factor in (0, 1] on every paced rate above its floor
+    gate : part of the traffic above the floors that the price admits, 0..1
     plan : the plan in force after this tick
     level_changed : True when this tick made a new plan
     reason : cause of that plan, empty without one
+    price : what every endpoint computes its rate from; None without topics
     refusals : reasons for which a plan that is due was refused
     """
 
@@ -88,6 +114,7 @@ class Decision:
     plan: QosPlan
     level_changed: bool
     reason: str
+    price: Price | None = None
     refusals: tuple[str, ...] = ()
 
 

@@ -23,6 +23,13 @@ class OnLost(StrEnum):
     BASELINE = "baseline"
 
 
+class Policy(StrEnum):
+    """Division of the link among the topics."""
+
+    PER_TOPIC = "per_topic"  # each by its weight, floor and desired rate: (G1) and (G2)
+    UNIFORM = "uniform"  # one rate and one depth for all: Eq. (4) of the paper
+
+
 class Backend(StrEnum):
     """Solver of the program."""
 
@@ -90,12 +97,14 @@ class ProgramSettings:
 
     Parameters
     ----------
+    policy : division of the link among the topics
     backend : solver that answers first; ``exact`` cross-checks it
     deadline_slack : offered period = slack / R, ≥ 1
     memory_budget_bytes : M, memory that all histories may take (bytes)
     memory_reserve_bytes : memory that histories must leave free on the host (bytes)
     """
 
+    policy: Policy = Policy.PER_TOPIC
     backend: Backend = Backend.OSQP
     deadline_slack: float = 1.25
     memory_budget_bytes: float = 64 * 2**20
@@ -108,10 +117,10 @@ class GovernorSettings:
 
     Parameters
     ----------
-    down_ratio, up_ratio : a change counts when ηĈ is below or above this multiple of the level in force
-    hold_s : time that a change must last; a multiple of it for shallow falls and small rises (s)
-    dwell_s, dwell_max_s : least time between a plan and the next rise; it doubles up to the maximum (s)
-    deadband : relative change of rate, depth and deadline below which a topic keeps its QoS
+    down_ratio, up_ratio : a change counts when the lasting budget is below or above this multiple of the plan's
+    hold_s : time that a change must last (s)
+    dwell_s : least time between a plan and the next one for a change of the link (s)
+    deadband : relative change of depth and deadline below which a topic keeps its QoS
     swaps_per_minute : most QoS swaps planned per minute
     debounce_s : quiet time after topics come or go, before a new plan (s)
     """
@@ -119,8 +128,7 @@ class GovernorSettings:
     down_ratio: float = 0.8
     up_ratio: float = 1.2
     hold_s: float = 2.0
-    dwell_s: float = 5.0
-    dwell_max_s: float = 40.0
+    dwell_s: float = 10.0
     deadband: float = 0.1
     swaps_per_minute: int = 240
     debounce_s: float = 1.0
@@ -194,5 +202,7 @@ class Settings:
         return self.lost_after_s if self.on_lost is OnLost.BASELINE else 0.0
 
     def topic(self, name: str) -> TopicSettings:
-        """Return the preferences for the topic called ``name``."""
+        """Return the preferences for the topic called ``name``; under the uniform policy no topic has its own."""
+        if self.program.policy is Policy.UNIFORM:
+            return self.default_topic
         return self.topics.get(name, self.default_topic)

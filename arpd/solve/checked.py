@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from arpd.model.settings import Backend
+from arpd.solve.eq4 import Eq4Status, solve_eq4
 from arpd.solve.exact import ExactSolver, WaterFill, water_fill
 from arpd.solve.problem import (
     Infeasible,
@@ -24,9 +26,12 @@ from arpd.solve.problem import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from arpd.solve.eq4 import Eq4Problem, Eq4Solution
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 
 def load(backend: Backend) -> Solver:
@@ -93,9 +98,25 @@ class CheckedSolver:
         self._outcomes[Backend.EXACT, Solved.kind] += 1
         return fill, Backend.EXACT
 
+    def solve_eq4(self, problem: Eq4Problem) -> Eq4Solution:
+        """Return the solution of Eq. (4); ``exact`` takes over when the back end fails or differs."""
+        solution = self._tried(lambda: solve_eq4(problem, self.name))
+        if isinstance(solution, SolverFailed):
+            solution = replace(solve_eq4(problem), agreed=False)
+        if solution.status is Eq4Status.INFEASIBLE:
+            self.note_infeasible()
+            return solution
+        if not solution.agreed:
+            self._outcomes[self.name, SolverFailed.kind] += 1
+        self._outcomes[solution.backend, Solved.kind] += 1
+        return solution
+
     def _ask(self, problem: ShareProblem) -> Outcome:
+        return self._tried(lambda: self._solver.solve(problem))
+
+    def _tried(self, ask: Callable[[], T]) -> T | SolverFailed:
         try:
-            return self._solver.solve(problem)
+            return ask()
         except Exception as error:  # a library may raise anything; exact has the answer already
             if (reason := f"{self.name}: {type(error).__name__}: {error}") != self._fault:
                 self._fault = reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -35,6 +36,20 @@ class WaterFill:
     problem: ShareProblem
     level: tuple[int, int]
     bounds: tuple[ActiveBound, ...]
+
+    @property
+    def level_per_weight(self) -> float:
+        """ν as a share of the whole, per unit of the weights; ``inf`` when every share has all it asks for.
+
+        A ceiling of the whole is no wish of its own, so ν stays finite there.
+        """
+        p = self.problem
+        if any(bound is ActiveBound.LEVEL for bound in self.bounds):
+            return self.level[0] / (self.level[1] * p.whole)
+        reached = [(hi, w) for hi, w, at in zip(p.hi, p.weights, self.bounds, strict=True) if at is ActiveBound.HIGH]
+        if len(reached) == len(p.hi) and p.whole not in p.hi:
+            return math.inf
+        return max((hi / (w * p.whole) for hi, w in reached), default=0.0)
 
     def ratios(self) -> list[tuple[int, int]]:
         """Return every share exactly, as numerator and denominator (1/whole)."""

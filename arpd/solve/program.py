@@ -7,20 +7,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
-from arpd.model.settings import Backend
+from arpd.model.price import Price
+from arpd.model.settings import Backend, Policy
 from arpd.solve.checked import CheckedSolver, load
 from arpd.solve.exact import ActiveBound
 from arpd.solve.problem import ShareProblem
 from arpd.solve.rows import SAMPLE, Ratio, Row, decimal, give_up, period_ns, rate_of, refuse_nonsense, rows_of, whole
+from arpd.solve.uniform import divide_evenly
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from arpd.model.allocation import Topic
     from arpd.model.settings import ProgramSettings, Settings
+
+_REMEMBERED = 4  # answers: those of the last ticks, and the lasting one
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,12 +38,16 @@ class _Division:
     bindings : what stops each value
     backend : back end that answered
     given_up : what was given up, in words
+    level : ν, the common level per weight; 0 where nothing is left to divide after the floors
+    yielding : the heaviest weight whose floor was cut, and the part of it that is kept
     """
 
     values: list[Ratio]
     bindings: list[Binding]
     backend: Backend
     given_up: tuple[str, ...] = ()
+    level: float = 0.0
+    yielding: tuple[float, float] = (0.0, 1.0)
 
 
 class Program:
@@ -64,12 +73,14 @@ class Program:
 
     Parameters
     ----------
-    settings : choice of the back end
+    settings : policy and back end
     headroom : η, the share of the capacity that may be planned, 0..1
     packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
     backend : back end for this program alone; None = the one in ``settings``
     rate_reserve : ρ_i as a multiple of ℓ_i; the paper's is 1, the daemon's 0 because η reserves already
     depth_reserve : δ_i as a multiple of Dmin_i; the paper's is 1
+    deep : give depths for u_i, the most that a moving price may reach, and not for the rate of this division; a depth
+        for the present rate loses samples when the rate rises
     clock : monotonic clock for ``Allocation.solve_s``, which stays 0 without one (s)
     """
 
@@ -82,6 +93,7 @@ class Program:
         backend: Backend | None = None,
         rate_reserve: int = 0,
         depth_reserve: int = 1,
+        deep: bool = False,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         if not 0.0 < headroom <= 1.0:
@@ -93,13 +105,15 @@ class Program:
         ):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
-        self._headroom = decimal(headroom)
+        self._is_uniform = settings.policy is Policy.UNIFORM
+        self._headroom = headroom
+        self._deep = deep
         self._packet_overhead_s = packet_overhead_s
         self._rate_reserve = rate_reserve
         self._depth_reserve = depth_reserve
         self._solver = CheckedSolver(load(backend or settings.backend))
         self._clock = clock
-        self._last: tuple[tuple[float, tuple[Topic, ...], float, float], Allocation] | None = None
+        self._last: dict[tuple[float, tuple[Topic, ...], float, float, float, int], Allocation] = {}
 
     @classmethod
     def of(
@@ -111,6 +125,7 @@ class Program:
             headroom=settings.link.headroom,
             packet_overhead_s=settings.link.packet_overhead_s or 0.0,
             backend=backend,
+            deep=True,
             clock=clock,
         )
 
@@ -131,6 +146,8 @@ class Program:
         memory_budget_bytes: float,
         *,
         packet_overhead_s: float | None = None,
+        share: float | None = None,
+        crossing: int = 0,
     ) -> Allocation:
         """Divide the link and the memory among ``topics``.
 
@@ -143,44 +160,60 @@ class Program:
         topics : rows of the program
         memory_budget_bytes : M, memory that all histories may take, ≥ 0 (bytes)
         packet_overhead_s : measured t_ovh, ≥ 0; None = that of this program (s)
+        share : part of the capacity to divide, 0..1; None = the headroom of this program
+        crossing : topics that cross the link, managed or not; only the uniform policy needs it
         """
         overhead_s = self._packet_overhead_s if packet_overhead_s is None else packet_overhead_s
-        question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes, overhead_s)
-        if self._last is not None and self._last[0] == question:
-            return self._last[1]  # most ticks bring nothing new, and exact arithmetic is most of their cost
+        share = self._headroom if share is None else share
+        question = (capacity_bytes_per_second, tuple(topics), memory_budget_bytes, overhead_s, share, crossing)
+        if (known := self._last.pop(question, None)) is not None:
+            self._last[question] = known  # the newest again: the lasting budget changes less often than that of a tick
+            return known  # most ticks bring nothing new, and exact arithmetic is most of their cost
         started = self._clock()
         for name, value in (
             ("capacity", capacity_bytes_per_second),
             ("memory budget", memory_budget_bytes),
             ("packet overhead", overhead_s),
+            ("share", share),
         ):
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
-        allocation = self._allocate(
-            capacity_bytes_per_second, topics, decimal(memory_budget_bytes), decimal(overhead_s)
+        if share > 1.0:
+            raise ValueError(f"share {share!r} must be at most 1")
+        divide = partial(divide_evenly, crossing=crossing, solver=self._solver) if self._is_uniform else self._allocate
+        allocation = divide(
+            capacity_bytes_per_second, topics, decimal(memory_budget_bytes), decimal(overhead_s), decimal(share)
         )
         allocation = replace(allocation, solve_s=self._clock() - started)
-        self._last = (question, allocation)
+        self._last = dict([*self._last.items()][1 - _REMEMBERED :])
+        self._last[question] = allocation
         return allocation
 
     def _allocate(
-        self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio, packet_overhead: Ratio
+        self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio, packet_overhead: Ratio, share: Ratio
     ) -> Allocation:
-        level = capacity * self._headroom[0] / self._headroom[1]
+        level = capacity * (share[0] / share[1])
         if not topics:
             return _empty(level)
         if not capacity:
             self._solver.note_infeasible()
             return _paused(topics)
-        rows = rows_of(topics, capacity=decimal(capacity), packet_overhead=packet_overhead, parts=self._headroom[1])
-        link = self._divide_link(rows)
+        rows = rows_of(topics, capacity=decimal(capacity), packet_overhead=packet_overhead, parts=share[1])
+        link = self._divide_link(rows, share)
         memory = self._divide_memory(rows, link, memory_budget)
-        return self._published(rows, link, memory, level)
+        price = Price(
+            share_per_weight=link.level,
+            capacity_bytes_per_second=capacity,
+            packet_overhead_s=packet_overhead[0] / packet_overhead[1],
+            yielding_weight=link.yielding[0],
+            kept_floor=link.yielding[1],
+        )
+        return replace(self._published(rows, link, memory, level), price=price)
 
-    def _divide_link(self, rows: list[Row]) -> _Division:
+    def _divide_link(self, rows: list[Row], part: Ratio) -> _Division:
         """Solve (G1): a share of the link per row."""
         whole_link = rows[0].units.share
-        usable = whole_link * self._headroom[0] // self._headroom[1]  # exact in these units
+        usable = whole_link * part[0] // part[1]  # exact in these units
         needed = sum(r.lo for r in rows)
         reserve = self._rate_reserve * needed
         if needed + reserve > usable:
@@ -200,7 +233,8 @@ class Program:
             else (Binding.FLOOR if bound is ActiveBound.LOW and r.lo else Binding.LINK)
             for r, bound in zip(rows, fill.bounds, strict=True)
         ]
-        return _Division(values=fill.ratios(), bindings=bindings, backend=backend)
+        level = fill.level_per_weight * rows[0].units.weight
+        return _Division(values=fill.ratios(), bindings=bindings, backend=backend, level=level)
 
     def _divide_memory(self, rows: list[Row], link: _Division, memory_budget: Ratio) -> _Division:
         """Solve (G2): a depth per row, given the rates."""
@@ -210,7 +244,7 @@ class Program:
             self._solver.note_infeasible()
             return _cut_depths(rows, slots, needed=needed, budget=budget)
         justified = [
-            r.justified(r.rate_hz(share), reserve=self._depth_reserve)
+            r.justified(r.wish_hz if self._deep else r.rate_hz(share), reserve=self._depth_reserve)
             for r, share in zip(rows, link.values, strict=True)
         ]
         caps = [r.depth_cap(history) for r, history in zip(rows, justified, strict=True)]
@@ -243,7 +277,8 @@ class Program:
             share, (depth, depth_parts) = link.values[i], memory.values[i]
             rate_hz = r.rate_hz(share)
             period = period_ns(rate_hz)
-            cap = r.depth_cap(r.justified(rate_of(period), reserve=self._depth_reserve))
+            history = rate_of(period_ns(r.wish_hz) if self._deep else period)
+            cap = r.depth_cap(r.justified(history, reserve=self._depth_reserve))
             topics.append(
                 TopicAllocation(
                     name=r.topic.name,
@@ -273,6 +308,7 @@ def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _D
     left = give_up([r.lo for r in rows], [r.weight for r in rows], needed - usable)
     notes = [f"rate reserve {_left((max(0, usable - needed), reserve))}"] if reserve else []
     notes += [f"rate floor of weight {w / rows[0].units.weight:g} {_left(part)}" for w, part in left.items()]
+    heaviest, part = max(left.items(), default=(0, (1, 1)))
     values: list[Ratio] = []
     bindings: list[Binding] = []
     for r in rows:
@@ -282,7 +318,13 @@ def _cut_rates(rows: list[Row], *, needed: int, reserve: int, usable: int) -> _D
             bindings.append(Binding.LINK)
         else:
             bindings.append(r.ceiling if r.lo == r.hi else Binding.FLOOR)
-    return _Division(values=values, bindings=bindings, backend=Backend.EXACT, given_up=tuple(notes))
+    return _Division(
+        values=values,
+        bindings=bindings,
+        backend=Backend.EXACT,
+        given_up=tuple(notes),
+        yielding=(heaviest / rows[0].units.weight, part[0] / part[1]),
+    )
 
 
 def _cut_depths(rows: list[Row], slots: list[int], *, needed: int, budget: int) -> _Division:
@@ -327,6 +369,12 @@ def _paused(topics: Sequence[Topic]) -> Allocation:
         binding=Binding.LINK,
         capacity_bytes_per_second=0.0,
         degradation="the link has no capacity: every topic is paused",
+        price=Price(
+            share_per_weight=0.0,
+            capacity_bytes_per_second=1.0,
+            yielding_weight=max(topic.weight for topic in topics),
+            kept_floor=0.0,
+        ),
         backend=Backend.EXACT,
     )
 

@@ -78,6 +78,13 @@ class Row:
         """Return R_i = e_i/a_i, the rate that a share e_i of the link carries, in 1/share (Hz)."""
         return share[0], share[1] * self.cost * self.units.rate
 
+    @property
+    def wish_hz(self) -> Ratio:
+        """Desired rate u_i, also where this link cannot carry it now (Hz); Rmax_i without a wish."""
+        if math.isinf(self.topic.desired_rate_hz):
+            return self.rate_hz((self.hi, 1))
+        return decimal(self.topic.desired_rate_hz or self.topic.min_rate_hz)
+
     def justified(self, rate_hz: Ratio, *, reserve: int) -> int:
         """Return τ_i·R_i − δ_i, the history that Eq. (3) and (G2) allow at a rate; δ_i = reserve·Dmin_i (1/SAMPLE)."""
         samples = self.window_s[0] * rate_hz[0] * SAMPLE // (self.window_s[1] * rate_hz[1])

@@ -55,7 +55,8 @@ def document(**changes):
         offered=200,
         published=150,
         withheld=50,
-        rate_hz=12.5,
+        rate_hz=37.5,
+        paced_rate_hz=12.5,
         depth=7,
         deadline_ns=100_000_000,
         generation=3,
@@ -63,7 +64,7 @@ def document(**changes):
         refusal_reason=changes.pop("refusal_reason", RefusalReason.NONE),
     )
     is_calm = changes.pop("is_calm", False)
-    plan = TopicPlan(rate_hz=12.5, min_rate_hz=1.0, deadline_ns=100_000_000, depth=8)
+    plan = TopicPlan(rate_hz=37.5, min_rate_hz=1.0, deadline_ns=100_000_000, depth=8)
     allocation = TopicAllocation(
         name="/image",
         share=0.5,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.kinds import LONGEST_TOPIC
-from arpd.adapters.config.schema import Governor, Link, Relay, RelayTopic, Section, TopicEntry, TopicPreferences
+from arpd.adapters.config.schema import Link, Relay, RelayTopic, Section, TopicEntry, TopicPreferences
 from arpd.adapters.config.yaml_source import Fault, Location, Place, dotted
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> I
     """
     if interfaces is not None:
         yield from _missing_interface(source, interfaces)
-    yield from _unordered(source, ("governor",), Governor, "dwell", "dwell_max")
     for low, high in _PREFERENCE_PAIRS:
         yield from _unordered(source, ("defaults",), TopicPreferences, low, high)
         for location in _items(source, ("topics",)):

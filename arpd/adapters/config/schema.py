@@ -18,6 +18,7 @@ from arpd.model.settings import (
     OnLost,
     OnStop,
     Overflow,
+    Policy,
     ProgramSettings,
     RelaySettings,
     Settings,
@@ -74,6 +75,7 @@ class Link(Section):
 class ProgramSection(Section):
     """``program``."""
 
+    policy: Annotated[Policy, Choice(Policy)] = _DEFAULT.program.policy
     backend: Annotated[Backend, Choice(Backend)] = _DEFAULT.program.backend
     deadline_slack: Annotated[float, Number(low=1, high=100)] = _DEFAULT.program.deadline_slack
     memory_budget: Annotated[float, Quantity(unit=SIZE, low="64KiB", high="1024GiB")] = (
@@ -91,7 +93,6 @@ class Governor(Section):
     up_ratio: Annotated[float, Number(low=1, high=10)] = _DEFAULT.governor.up_ratio
     hold: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.hold_s
     dwell: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.dwell_s
-    dwell_max: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.dwell_max_s
     deadband: Annotated[float, Number(low=0, high=1)] = _DEFAULT.governor.deadband
     swaps_per_minute: Annotated[int, Count(low=1, high=100_000)] = _DEFAULT.governor.swaps_per_minute
     debounce: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.debounce_s

@@ -189,8 +189,8 @@ def sent(world):
     return [("readers" if step.readers else "writers") for step in world.steps.transitions]
 
 
-def test_relaxing_moves_readers_first_and_the_rate_at_once():
-    """The writer slows down at once, and keeps its QoS until the reader has relaxed."""
+def test_relaxing_moves_readers_first_and_the_ceiling_at_once():
+    """The writer has its new ceiling at once, and keeps its QoS until the reader has relaxed."""
     world = World([writer_at(SHORT)], [reader_at(100 * MS)])
     world.intend(row(LONG))
     world.tick()
@@ -318,21 +318,22 @@ def test_the_lease_reaches_readers_too():
         assert [step.lease_s for step in steps.transitions] == [lease_s] * count
 
 
-def test_a_floor_alone_is_sent_too():
-    """An announcement shows no floor, so a plan with only a new floor is sent until its generation is announced."""
+@pytest.mark.parametrize("terms", [{"min_rate_hz": 3.0}, {"weight": 2.0}, {"wire_bytes": 9e3}, {"packets": 7}])
+def test_terms_alone_are_sent_too(terms):
+    """No announcement shows the terms of the price, so new ones are sent until their generation is announced."""
     ordering = Ordering()
     settled = publisher("/n", TOPIC, generation=1, depth=20, deadline_ns=SHORT, rate_hz=5.0)
 
-    def sent(generation, floor_hz):
-        rows = {TOPIC: replace(row(SHORT), min_rate_hz=floor_hz)}
-        plan = QosPlan(generation=generation, topics=rows, level_bytes_per_second=1.0)
+    def sent(generation, wanted):
+        plan = QosPlan(generation=generation, topics={TOPIC: wanted}, level_bytes_per_second=1.0)
         known = replace(settled, generation=min(generation, announced))
         steps = ordering.steps(0.0, publishers=[known], readers=[], plan=plan, reader_plans={}, reason="")
-        return [step.topics[TOPIC].min_rate_hz for step in steps.transitions]
+        return [step.topics[TOPIC] for step in steps.transitions]
 
-    announced = 1
-    assert sent(1, 1.0) == []
-    assert sent(2, 3.0) == [3.0]
-    assert sent(2, 3.0) == [3.0]
+    announced, old, new = 1, row(SHORT), replace(row(SHORT), **terms)
+    assert sent(1, old) == []
+    assert sent(2, new) == [new]
+    assert sent(2, new) == [new]
     announced = 2
-    assert sent(2, 3.0) == []
+    assert sent(2, new) == []
+    assert sent(3, new) == []

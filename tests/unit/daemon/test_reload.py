@@ -21,11 +21,11 @@ from arpd.model.observation import MemoryState, Observation
 from tests.sample_publishers import publisher
 
 DT_S = 1.0
-COURSE_S = 50.0
+COURSE_S = 100.0
 TOPICS: list[dict[str, Any]] = [{"name": "/b", "weight": 3}, {"name": "/a"}]
 RELAY = {"topics": [{"name": "/scan"}]}
 # Bit rate of the radio from a time on (s, bytes/s); without it the first estimate stays.
-RADIO = ((6.0, 2.2e6), (11.0, 0.8e6), (18.0, 3e6), (24.0, 0.7e6), (30.0, 3e6), (46.0, 2.7e6))
+RADIO = ((6.0, 2.2e6), (20.0, 0.8e6), (60.0, 3e6))
 LATE_S = 15.0  # a third topic comes
 
 # Every key: its new value, and other keys of the file that make it matter.
@@ -35,6 +35,7 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.initial_capacity": ("4mbit", {}),
     "link.headroom": (0.5, {}),
     "link.packet_overhead": ("2ms", {}),
+    "program.policy": ("uniform", {}),
     "program.backend": ("exact", {}),
     "program.deadline_slack": (3, {}),
     "program.memory_budget": ("64KiB", {}),
@@ -43,7 +44,6 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "governor.up_ratio": (8, {}),
     "governor.hold": ("12s", {}),
     "governor.dwell": ("20s", {}),
-    "governor.dwell_max": ("5s", {}),
     "governor.deadband": (0.9, {}),
     "governor.swaps_per_minute": (2, {}),
     "governor.debounce": ("5s", {}),
@@ -112,7 +112,7 @@ class World:
     def apply(self, transitions, *, now_s):
         self.sent += ((now_s, step.topics, step.lease_s) for step in transitions)
 
-    def set_gate(self, gate):
+    def set_price(self, price):
         pass
 
     def probe(self, request):

@@ -68,6 +68,7 @@ class Daemon:
         self.ticked = 0
         self.late_s = []
         self.record = self.configuration = self
+        self.pause_s = TICK_S
 
     def tick(self, _now_s):
         self._signals.wakeup.set()  # the next one at once

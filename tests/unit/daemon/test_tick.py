@@ -1,5 +1,6 @@
 """The daemon over a world that follows its calls, some of them late."""
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -9,9 +10,11 @@ import pytest
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.link import LinkState
 from arpd.model.observation import MemoryState, Observation
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
+from tests.sample_link import LINK
 from tests.sample_publishers import publisher, reader
 
 TOPIC = "/t"
@@ -25,7 +28,7 @@ class World:
         self.now_s = 0.0
         self.sent = []
         self.active_daemon = ""
-        self.gates = []
+        self.prices = []
         self.probes = []
         self._deaf = deaf
         self._pending = []
@@ -63,14 +66,15 @@ class World:
                 self.writer,
                 generation=step.generation,
                 rate_hz=row.rate_hz,
+                paced_rate_hz=row.rate_hz,
                 depth=row.depth,
                 deadline_ns=row.deadline_ns,
             )
         for row in step.readers.values():
             self.reader = replace(self.reader, generation=step.generation, depth=row.depth, deadline_ns=row.deadline_ns)
 
-    def set_gate(self, gate):
-        self.gates.append(gate)
+    def set_price(self, price):
+        self.prices.append(price)
 
     def probe(self, request):
         self.probes.append(request)
@@ -107,14 +111,14 @@ def test_a_clean_stop_waits_for_the_reader_that_goes_first():
     world = World()
     world.reader = replace(world.reader, deadline_ns=85 * MS)
     assert restored(world) == 0
-    assert [node for node, *_ in world.sent] == ["/r", "/w"]
-    assert world.writer.deadline_ns == 90 * MS
+    offers = [topics[TOPIC].deadline_ns if topics else node for node, topics, _ in world.sent]
+    assert offers == [80 * MS, "/r", 90 * MS]
 
 
 def test_a_clean_stop_gives_the_rates_back_last():
-    """QoS comes first, because a weak link could not prove a new writer at the full rate."""
+    """QoS comes first, at the paced rate, because a weak link could not prove a new writer at the full rate."""
     world = World()
-    world.writer = replace(world.writer, rate_hz=5.0)
+    world.writer = replace(world.writer, rate_hz=8.0, paced_rate_hz=5.0)
     assert restored(world) == 0
     rows = [topics[TOPIC] for node, topics, _ in world.sent if node == "/w"]
     assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
@@ -146,7 +150,7 @@ def test_a_daemon_that_stands_by_only_watches():
     for _ in range(100):
         world.now_s += 0.1
         daemon.tick(world.now_s)
-    assert (world.sent, world.gates, world.probes) == ([], [], [])
+    assert (world.sent, world.prices, world.probes) == ([], [], [])
     assert daemon.restore(wait=world.wait) == 0
     assert not world.sent
     assert (
@@ -158,7 +162,7 @@ def test_a_daemon_that_stands_by_only_watches():
     world.active_daemon = ""
     world.now_s += 0.1
     daemon.tick(world.now_s)
-    assert world.gates
+    assert world.prices
     assert world.probes
 
 
@@ -190,7 +194,7 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     world.writer = replace(world.writer, direction=Direction.SENSING, remote_readers=1)
     for tick in range(30):
         daemon.tick(0.1 * tick)
-    before, gates = daemon.snapshot, len(world.gates)
+    before, prices = daemon.snapshot, len(world.prices)
     assert before.decision.plan.generation > 0
 
     def fail(*_arguments, **_options):
@@ -203,10 +207,61 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
                 daemon.tick(0.1 * tick)
             daemon.record.note_failed_tick()
     assert daemon.snapshot.totals.ticks_failed == 10
-    assert (replace(daemon.snapshot, totals=before.totals), len(world.gates)) == (before, gates)
+    assert (replace(daemon.snapshot, totals=before.totals), len(world.prices)) == (before, prices)
     daemon.tick(4.0)
     assert daemon.snapshot.decision.plan == before.decision.plan
     assert daemon.snapshot.totals.ticks_failed == 10
+
+
+class KnownLink:
+    """An estimator that knows the capacity, tick by tick."""
+
+    has_evidence = True
+
+    def __init__(self, *capacities, **fields):
+        self._capacities = itertools.chain(capacities, itertools.repeat(capacities[-1]))
+        self._fields = fields
+
+    def update(self, _observation):
+        return replace(LINK, capacity_bytes_per_second=next(self._capacities), **self._fields)
+
+    def wanted_probes(self, _now_s):
+        return ()
+
+
+def governed(estimator, *, ticks=20):
+    """Return a world after some ticks of a daemon, and the daemon."""
+    world: Any = World()
+    world.writer = replace(world.writer, source_rate_hz=100.0, remote_readers=1)
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=estimator)
+    for tick in range(ticks):
+        daemon.tick(0.1 * tick)
+    return world, daemon
+
+
+@pytest.mark.parametrize("state", [LinkState.STEADY, LinkState.OUTAGE])
+@pytest.mark.parametrize("capacity", [0.0, 0.5, 2e4, 1e6])
+def test_whatever_the_link_carries_there_is_a_price(capacity, state):
+    """Every tick ends with a price that admits no more than the link carries, also where that is nothing."""
+    world, daemon = governed(KnownLink(capacity, state=state, loss_ratio=0.25))
+    row = daemon.snapshot.decision.plan.topics[TOPIC]
+    assert world.prices[-1].rate_hz(row) * row.wire_bytes <= capacity
+    assert world.prices[-1].loss_ratio == 0.25
+
+
+def test_the_price_follows_the_link_within_a_tick():
+    """The tick that sees another capacity sends another price, and no plan."""
+    world, daemon = governed(KnownLink(*[1e6] * 19, 4e4))
+    first, *_, last = world.prices
+    row = daemon.snapshot.decision.plan.topics[TOPIC]
+    assert (first.rate_hz(row), daemon.snapshot.decision.level_changed) == (row.rate_hz, False)
+    assert 0.84 * 4e4 < last.rate_hz(row) * row.wire_bytes <= 4e4
+
+
+def test_a_link_that_hardly_moves_is_divided_once():
+    """Capacities within a fraction of a per cent are one or two questions to the program, not one per tick."""
+    _, daemon = governed(KnownLink(*[1e6 * (1.0 + 1e-4 * (tick % 7)) for tick in range(40)]), ticks=40)
+    assert sum(daemon.snapshot.totals.solves_by_outcome.values()) <= 8  # each for link and memory
 
 
 def test_an_interface_that_is_not_there_yet_is_named():

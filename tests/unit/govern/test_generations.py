@@ -3,11 +3,11 @@
 import pytest
 
 from arpd.govern.governor import Governor
+from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Settings
 from arpd.solve.program import Program
 from arpd.solve.topics import topics_to_plan
-from tests.sample_link import LINK
 from tests.sample_publishers import publisher
 
 
@@ -24,10 +24,12 @@ class Run:
         self.now_s += 0.1
         publishers = [publisher("/honest", "/a"), publisher("/liar", "/b", generation=announced)]
         topics = topics_to_plan(publishers, self.settings)
+        allocation = self.program.solve(1e6, topics, 2.0**26)
         return self.governor.decide(
             self.now_s,
-            link=LINK,
-            allocation=self.program.solve(LINK.available_bytes_per_second, topics, 2.0**26),
+            state=LinkState.STEADY,
+            rates=allocation,
+            lasting=allocation,
             topics=topics,
             publishers=publishers,
         )

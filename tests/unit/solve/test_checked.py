@@ -104,6 +104,19 @@ class Liar:
         return self.outcome
 
 
+@settings(deadline=None, max_examples=200)
+@given(share_problems())
+def test_the_level_alone_tells_every_share(problem):
+    """clip(ν·w, lo, hi) is the solution, also where no share is at the level, and infinite only where all have all."""
+    fill = water_fill(problem)
+    level = fill.level_per_weight * problem.whole
+    rows = zip(problem.weights, problem.lo, problem.hi, fill.shares(), strict=True)
+    for weight, low, high, share in rows:
+        assert min(max(level * weight, low), high) == pytest.approx(share * problem.whole, rel=1e-12)
+    if math.isinf(level):
+        assert sum(problem.hi) <= problem.budget
+
+
 @settings(deadline=None, max_examples=80)
 @given(problem=share_problems(max_topics=40))
 def test_water_filling_is_its_definition(problem):

@@ -335,6 +335,56 @@ def test_no_capacity_pauses_everything(backend):
     assert (allocation.status, allocation.binding) == (AllocationStatus.DEGRADED, Binding.LINK)
 
 
+SHARES = st.integers(0, 1000).map(lambda thousandths: thousandths / 1000)
+
+
+@settings(deadline=None, max_examples=60)
+@given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES, shares=st.tuples(SHARES, SHARES))
+def test_deep_histories_do_not_depend_on_the_budget(topics, capacity, memory, shares):
+    """With ``deep``, any share of the link gives the depths of the ceiling, and none is less than without."""
+    deep, shallow = program(deep=True), program()
+    first, second = (deep.solve(capacity, topics, memory, share=share).topics for share in shares)
+    assert [row.depth_applied for row in first] == [row.depth_applied for row in second]
+    ample = zip(
+        deep.solve(capacity, topics, AMPLE, share=shares[0]).topics,
+        shallow.solve(capacity, topics, AMPLE, share=shares[0]).topics,
+        strict=True,
+    )
+    assert all(row.depth_applied >= less.depth_applied for row, less in ample)
+
+
+def test_a_deep_history_is_that_of_the_desired_rate():
+    """A topic that gets a tenth of its rate has the depth that its latency budget allows at the whole of it."""
+    topics = [topic(desired_rate_hz=50.0, latency_budget_s=1.0)]
+    (row,) = program(deep=True).solve(1e6, topics, AMPLE, share=0.005).topics
+    assert (row.rate_hz, row.depth_applied, row.depth_binding) == (5.0, 49, Binding.LATENCY_BUDGET)
+
+
+@settings(deadline=None, max_examples=40)
+@given(topics=robots(), capacity=CAPACITIES, share=SHARES.filter(bool))
+def test_a_share_takes_the_place_of_the_headroom(topics, capacity, share):
+    """The answer for a share is that of a program with this headroom."""
+    asked = program().solve(capacity, topics, AMPLE, share=share)
+    assert asked == program(headroom=share).solve(capacity, topics, AMPLE)
+    assert asked.capacity_bytes_per_second == pytest.approx(share * capacity)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan, math.inf])
+def test_a_share_is_a_part(share):
+    """A share below 0 or above 1 is refused."""
+    with pytest.raises(ValueError, match="share"):
+        program().solve(1e6, [topic()], AMPLE, share=share)
+
+
+def test_an_answer_that_is_asked_for_at_every_tick_is_kept():
+    """Budgets of ticks come and go, and the lasting one between them is divided once."""
+    solver = program()
+    lasting = solver.solve(1e5, [topic()], AMPLE)
+    for tick in range(20):
+        solver.solve(1e5, [topic()], AMPLE, share=tick / 100)
+        assert solver.solve(1e5, [topic()], AMPLE) is lasting
+
+
 def test_a_wish_below_the_floor_lowers_it():
     """A source slower than its floor keeps its own period as deadline, so it meets the deadline."""
     (row,) = program().solve(1e6, [topic(desired_rate_hz=0.5, min_rate_hz=1.0)], AMPLE).topics

@@ -23,6 +23,7 @@ from arpd.model.settings import (
     OnLost,
     OnStop,
     Overflow,
+    Policy,
     ProgramSettings,
     RelaySettings,
     Settings,
@@ -65,8 +66,8 @@ def test_a_file_that_says_everything_becomes_the_settings(load):
     text = """
 link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
 program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
-governor: {down_ratio: 0.7, up_ratio: 1.5, hold: 1s, dwell: 3s, dwell_max: 1min, deadband: 0.2,
-           swaps_per_minute: 60, debounce: 250ms}
+governor: {down_ratio: 0.7, up_ratio: 1.5, hold: 1s, dwell: 3s, deadband: 0.2, swaps_per_minute: 60,
+           debounce: 250ms}
 http: {host: "::1", port: 9000}
 graph: {sensing_topics: 11, actuation_topics: 1}
 defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
@@ -97,7 +98,6 @@ lost_after: 1min
             up_ratio=1.5,
             hold_s=1.0,
             dwell_s=3.0,
-            dwell_max_s=60.0,
             deadband=0.2,
             swaps_per_minute=60,
             debounce_s=0.25,
@@ -266,10 +266,6 @@ ONE_FAULT = {
     "depths crossed": (
         "defaults: {min_depth: 9, max_depth: 3}",
         "1:23: defaults.min_depth: 9 is above max_depth 3; lower it or raise max_depth",
-    ),
-    "dwell crossed": (
-        "governor: {dwell: 50s}",
-        "1:19: governor.dwell: 50s is above dwell_max 40s (the default); lower it or raise dwell_max",
     ),
     "no such interface": (
         "link:\n  interface: wlan9\n",
@@ -502,3 +498,14 @@ def test_what_is_within_the_ranges_loads_and_keeps_its_values(load, tree):
     assert list(loaded.topics) == [topic["name"] for topic in tree.get("topics", [])]
     for topic in tree.get("topics", []):
         assert loaded.topics[topic["name"]].weight == topic.get("weight", 1.0)
+
+
+def test_the_policy_is_one_of_two(load, faults):
+    """The link is divided per topic unless the file says uniform; then no topic has preferences of its own."""
+    assert load("program: {backend: exact}").program.policy is Policy.PER_TOPIC
+    loaded = load("program: {policy: uniform}\ndefaults: {weight: 2}\ntopics: [{name: /a, weight: 9}]")
+    assert loaded.program.policy is Policy.UNIFORM
+    assert loaded.topic("/a") == loaded.topic("/b") == TopicSettings(weight=2.0)
+    assert faults("program: {policy: fair}") == [
+        "1:19: program.policy: 'fair' is not one of the choices; write per_topic or uniform"
+    ]

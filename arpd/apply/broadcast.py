@@ -1,0 +1,39 @@
+"""When the price of the link is sent: when it changed, and again and again for those who missed it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.model.price import Price
+
+_REPEAT_S = 1.0  # the message is best effort, and a sign that the daemon lives
+_TOLERANCE = 0.01
+_URGENT = 0.1  # a fall by more waits for nothing
+_MESSAGE_BYTES, _SHARE = 210.0, 0.02  # of the link, for the messages to nodes beyond it
+
+
+class Broadcast:
+    """Decides at every tick whether the price goes out."""
+
+    def __init__(self) -> None:
+        self._sent: Price | None = None
+        self._sent_s = -math.inf
+
+    def is_due(self, price: Price, now_s: float) -> bool:
+        """Return whether to send this price now; then it counts as sent."""
+        since_s = now_s - self._sent_s
+        if self._sent is not None and since_s < _REPEAT_S:
+            if price.is_near(self._sent, tolerance=_TOLERANCE):
+                return False
+            pause_s = _MESSAGE_BYTES / (_SHARE * price.capacity_bytes_per_second)
+            if since_s < pause_s and _level(price) > (1.0 - _URGENT) * _level(self._sent):
+                return False
+        self._sent, self._sent_s = price, now_s
+        return True
+
+
+def _level(price: Price) -> float:
+    """Return ν·C, from which rates follow (bytes/s)."""
+    return price.share_per_weight * price.capacity_bytes_per_second

@@ -1,0 +1,93 @@
+"""The price of the link: one message from which every endpoint computes its own rate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+
+class Terms(Protocol):
+    """What a rate follows from besides the price; `arpd.model.plan.TopicPlan` documents it."""
+
+    @property
+    def rate_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
+    @property
+    def min_rate_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
+    @property
+    def weight(self) -> float: ...  # noqa: D102 - see TopicPlan
+    @property
+    def wire_bytes(self) -> float: ...  # noqa: D102 - see TopicPlan
+    @property
+    def packets(self) -> int: ...  # noqa: D102 - see TopicPlan
+    @property
+    def promised_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Price:
+    """Water level of (G1), with what an endpoint needs to apply it (docs/design.md, The price).
+
+    Parameters
+    ----------
+    share_per_weight : ν, the share of link time that a topic of weight 1 gets, ``inf`` = as much as it wants
+    capacity_bytes_per_second : C, to turn bytes into link time, > 0 (bytes/s)
+    packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
+    yielding_weight : topics of less weight have no floor now, and those of this weight keep a part of it
+    kept_floor : that part, 0..1
+    loss_ratio : share of probe packets that the link loses, None while unknown
+    is_stale : True when nobody repeats it: a daemon that died while the link was out must not silence the robot, so no
+        rate is below what its DEADLINE promises
+    """
+
+    share_per_weight: float
+    capacity_bytes_per_second: float
+    packet_overhead_s: float = 0.0
+    yielding_weight: float = 0.0
+    kept_floor: float = 1.0
+    loss_ratio: float | None = None
+    is_stale: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse nonsense at birth."""
+        if not self.share_per_weight >= 0.0:
+            raise ValueError(f"share_per_weight {self.share_per_weight!r} must be a number of at least 0")
+        if not 0.0 < self.capacity_bytes_per_second < math.inf:
+            raise ValueError(f"capacity {self.capacity_bytes_per_second!r} must be a number above 0")
+        if not 0.0 <= self.packet_overhead_s < math.inf:
+            raise ValueError(f"packet overhead {self.packet_overhead_s!r} must be a number of at least 0")
+        if not (0.0 <= self.yielding_weight < math.inf and 0.0 <= self.kept_floor <= 1.0):
+            raise ValueError(f"floors of weight {self.yielding_weight!r} keep {self.kept_floor!r}: not a part of them")
+
+    def rate_hz(self, plan: Terms) -> float:
+        """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
+        if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
+            return plan.rate_hz
+        cost_s = plan.packets * self.packet_overhead_s + plan.wire_bytes / self.capacity_bytes_per_second
+        level_hz = self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf
+        return min(plan.rate_hz, max(self.floor_hz(plan), level_hz))
+
+    def floor_hz(self, plan: Terms) -> float:
+        """Return the floor that the link leaves one publisher (Hz)."""
+        if self.is_stale:
+            return max(plan.min_rate_hz, plan.promised_hz)
+        if math.isclose(plan.weight, self.yielding_weight, rel_tol=1e-9):
+            return self.kept_floor * plan.min_rate_hz
+        return plan.min_rate_hz if plan.weight > self.yielding_weight else 0.0
+
+    def is_near(self, other: Price, *, tolerance: float) -> bool:
+        """Return whether an endpoint that has the other price needs no message.
+
+        R = ν·C·w/(k·t_ovh·C + s), so ν·C and t_ovh·C count, each as a whole.
+        """
+
+        def near(one: float, two: float) -> bool:
+            return one == two or math.isclose(one, two, rel_tol=tolerance)
+
+        mine, theirs = self.capacity_bytes_per_second, other.capacity_bytes_per_second
+        return (
+            near(self.share_per_weight * mine, other.share_per_weight * theirs)
+            and near(self.packet_overhead_s * mine, other.packet_overhead_s * theirs)
+            and self.yielding_weight == other.yielding_weight
+            and near(self.kept_floor, other.kept_floor)
+        )

@@ -1,0 +1,127 @@
+"""Budget of all topics: the estimate feeds it forward, the queue feeds it back."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.govern.budget import Budget
+from arpd.model.link import LinkState
+from arpd.model.settings import LinkSettings
+from tests.sample_link import LINK
+
+SETTINGS = LinkSettings(headroom=0.8)
+C = LINK.capacity_bytes_per_second
+LINKS = st.builds(
+    lambda capacity, cross, cautious, queue_s, standing_s: replace(
+        LINK,
+        capacity_bytes_per_second=capacity,
+        cross_traffic_bytes_per_second=cross,
+        cautious_ratio=cautious,
+        queue_delay_s=queue_s,
+        standing_delay_s=standing_s,
+    ),
+    st.floats(1.0, 1e9),
+    st.floats(0.0, 1e9),
+    st.floats(0.01, 1.0),
+    st.floats(0.0, 60.0),
+    st.floats(0.0, 60.0),
+)
+
+
+def allowed(**link):
+    """Return the budget for one estimate."""
+    return Budget(SETTINGS).update(5.0, replace(LINK, **link))
+
+
+def course(budget, *spans):
+    """Update ten times a second, for spans of a duration (s) and a link."""
+    now_s = 100.0
+    for duration_s, link in spans:
+        for _ in range(round(10 * duration_s)):
+            now_s += 0.1
+            budget.update(now_s, link)
+    return budget
+
+
+def test_without_a_queue_it_is_the_headroom_of_what_is_available():
+    """Cross traffic and the headroom are taken off the capacity."""
+    assert allowed() == pytest.approx(0.8 * C)
+    assert allowed(cross_traffic_bytes_per_second=0.25 * C) == pytest.approx(0.6 * C)
+
+
+def test_an_uncertain_capacity_is_used_with_caution():
+    """Only the part counts that the link most likely exceeds."""
+    assert allowed(cautious_ratio=0.5) == pytest.approx(0.4 * C)
+
+
+@given(LINKS)
+def test_it_is_never_above_the_headroom(link):
+    """At any estimate the budget is between nothing and the headroom of what is available."""
+    assert 0.0 <= Budget(SETTINGS).update(5.0, link) <= 0.8 * link.available_bytes_per_second * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("which", ["standing", "long"])
+def test_it_falls_with_the_queue_and_reaches_nothing(which):
+    """The longer the queue, the less may follow, until it has drained; at last nothing may."""
+
+    def with_queue(queue_s):
+        if which == "standing":
+            return allowed(standing_delay_s=queue_s)
+        return allowed(queue_delay_s=LINK.queue_allowance_s + queue_s)
+
+    budgets = [with_queue(0.01 * step) for step in range(100)]
+    assert budgets[0] == pytest.approx(0.8 * C)
+    assert budgets == sorted(budgets, reverse=True)
+    assert any(0.0 < budget < 0.7 * C for budget in budgets)
+    assert budgets[-1] == 0.0
+
+
+def test_a_queue_that_one_message_explains_costs_nothing():
+    """The largest message of the robot may stand before the link for a moment."""
+    assert allowed(queue_delay_s=0.4, queue_allowance_s=0.4) == pytest.approx(0.8 * C)
+    assert allowed(queue_delay_s=0.4, queue_allowance_s=0.1) < 0.8 * C
+
+
+def test_in_an_outage_there_is_none():
+    """A link that carries nothing has no budget, at any capacity that it had."""
+    assert allowed(state=LinkState.OUTAGE) == 0.0
+
+
+# -- lasting
+
+
+def test_before_any_link_nothing_lasts():
+    """Before the first estimate, and in an outage from the start, nothing could be counted on."""
+    assert Budget(SETTINGS).lasting_bytes_per_second == 0.0
+    assert course(Budget(SETTINGS), (5.0, replace(LINK, state=LinkState.OUTAGE))).lasting_bytes_per_second == 0.0
+
+
+@pytest.mark.parametrize(("bad_s", "lasts"), [(2.0, 0.8 * C), (4.0, 0.2 * C), (20.0, 0.2 * C)])
+def test_what_nine_tenths_of_the_last_half_minute_allowed_lasts(bad_s, lasts):
+    """A fall shorter than three seconds leaves the lasting budget, and a longer one lowers it."""
+    budget = course(Budget(SETTINGS), (40.0, LINK), (bad_s, replace(LINK, capacity_bytes_per_second=0.25 * C)))
+    assert budget.lasting_bytes_per_second == pytest.approx(lasts)
+
+
+def test_a_rise_lasts_after_half_a_minute():
+    """A better link counts when it has been better for nine tenths of the time."""
+    poor = replace(LINK, capacity_bytes_per_second=0.25 * C)
+    assert course(Budget(SETTINGS), (40.0, poor), (20.0, LINK)).lasting_bytes_per_second == pytest.approx(0.2 * C)
+    assert course(Budget(SETTINGS), (40.0, poor), (31.0, LINK)).lasting_bytes_per_second == pytest.approx(0.8 * C)
+
+
+def test_queues_caution_and_outages_are_left_out_of_what_lasts():
+    """A queue drains, doubt goes away, and an outage is no capacity: none of them asks for other deadlines."""
+    troubled = replace(LINK, standing_delay_s=1.0, cautious_ratio=0.3)
+    budget = course(Budget(SETTINGS), (20.0, LINK), (10.0, troubled), (20.0, replace(LINK, state=LinkState.OUTAGE)))
+    assert budget.lasting_bytes_per_second == pytest.approx(0.8 * C)
+
+
+def test_a_new_headroom_counts_at_once():
+    """A reload changes the budget of the next tick, and what lasts."""
+    budget = course(Budget(SETTINGS), (40.0, LINK))
+    budget.reconfigure(LinkSettings(headroom=0.5))
+    assert budget.lasting_bytes_per_second == pytest.approx(0.5 * C)
+    assert budget.update(200.0, LINK) == pytest.approx(0.5 * C)

@@ -1,0 +1,213 @@
+"""Price of the link: every publisher computes from it what the program gave it."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arpd.govern.plan import make_plan
+from arpd.model.allocation import Topic
+from arpd.model.plan import QosPlan, TopicPlan
+from arpd.model.price import Price
+from arpd.model.settings import ProgramSettings, Settings
+from arpd.solve.program import Program
+from tests.sample_publishers import publisher
+
+PROGRAM = Program(settings=ProgramSettings(), headroom=0.85)
+MEMORY = 2.0**30
+PRICE = Price(share_per_weight=0.01, capacity_bytes_per_second=1e6, packet_overhead_s=1e-4)
+ROW = TopicPlan(rate_hz=100.0, min_rate_hz=2.0, deadline_ns=0, depth=1, weight=2.0, wire_bytes=900.0, packets=1)
+
+
+def often(few, many):
+    """Draw from a few values, which coincide, or from many."""
+    return st.one_of(st.sampled_from(few), many)
+
+
+@st.composite
+def robots(draw):
+    found = []
+    for i in range(draw(st.integers(1, 8))):
+        desired_hz = draw(often([5.0, 10.0, 20.0, math.inf], st.floats(0.1, 500.0)))
+        found.append(
+            Topic(
+                name=f"/t{i}",
+                wire_bytes=draw(often([1000.0, 2000.0], st.floats(60.0, 1e5))),
+                packets=draw(st.integers(1, 70)),
+                desired_rate_hz=desired_hz,
+                min_rate_hz=min(desired_hz, draw(often([0.0, 5.0, 10.0], st.floats(0.0, 50.0)))),
+                weight=draw(often([1.0, 2.0], st.floats(0.01, 100.0))),
+            )
+        )
+    return found
+
+
+CAPACITIES = often([5e3, 1e4, 2e4, 4e4, 1e5], st.floats(1e3, 1e8))
+SHARES = often([0.0, 0.25, 0.5, 1.0], st.integers(0, 10**6).map(lambda millionths: millionths / 1e6))
+OVERHEADS = st.sampled_from([0.0, 1e-4])
+
+
+def row_of(topic, *, margin=1.0):
+    return TopicPlan(
+        rate_hz=margin * topic.desired_rate_hz,
+        min_rate_hz=topic.min_rate_hz,
+        deadline_ns=0,
+        depth=1,
+        weight=topic.weight,
+        wire_bytes=topic.wire_bytes,
+        packets=topic.packets,
+    )
+
+
+def divided(topics, capacity, share, overhead=0.0):
+    allocation = PROGRAM.solve(capacity, topics, MEMORY, packet_overhead_s=overhead, share=share)
+    assert allocation.price is not None
+    return allocation
+
+
+@settings(deadline=None, max_examples=400)
+@given(robots(), CAPACITIES, SHARES, OVERHEADS)
+def test_the_price_gives_everybody_the_programs_rate(topics, capacity, share, overhead):
+    """With its ceiling at the desired rate, each publisher computes the rate that the program divided, to 1e-9."""
+    allocation = divided(topics, capacity, share, overhead)
+    for topic, given_ in zip(topics, allocation.topics, strict=True):
+        assert allocation.price.rate_hz(row_of(topic)) == pytest.approx(given_.rate_hz, rel=1e-9)
+
+
+@settings(deadline=None, max_examples=200)
+@given(robots(), CAPACITIES, SHARES, OVERHEADS)
+def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):
+    """With room above each source in the ceilings, what the sources publish takes no more than the share."""
+    price = divided(topics, capacity, share, overhead).price
+    spent = math.fsum(
+        (topic.packets * overhead + topic.wire_bytes / capacity)
+        * min(topic.desired_rate_hz, price.rate_hz(row_of(topic, margin=1.25)))
+        for topic in topics
+    )
+    assert spent <= share * (1 + 1e-9)
+
+
+@settings(deadline=None, max_examples=200)
+@given(robots(), CAPACITIES, st.tuples(SHARES, SHARES).map(sorted), OVERHEADS)
+def test_no_rate_falls_when_the_budget_rises(topics, capacity, shares, overhead):
+    """Every publisher's rate is monotone in the budget, also where floors give way."""
+    low, high = (divided(topics, capacity, share, overhead).price for share in shares)
+    for topic in topics:
+        row = row_of(topic, margin=1.25)
+        assert low.rate_hz(row) <= high.rate_hz(row) * (1 + 1e-9)
+
+
+MBIT = 125_000.0
+CAMERA = Topic(name="/camera", wire_bytes=60_000.0, packets=46, desired_rate_hz=30.0, min_rate_hz=4.0)
+LIDAR = Topic(name="/lidar", wire_bytes=20_000.0, packets=16, desired_rate_hz=20.0, min_rate_hz=10.0)
+IMU = Topic(name="/imu", wire_bytes=600.0, packets=2, desired_rate_hz=200.0, min_rate_hz=50.0, weight=5.0)
+
+
+@pytest.mark.parametrize("capacity", [0.0, 0.5 * MBIT, 2 * MBIT, 4.5 * MBIT, 5 * MBIT, 10 * MBIT])
+def test_floors_never_admit_more_than_is_usable(capacity):
+    """At any fall the rows of a plan for 20 Mbit/s admit what is usable, all of it and no more, whatever the floors."""
+    topics = (CAMERA, LIDAR, IMU)
+    plan = make_plan(
+        divided(topics, 20 * MBIT, 0.85),
+        topics,
+        [publisher("/n", topic.name) for topic in topics],
+        previous=QosPlan(generation=0, topics={}, level_bytes_per_second=0.0),
+        generation=1,
+        settings=Settings(),
+    )
+    price = PROGRAM.solve(capacity, topics, MEMORY).price
+    assert price is not None
+    rates = {topic: min(topic.desired_rate_hz, price.rate_hz(plan.topics[topic.name])) for topic in topics}
+    assert sum(topic.wire_bytes * rate_hz for topic, rate_hz in rates.items()) == pytest.approx(0.85 * capacity)
+    if 0.85 * capacity >= sum(topic.wire_bytes * topic.min_rate_hz for topic in topics):
+        assert all(rate_hz >= topic.min_rate_hz for topic, rate_hz in rates.items())
+
+
+def test_one_topic_that_wants_the_whole_link_gets_what_it_carries():
+    """Where the link, not the wish, is the ceiling, the price stays finite."""
+    price = divided([CAMERA], 5 * MBIT, 1.0).price
+    assert price.rate_hz(row_of(CAMERA, margin=1.25)) == pytest.approx(5 * MBIT / CAMERA.wire_bytes)
+
+
+@pytest.mark.parametrize("change", [{"weight": 0.0}, {"wire_bytes": 0.0}])
+@pytest.mark.parametrize("share", [0.0, 0.1, math.inf])
+def test_without_terms_the_rate_is_the_ceiling(change, share):
+    """A row without weight or size has the rate that it says: no price applies."""
+    assert replace(PRICE, share_per_weight=share).rate_hz(replace(ROW, **change)) == ROW.rate_hz
+
+
+def test_a_size_too_small_to_count_costs_nothing():
+    """A link time that rounds to 0 gives the ceiling, not an error."""
+    assert replace(PRICE, packet_overhead_s=0.0).rate_hz(replace(ROW, wire_bytes=5e-324)) == ROW.rate_hz
+
+
+@pytest.mark.parametrize(("weight", "floor_hz"), [(1.0, 0.0), (2.0, 0.5), (4.0, 2.0)])
+def test_light_topics_give_way_first(weight, floor_hz):
+    """Below the yielding weight there is no floor, at it a part, above it all of it."""
+    short = replace(PRICE, share_per_weight=0.0, yielding_weight=2.0, kept_floor=0.25)
+    assert short.floor_hz(replace(ROW, weight=weight)) == floor_hz
+    assert short.rate_hz(replace(ROW, weight=weight)) == floor_hz
+
+
+@settings(deadline=None)
+@given(
+    st.floats(0.1, 10.0),
+    st.tuples(*[st.one_of(st.just(1.0), st.floats(0.98, 1.02)) for _ in range(3)]),
+    st.booleans(),
+    st.integers(0, 20),
+)
+def test_a_price_that_is_near_gives_nearly_the_same_rate(capacity, noise, follows, packets):
+    """Prices within 1 % of each other give rates within 2.1 %, also where level and capacity move apart."""
+    before, (level, overhead, kept) = replace(PRICE, yielding_weight=2.0, kept_floor=0.5), noise
+    after = replace(
+        before,
+        capacity_bytes_per_second=before.capacity_bytes_per_second * capacity,
+        share_per_weight=before.share_per_weight * level / capacity,
+        packet_overhead_s=before.packet_overhead_s * overhead / (capacity if follows else 1.0),
+        kept_floor=before.kept_floor * kept,
+    )
+    row = replace(ROW, packets=packets)
+    if after.is_near(before, tolerance=0.01):
+        assert after.rate_hz(row) == pytest.approx(before.rate_hz(row), rel=0.021)
+    if follows and noise == (1.0, 1.0, 1.0):
+        assert after.is_near(before, tolerance=0.01)
+
+
+@pytest.mark.parametrize("change", [{"share_per_weight": math.inf}, {"yielding_weight": 1.0}, {"kept_floor": 0.0}])
+def test_what_changes_rates_is_not_near(change):
+    """A price that frees everybody, or makes floors give way, is news."""
+    assert not replace(PRICE, **change).is_near(PRICE, tolerance=0.01)
+    assert replace(PRICE, **change).is_near(replace(PRICE, **change, loss_ratio=0.1), tolerance=0.01)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"share_per_weight": -0.1},
+        {"share_per_weight": math.nan},
+        {"capacity_bytes_per_second": 0.0},
+        {"capacity_bytes_per_second": math.inf},
+        {"packet_overhead_s": -1e-4},
+        {"packet_overhead_s": math.nan},
+        {"yielding_weight": -1.0},
+        {"yielding_weight": math.inf},
+        {"kept_floor": 1.1},
+        {"kept_floor": math.nan},
+    ],
+)
+def test_nonsense_is_refused(change):
+    """No price with a number that means nothing comes to be."""
+    with pytest.raises(ValueError):
+        replace(PRICE, **change)
+
+
+def test_a_price_that_nobody_repeats_silences_nobody():
+    """A daemon may die in an outage: publishers then send at least what their DEADLINEs promise."""
+    shut = replace(PRICE, share_per_weight=0.0, yielding_weight=10.0, kept_floor=0.0)
+    row = TopicPlan(
+        rate_hz=20.0, min_rate_hz=1.0, deadline_ns=200_000_000, depth=5, weight=1.0, wire_bytes=1e3, packets=1
+    )
+    assert (shut.rate_hz(row), replace(shut, is_stale=True).rate_hz(row)) == (0.0, 5.0)
+    assert replace(shut, is_stale=True).rate_hz(replace(row, deadline_ns=0)) == 1.0
