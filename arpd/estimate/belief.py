@@ -30,7 +30,7 @@ class Belief:
 
     @property
     def events_by_kind(self) -> Mapping[str, int]:
-        """Number of events of each rule."""
+        """Number of events of each kind."""
         return MappingProxyType(dict(self._events))
 
     def change(self, event: EstimatorEvent, now_s: float, capacity: float, why: str) -> None:
@@ -38,7 +38,7 @@ class Belief:
         before, self.capacity = self.capacity, max(capacity, 1.0)
         self.changed_at_s = now_s
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
-        # Without a peer this rule applies every second, mostly without a change.
+        # Without a peer the capacity is stated again and again, mostly unchanged.
         self._events[event] += event is not EstimatorEvent.LOCAL or self.capacity != before
 
     def note(self, event: EstimatorEvent) -> None:

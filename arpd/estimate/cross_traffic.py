@@ -25,8 +25,9 @@ _STEP_S = 0.5
 _REMEMBERED_COSTS = 4  # announcements: as many as touch one window
 _MEMORY_S = 10.0  # samples not carried for this long will not be: only outages fill deeper histories
 # Measured on the demo robot (14 participants, 12 topics; veth and tbf, 5 and 20 Mbit/s): the interface carries 0.10 to
-# 0.25 Mbit/s more than the topics and probes explain: discovery, reports, gate. The discovery of a swap adds 0.3 Mbit/s
-# for a few seconds, and the wire model errs by one or two per cent, so a part of the allowance grows with the topics.
+# 0.25 Mbit/s more than the topics and probes explain: discovery, reports, messages of the daemon. The discovery of a
+# swap adds 0.3 Mbit/s for a few seconds, and the wire model errs by one or two per cent, so a part of the allowance
+# grows with the topics.
 _CHATTER_BYTES_PER_SECOND = 40_000.0
 _TOPICS_ALLOWANCE = 0.05
 

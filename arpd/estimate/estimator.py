@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from statistics import median
+from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.estimate.belief import Belief
+from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue
 from arpd.estimate.parameters import EstimatorParameters
@@ -14,23 +15,29 @@ from arpd.estimate.peer_queue import PeerGauges, SentProbe
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
+from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from arpd.estimate.probes import ProbeParameters
     from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
 
 _ENOUGH_TRAINS = 3
+_MEASURED = (CapacityKind.PEER, CapacityKind.LOCAL)
 
 
 class Estimator:
     """Estimates the link's capacity; one `update` per tick.
 
-    Throughput alone never shows capacity, so delivery counts only while a queue stands (rule *down*). Otherwise the
-    dispersion of probe trains counts (rules *first*, *undo*, *agree*, *follow*). Silence is an outage, not a capacity.
+    Throughput alone never shows capacity. So four kinds of evidence meet in one `CapacityBelief`: what arrives while a
+    queue stands (two-sided), the dispersion of probe trains (biased low), what was carried at all (a lower bound), and
+    whether pings meet a queue (a link that carries R is idle for 1 − R/C of the time). Silence is an outage, not a
+    capacity.
 
     The capacity is that of the whole link: a peer under a standing queue also receives cross traffic, and a train
     leaves faster than the link and gives others little room between its packets. So cross traffic is subtracted. This
@@ -43,7 +50,7 @@ class Estimator:
     Parameters
     ----------
     settings : pinned values, and the capacity to assume at first
-    parameters, probing : constants of the rules and of the probes
+    parameters, probing : constants of the estimator and of the probes
     """
 
     def __init__(
@@ -56,8 +63,8 @@ class Estimator:
         self._parameters = parameters or EstimatorParameters()
         self._schedule = ProbeSchedule(probing)
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
-        self._before_down: float | None = None
-        self._down_at_s = -math.inf
+        self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
+        self._fell_at_s = -math.inf
         self._state = LinkState.APP_LIMITED
         self._started_at_s: float | None = None
         self._last_s = self._reported_s = -math.inf
@@ -72,17 +79,18 @@ class Estimator:
         self._cross_traffic_rate = 0.0
         self._burst_s = 0.0  # link time of the largest message; so much is no queue
         self._burst_bytes = 0.0
+        self._pinged: list[float] = []
         self._train: tuple[float, float] = (-math.inf, 0.0)  # the last one: departure s, bytes on the link
         self._queue_delay_s = 0.0
         self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
-        self._high_reports = 0
-        self._onset_s = -math.inf
+        self._queues: deque[tuple[float, float]] = deque()  # time s, queue s; as far back as makes a queue stand
+        self._learns_from_s = self._queued_here_s = -math.inf
 
     @property
     def has_evidence(self) -> bool:
         """True when the first plan may be made: the capacity is measured or pinned, or the wait for a peer is over."""
         return (
-            self._belief.kind in (CapacityKind.PEER, CapacityKind.LOCAL)
+            self._belief.kind in _MEASURED
             or self._settings.capacity_bytes_per_second is not None
             or (self._started_at_s is not None and self._last_s - self._started_at_s > self._first_wait_s)
         )
@@ -92,6 +100,7 @@ class Estimator:
         self._settings = settings
         if self._belief.kind is CapacityKind.CONFIGURED:
             self._belief.capacity = settings.initial_capacity_bytes_per_second
+            self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
         if settings.capacity_bytes_per_second is not None:
             self._forget_queue()
 
@@ -100,7 +109,6 @@ class Estimator:
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         if self._started_at_s is None:
             self._started_at_s = now_s
-        elapsed_s = max(0.0, min(1.0, now_s - self._last_s))
         self._last_s = now_s
         self._expect_bursts(observation)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
@@ -108,13 +116,16 @@ class Estimator:
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         self._cross_traffic_rate = self._cross_traffic.update(observation)
         self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
+        if self._local.busy_rate is not None:
+            self._queued_here_s = now_s
         for report in observation.reports:
             self._digest(report)
         self._measure_queue(now_s)
+        self._learn(now_s, has_reports=bool(observation.reports))
         silence_s = now_s - self._reported_s
         self._silence.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
         if silence_s <= self._outage_s:
-            self._state = self._judge(now_s, elapsed_s)
+            self._state = self._judge(now_s)
         elif self._silence.is_cut or (
             silence_s <= self._parameters.peer_lost_s and observation.peers != 0 and not self._silence.is_answered
         ):
@@ -137,7 +148,7 @@ class Estimator:
                 is_measured=self._belief.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
-                is_urgent=self._before_down is not None and now_s - self._down_at_s < self._parameters.undo_window_s,
+                is_urgent=now_s - self._fell_at_s < self._parameters.urgent_s,
                 surprise_bytes_per_second=self._surprise(now_s),
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
@@ -161,7 +172,7 @@ class Estimator:
         sizes = [
             publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
             for publisher in observation.publishers
-            if publisher.payload_bytes > 0
+            if publisher.payload_bytes > 0 and publisher.direction is not Direction.LOCAL
         ]
         train_bytes = self._train[1] if observation.now_s - self._train[0] < self._parameters.train_is_near_s else 0.0
         largest = max(sizes, default=0.0)
@@ -177,163 +188,159 @@ class Estimator:
         self._loss.digest(report)
         peer = self._peers.digest(report, handed_bytes=self._local.handed_bytes)
         if report.delays_s:
-            self._high_reports = self._high_reports + 1 if peer.delay_s > self._queue_high_s else 0
+            self._pinged.append(peer.delay_s)
         if self._peers.is_first(report.peer):
             for train in report.trains:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        was_quiet = self._queue_delay_s <= self._queue_high_s
         backlog_s = self._peers.backlog_s(
             now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity
         )
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
-        self._queue_delay_s = max(0.0, self._peers.delay_s(now_s), self._alarm_s)
-        if was_quiet and self._queue_delay_s > self._queue_high_s:
-            self._onset_s = max(self._onset_s, now_s)  # what was delivered before is demand, not capacity
+        pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._capacity)
+        self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
+        self._queues.append((now_s, self._queue_delay_s))
+        while len(self._queues) > 1 and now_s - self._queues[1][0] >= self._parameters.busy_after_s:
+            self._queues.popleft()
+
+    def _stays_s(self, span_s: float) -> float:
+        """Return the shortest queue of a span: bursts come and go, and a queue that stays means a busy link (s)."""
+        if not self._queues or self._queues[-1][0] - self._queues[0][0] < 0.8 * span_s:
+            return 0.0
+        since_s = self._queues[-1][0] - span_s
+        return min(queue_s for at_s, queue_s in self._queues if at_s >= since_s)
 
     def _forget_queue(self) -> None:
-        """Forget a queue that no peer measures now; its last length must not hold the gate."""
+        """Forget a queue that no peer measures now; its last length must not hold the budget."""
         self._peers.forget()
         self._queue_delay_s = self._alarm_s = self._local.backlog_s
-        self._high_reports = 0
+        self._queues.clear()
 
     def _resume(self, now_s: float, silent_s: float) -> None:
         self._forget_queue()
         self._trains.clear()
-        # Reports that waited describe the outage, and the first delivery is only what the gate let pass.
-        self._onset_s = now_s + self._parameters.resume_patience_s
+        # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
+        self._learns_from_s = now_s + self._parameters.resume_patience_s
         self._cross_traffic.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
-            self._before_down, self._down_at_s = self._capacity, now_s
-            resumed = self._parameters.resume_ratio * self._capacity
+            self._fell_at_s = now_s
+            self._capacities.scatter(0.7)
             why = f"reports resumed after {silent_s:.1f} s of silence"
-            self._belief.change(EstimatorEvent.RESUME, now_s, resumed, why)
+            self._belief.change(EstimatorEvent.RESUME, now_s, self._capacities.stated, why)
 
-    # -- the rules
+    # -- the capacity
 
-    def _judge(self, now_s: float, elapsed_s: float) -> LinkState:
-        """Apply the rules down, first, undo, agree, carried and follow while a peer reports."""
-        p = self._parameters
-        if self._is_certain():
-            return self._queue_stands(now_s)
-        if self._queue_delay_s > self._queue_low_s:
-            return self._congested(now_s)
-        recent = self._capacities(now_s - p.train_window_s)
+    def _learn(self, now_s: float, *, has_reports: bool) -> None:
+        """Weigh what the counters and the newest reports say of the capacity."""
+        p, believed = self._parameters, self._capacities
+        if now_s - self._reported_s > self._outage_s:
+            return  # silence is no capacity; without a peer, `_judge_alone` learns
+        why = ""
+        for rate in self._trains.take(packet_overhead_s=self._overhead_s):
+            believed.wait(now_s)
+            believed.train(rate)
+            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
+        pinged, self._pinged = self._pinged, []
+        if now_s <= self._learns_from_s:
+            return
+        stays = self._stays_s(p.busy_after_s) > p.busy_s + 1.5 * (self._peers.return_delay_s or 0.0)
+        delivered = self._delivered(now_s - p.recent_s if stays else -math.inf)
+        busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
+        hears_others = self._peers.delivery(-math.inf)[0] > p.foreign * self._most_delivered
+        if not busy and stays and has_reports and delivered > 0 and not hears_others:
+            busy = [delivered]
+        for rate in busy:
+            believed.wait(now_s)
+            believed.delivered_busy(rate, overhead=self._overhead_of(rate))
+            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
+        if stays and hears_others and not busy and has_reports and delivered > 0:
+            believed.wait(now_s)
+            believed.filled_by(delivered)
+            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
+        elif not busy and not stays and delivered > 0:
+            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports)
+        self._state_capacity(now_s, why or "carried without a queue")
+
+    def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool) -> None:
+        """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
+        p, believed, overhead = self._parameters, self._capacities, self._overhead_of(delivered)
+        # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
+        if overhead + delivered / self._capacity <= p.used:
+            return
+        believed.wait(now_s)
+        if has_reports:
+            believed.carried(p.caution * delivered, overhead=overhead)
+        # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
+        if self._burst_s <= 2.0 * p.idle_s:
+            return
+        shown = 1.0 - p.idle_s / self._burst_s
+        for delay_s in pinged if self._alarm_s == 0.0 else ():
+            is_idle = delay_s < p.idle_s
+            weight = p.ping_weight / len(self._peers)  # a ping goes to each of them
+            believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
+        if not has_reports and self._local.is_empty and now_s - self._queued_here_s < p.queued_here_s:
+            believed.ping(delivered, was_idle=True, weight=p.look_weight, overhead=overhead)
+
+    def _state_capacity(self, now_s: float, why: str) -> None:
+        """State what is believed now, if that is news."""
+        p, capacity = self._parameters, self._capacities.stated
         if self._belief.kind is not CapacityKind.PEER:
-            if len(recent) >= _ENOUGH_TRAINS:
+            if self._trains.count >= _ENOUGH_TRAINS:
                 self._belief.kind = CapacityKind.PEER
-                self._belief.change(EstimatorEvent.FIRST, now_s, median(recent), f"first {len(recent)} trains")
-            return LinkState.APP_LIMITED
-        if not (self._undo(now_s) or self._agree(now_s) or self._carried(now_s)):
-            trains = recent if len(recent) >= _ENOUGH_TRAINS else self._capacities(-math.inf)[-_ENOUGH_TRAINS:]
-            if len(trains) >= _ENOUGH_TRAINS and now_s - self._down_at_s >= p.up_after_down_s:
-                self._follow(trains, now_s, elapsed_s)
+                self._belief.change(EstimatorEvent.FIRST, now_s, capacity, f"first {self._trains.count} trains")
+        elif abs(capacity / self._capacity - 1.0) > p.noticed:
+            if capacity < p.fallen * self._capacity:
+                self._fell_at_s = now_s
+            event = EstimatorEvent.DOWN if capacity < self._capacity else EstimatorEvent.UP
+            self._belief.change(event, now_s, capacity, why)
+
+    def _delivered(self, since_s: float) -> float:
+        """Return what this host sent and peers received since then; bytes from other senders are no evidence."""
+        return min(self._peers.delivery(since_s)[0], self._most_delivered)
+
+    @property
+    def _most_delivered(self) -> float:
+        """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
+        window_s = self._parameters.delivery_window_s
+        is_here = self._last_s - self._queued_here_s < self._parameters.queued_here_s
+        span_s = window_s + (0.0 if is_here else min(2.0, self._queue_delay_s))
+        return self._local.sent_bytes_per_second(span_s) * span_s / window_s or math.inf
+
+    def _overhead_of(self, rate: float) -> float:
+        """Return the part of the time that packets of the recent size cost beyond their bytes at this rate."""
+        received, packet_rate = self._peers.delivery(-math.inf)
+        return rate * packet_rate / received * self._overhead_s if received > 0 else 0.0
+
+    def _judge(self, now_s: float) -> LinkState:
+        """Return the state while a peer reports."""
+        if self._stays_s(self._parameters.standing_s) > self._queue_low_s:
+            is_draining = now_s - self._fell_at_s < self._parameters.urgent_s
+            return LinkState.DRAINING if is_draining else LinkState.CONGESTED
         busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
-
-    def _is_certain(self) -> bool:
-        """Return whether a queue stands: two reports of pings show it, or the bytes and one other witness."""
-        if self._high_reports >= 2:
-            return True
-        if self._alarm_s <= self._queue_high_s:
-            return False
-        return self._high_reports == 1 or self._local.stands or self._peers.is_steady(self._onset_s)
-
-    def _congested(self, now_s: float) -> LinkState:
-        is_draining = now_s - self._down_at_s < self._parameters.undo_window_s
-        return LinkState.DRAINING if is_draining else LinkState.CONGESTED
-
-    def _queue_stands(self, now_s: float) -> LinkState:
-        """Take the delivery as the capacity: the link is never idle. The time of packet overhead does not count."""
-        p = self._parameters
-        rate, packet_rate = self._peers.delivery(self._onset_s)
-        rate /= max(0.1, 1.0 - packet_rate * self._overhead_s)
-        if rate > 0 and now_s - self._down_at_s >= p.down_interval_s:
-            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
-            if rate < p.down_margin * self._capacity:
-                if now_s - self._down_at_s > p.undo_window_s or self._before_down is None:
-                    self._before_down = self._capacity
-                self._belief.kind = CapacityKind.PEER
-                self._down_at_s = now_s
-                self._belief.change(EstimatorEvent.DOWN, now_s, rate, why)
-                # Earlier trains measured another link.
-                self._trains.clear()
-            elif rate * p.down_margin > self._capacity:
-                self._belief.change(EstimatorEvent.CARRIED, now_s, rate, why)
-        return self._congested(now_s)
-
-    def _undo(self, now_s: float) -> bool:
-        """Return to the capacity before the last fall when two trains since then saw nearly as much."""
-        p = self._parameters
-        if self._before_down is None or now_s - self._down_at_s > p.undo_window_s:
-            return False
-        later = self._capacities(self._down_at_s)[-2:]
-        if len(later) < 2 or min(later) < p.undo_ratio * self._before_down or min(later) < self._capacity:
-            return False
-        self._belief.change(EstimatorEvent.UNDO, now_s, min(later), "trains contradict the last fall")
-        self._before_down = None
-        return True
-
-    def _agree(self, now_s: float) -> bool:
-        """Jump to what the last two trains agree on, if it is clearly more: two do not err upwards together."""
-        p = self._parameters
-        last = self._capacities(now_s - p.agree_window_s)[-2:]
-        if len(last) < 2 or p.caution * min(last) <= p.clearly_more * self._capacity:
-            return False
-        self._before_down = None
-        self._belief.change(
-            EstimatorEvent.AGREE, now_s, p.caution * min(last), f"two trains see {min(last) * 8e-6:.1f} Mbit/s"
-        )
-        return True
-
-    def _carried(self, now_s: float) -> bool:
-        """Rise to what this host sent and peers received; bytes from other senders are no evidence."""
-        p = self._parameters
-        rate = p.caution * min(self._peers.delivery(-math.inf)[0], self._local.sent_bytes_per_second)
-        if rate <= p.clearly_more * self._capacity:
-            return False
-        self._belief.change(EstimatorEvent.CARRIED, now_s, rate, "more arrived than was believed")
-        return True
-
-    def _follow(self, trains: list[float], now_s: float, elapsed_s: float) -> None:
-        """Move towards what trains see, by a bounded part per second.
-
-        A sample inside a train makes it read low, never high. So one low train is no evidence of a fall, and downwards
-        the estimate follows only the best of the last three.
-        """
-        step = self._parameters.climb_per_second * elapsed_s
-        middle, best = median(trains), max(trains[-_ENOUGH_TRAINS:])
-        if middle > self._capacity:
-            seen, moved = middle, min(middle, self._capacity * (1 + step))
-        elif best < self._parameters.fall_ratio * self._capacity:
-            seen, moved = best, max(best, self._capacity * (1 - step))
-        else:
-            return
-        self._belief.change(EstimatorEvent.FOLLOW, now_s, moved, f"trains see {seen * 8e-6:.1f} Mbit/s")
 
     def _judge_alone(self, observation: Observation) -> LinkState:
         """Judge without a peer: what leaves while the local queue pushes back is the capacity."""
         counters, now_s = observation.counters, observation.now_s
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
-        if (window := self._local.pushes_back(observation)) is None:
-            return LinkState.CONGESTED if self._local.stands else LinkState.APP_LIMITED
-        pushes_back, sent = window
-        if pushes_back and sent > 0:
+        p, believed, sent = self._parameters, self._capacities, self._local.sent_bytes_per_second()
+        blocked = self._local.blocked_rate(observation)
+        if (rate := self._local.busy_rate or blocked) is not None:
+            believed.wait(now_s)
+            believed.delivered_busy(rate)
             self._belief.kind = CapacityKind.LOCAL
-            self._belief.change(EstimatorEvent.LOCAL, now_s, sent, "local queue pushed back at this send rate")
-            return LinkState.CONGESTED
-        if self._belief.kind is not CapacityKind.CONFIGURED:
-            self._belief.kind = CapacityKind.LOCAL
-            ceiling = max(self._settings.initial_capacity_bytes_per_second, self._capacity)
-            grown = self._capacity * (1 + self._parameters.alone_climb_per_second * self._parameters.local_window_s)
-            self._belief.change(
-                EstimatorEvent.LOCAL, now_s, min(ceiling, grown), "no peer reports; probing upwards slowly"
-            )
-        return LinkState.APP_LIMITED
+        elif self._local.is_empty and now_s - self._queued_here_s < p.queued_here_s and sent > p.used * self._capacity:
+            believed.wait(now_s)
+            believed.ping(sent, was_idle=True, weight=p.look_weight)
+        if self._belief.kind is CapacityKind.LOCAL:
+            capacity = self._capacities.stated
+            if abs(capacity / self._capacity - 1.0) > self._parameters.noticed:
+                self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
+        return LinkState.CONGESTED if self._local.stands or blocked is not None else LinkState.APP_LIMITED
 
     @property
     def _outage_s(self) -> float:
@@ -343,10 +350,6 @@ class Estimator:
     @property
     def _queue_low_s(self) -> float:
         return self._parameters.queue_low_s + self._burst_s
-
-    @property
-    def _queue_high_s(self) -> float:
-        return self._parameters.queue_high_s + self._burst_s
 
     # -- results
 
@@ -359,12 +362,9 @@ class Estimator:
         pinned = self._settings.packet_overhead_s
         return self._trains.packet_overhead_s if pinned is None else pinned
 
-    def _capacities(self, since_s: float) -> list[float]:
-        return self._trains.capacities(since_s, packet_overhead_s=self._overhead_s)
-
     def _surprise(self, now_s: float) -> float | None:
         """Return what the last train saw, if that is far from the capacity (bytes/s)."""
-        last = self._capacities(now_s - self._parameters.agree_window_s)[-1:]
+        last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
         return last[0] if last and abs(last[0] / self._capacity - 1) > self._parameters.surprise else None
 
     def _estimate(self, observation: Observation) -> LinkEstimate:
@@ -385,6 +385,8 @@ class Estimator:
             state=self._state,
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
+            standing_delay_s=self._stays_s(self._parameters.standing_s),
+            cautious_ratio=self._capacities.cautious_ratio if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,

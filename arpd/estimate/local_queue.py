@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _BLOCKED_SHARE = 0.2  # of the time: publishers waited for so long for room in the socket
 _SENT_WINDOW_S = 0.35
+_SENT_MEMORY_S = 3.0
 _ANNOUNCED_S = 1.0  # most age of an announced waiting time
 
 
@@ -24,7 +25,6 @@ _ANNOUNCED_S = 1.0  # most age of an announced waiting time
 class _Look:
     at_s: float
     sent_bytes: int
-    dropped: int
     blocked_s: Mapping[tuple[str, str], float]  # by node and topic
 
 
@@ -43,6 +43,7 @@ class LocalQueue:
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0
+        self.is_empty = False
 
     @property
     def stands(self) -> bool:
@@ -50,14 +51,21 @@ class LocalQueue:
         return self.backlog_s > 0.0
 
     @property
-    def sent_bytes_per_second(self) -> float:
-        """Rate at which bytes left the interface lately, 0 while unknown (bytes/s)."""
-        span_s = self._sent[-1][0] - self._sent[0][0] if self._sent else 0.0
-        return (self._sent[-1][1] - self._sent[0][1]) / span_s if span_s > 0.5 * _SENT_WINDOW_S else 0.0
+    def busy_rate(self) -> float | None:
+        """Capacity between the last two looks, None where the interface may have idled (bytes/s)."""
+        return self._backlog.busy_rate
+
+    def sent_bytes_per_second(self, span_s: float = _SENT_WINDOW_S) -> float:
+        """Return the rate at which bytes left the interface lately, 0 while unknown (bytes/s)."""
+        if not self._sent:
+            return 0.0
+        now_s, sent = self._sent[-1]
+        since_s, before = next(each for each in self._sent if now_s - each[0] <= span_s)
+        return (sent - before) / (now_s - since_s) if now_s - since_s > 0.5 * span_s else 0.0
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
         """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
-        self.handed_bytes, self.backlog_s = None, 0.0
+        self.handed_bytes, self.backlog_s, self.is_empty = None, 0.0, False
         if counters is None or not counters.is_up:
             self._backlog.clear()
             self._sent.clear()
@@ -67,23 +75,25 @@ class LocalQueue:
             self._sent.clear()
         left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
         self._sent.append((now_s, counters.tx_bytes))
-        while now_s - self._sent[0][0] > _SENT_WINDOW_S:
+        while now_s - self._sent[0][0] > _SENT_MEMORY_S:
             self._sent.popleft()
         backlog = counters.backlog_bytes or 0
+        self.is_empty = counters.backlog_bytes == 0
         self.handed_bytes = counters.tx_bytes + backlog
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
         self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
 
-    def pushes_back(self, observation: Observation) -> tuple[bool, float] | None:
-        """Return once per window whether the interface could not keep up, and its rate (bytes/s); otherwise None."""
-        counters = observation.counters
-        if counters is None:
+    def blocked_rate(self, observation: Observation) -> float | None:
+        """Return what left while publishers waited for room, once per window; None when they did not (bytes/s).
+
+        A dropped packet alone shows nothing: an idle link has bad moments.
+        """
+        if observation.counters is None:
             self._since = None
             return None
         look = _Look(
             at_s=observation.now_s,
-            sent_bytes=counters.tx_bytes,
-            dropped=counters.tx_dropped,
+            sent_bytes=observation.counters.tx_bytes,
             # Publishers on other hosts wait for their own interfaces.
             blocked_s={
                 (publisher.node, publisher.topic): publisher.blocked_s
@@ -100,8 +110,8 @@ class LocalQueue:
         if span_s < self._window_s:
             return None
         self._since = look
-        is_late = _waited_s(since, look) > _BLOCKED_SHARE * span_s or look.dropped > since.dropped
-        return self.stands or is_late, (look.sent_bytes - since.sent_bytes) / span_s
+        sent = look.sent_bytes - since.sent_bytes
+        return sent / span_s if sent > 0 and _waited_s(since, look) > _BLOCKED_SHARE * span_s else None
 
 
 def _waited_s(since: _Look, look: _Look) -> float:
@@ -112,6 +122,8 @@ def _waited_s(since: _Look, look: _Look) -> float:
 
 
 _STANDING_S = 0.08
+_LEAST_SPAN_S = 0.015  # a shorter one counts too few packets
+_SURELY = 1.2  # times what left: counters are read one after the other
 _LEAST_RATE = 0.05  # of the capacity: a queue that nothing leaves is long, and not endless
 
 
@@ -130,14 +142,27 @@ class StandingQueue:
     Parameters
     ----------
     fresh_s : looks that are older, or further apart, do not count (s)
+    least_span_s : a shorter interval shows no busy rate (s)
     """
 
-    def __init__(self, *, fresh_s: float = math.inf) -> None:
-        self._fresh_s = fresh_s
+    def __init__(self, *, fresh_s: float = math.inf, least_span_s: float = _LEAST_SPAN_S) -> None:
+        self._fresh_s, self._least_span_s = fresh_s, least_span_s
         self._looks: deque[_Waiting] = deque()
+        self.busy_rate: float | None = None  # bytes/s between the last two looks, None where the link may have idled
 
-    def note(self, now_s: float, *, waiting_bytes: float, left_bytes: float) -> None:
-        """Note the bytes that wait, and the bytes that left since the look before."""
+    def note(self, now_s: float, *, waiting_bytes: float, left_bytes: float, interval_s: float | None = None) -> None:
+        """Note the bytes that wait, and those that left since the look before, or in the interval.
+
+        When no more left than waited at the look before, the link was never idle between the two, and what left is its
+        capacity.
+        """
+        self.busy_rate = None
+        if self._looks:
+            before = self._looks[-1]
+            apart_s = now_s - before.at_s
+            span_s = apart_s if interval_s is None else interval_s
+            if min(span_s, apart_s) >= self._least_span_s and before.waiting_bytes >= _SURELY * left_bytes > 0:
+                self.busy_rate = left_bytes / span_s
         self._looks.append(_Waiting(now_s, waiting_bytes, left_bytes))
         # Keep as many looks as separate a standing queue from a burst.
         while len(self._looks) > 1 and now_s - self._looks[1].at_s >= _STANDING_S:
@@ -146,6 +171,7 @@ class StandingQueue:
     def clear(self) -> None:
         """Forget every look."""
         self._looks.clear()
+        self.busy_rate = None
 
     def delay_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
         """Return how long the waiting bytes will take to leave; 0 while a burst of messages may explain them (s).

@@ -16,13 +16,15 @@ if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
 
 _BYTES_ARE_FRESH_S = 0.3
+_OVERLAP = 1.3
 _MISSING_PINGS = 5
 _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
-_LEAST_INTERVAL_S = 0.05  # a shorter one counts too few packets
-_STEADY_INTERVALS = 2
+# What waits is read at a tick, up to 20 ms after the report left. So the bytes that arrive in a shorter interval may
+# have come meanwhile, to a link that was idle.
+_LEAST_INTERVAL_S = 0.05
+_HELD_INTERVAL_S = 1.5 * PROMPT_S  # a shorter report had to wait before it left
 _WAITED_S = 0.3  # a report that is later than this waited for the link, not behind other reports
 _RESUMING_S = 3.0
-_STEADY_RATIO = 0.85
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,10 +69,11 @@ class QueueGauge:
         self._under_way: deque[SentProbe] = deque(maxlen=100)
         self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
         self._since_ping: tuple[float, float] | None = None  # bytes handed before it, received after it
-        self._good_s = -math.inf  # arrival of the last ping that met no queue
-        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)  # bytes on the way at such arrivals
+        self._last_ping: SentProbe | None = None
+        # Bytes on the way when pings that met no queue arrived.
+        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)
         self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # as parts of the bytes handed over
-        self._backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S)
+        self._backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S, least_span_s=_LEAST_INTERVAL_S)
 
     def note_sent(self, probe: SentProbe) -> None:
         """Note a probe that leaves."""
@@ -87,7 +90,7 @@ class QueueGauge:
         self._deliveries.clear()
         self._under_way.clear()
         self._round_trips.clear()
-        self._since_ping = None
+        self._since_ping = self._last_ping = None
         self._missing.clear()
         self._in_flight.clear()
         self._backlog.clear()
@@ -109,7 +112,8 @@ class QueueGauge:
             self._deliveries.popleft()
         if self._since_ping is not None:
             self._since_ping = self._since_ping[0], self._since_ping[1] + report.rx_bytes
-        round_trip_s = self._arrived(report.last_probe, now_s)
+        self._backlog.busy_rate = None
+        round_trip_s = self._arrived(report)
         # A delay that no ping of ours explains says nothing: it may come from a second peer of the same name.
         if report.delays_s and round_trip_s < math.inf:
             # Round trips use our own clock, so they bound what a step of the peer's clock adds to a delay. The least
@@ -119,20 +123,32 @@ class QueueGauge:
             self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
                 self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
-        is_good = bool(report.delays_s) and self.delay_s < self._parameters.queue_low_s
-        if is_good:
-            self._good_s = now_s
         if handed_bytes is None or self._since_ping is None:
             return
         if self._missing and median(self._missing) > _MOST_MISSING:
             self._backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
-        if is_good:
+        if report.delays_s and self.delay_s < self._parameters.queue_low_s:
             self._in_flight.append(outstanding)
         # Some bytes are on the way even without a queue, and some arrivals since the ping are not counted yet.
         backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
-        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes)
+        # While the report waited on its way back, more was handed over, and as much arrived.
+        late_s = max(0.0, self.return_delay_s or 0.0)
+        backlog -= 1.5 * late_s * report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
+        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
+        way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
+        if self._overlaps or report.interval_s < way_s:
+            self._backlog.busy_rate = None  # what is on a long way looks like what waits
+
+    @property
+    def _overlaps(self) -> bool:
+        """True when reports cover more time than passed: some were late, or two hosts share a name."""
+        if not self._deliveries:
+            return False
+        first_s, interval_s, *_ = self._deliveries[0]
+        passed_s = self._deliveries[-1][0] - first_s + interval_s
+        return sum(each[1] for each in self._deliveries) > _OVERLAP * passed_s
 
     def _waited_out(self, report: PeerReport) -> bool:
         """Return whether a report waited for the end of an outage, so its counts describe the link before.
@@ -152,18 +168,21 @@ class QueueGauge:
             delays.popleft()
         return delay_s - min(delay for _, delay in delays)
 
-    def _arrived(self, last_probe: int, now_s: float) -> float:
-        """Settle every probe up to a number, and return the round trip of the last ping (s)."""
-        round_trip_s = math.inf
-        while self._under_way and self._under_way[0].number <= last_probe:
+    def _arrived(self, report: PeerReport) -> float:
+        """Settle every probe up to that of a report, and return the round trip of the last ping (s)."""
+        round_trip_s, now_s = math.inf, report.received_at_s
+        while self._under_way and self._under_way[0].number <= report.last_probe:
             probe = self._under_way.popleft()
             if not probe.is_ping:
                 continue  # the report of a train waits for further probes
             round_trip_s = now_s - probe.sent_s
             self._round_trips.append((now_s, round_trip_s))
-            if probe.number == last_probe:
+            if probe.number == report.last_probe:
+                self._last_ping = probe
                 self._note_missing(probe)
-                self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, 0.0)
+                # At worst, all bytes of a report that was held arrived after its ping.
+                later = float(report.rx_bytes) if report.interval_s < _HELD_INTERVAL_S else 0.0
+                self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, later)
         while self._round_trips and now_s - self._round_trips[0][0] > self._parameters.delay_window_s:
             self._round_trips.popleft()
         return round_trip_s
@@ -175,6 +194,19 @@ class QueueGauge:
         handed, received = self._since_ping
         if (sent := probe.handed_bytes - handed) > self._parameters.burst_bytes:
             self._missing.append(1.0 - received / sent)
+
+    @property
+    def busy_rate(self) -> float | None:
+        """Capacity over the last report, None where the link may have idled (bytes/s)."""
+        return self._backlog.busy_rate
+
+    def projected_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
+        """Return the queue now: the one that the last ping met, what came since, less what the link carried (s)."""
+        ping = self._last_ping
+        if ping is None or ping.handed_bytes is None or handed_bytes is None:
+            return self.delay_s
+        come_s = max(0.0, handed_bytes - ping.handed_bytes) / capacity
+        return max(0.0, self.delay_s + come_s - (now_s - ping.sent_s))
 
     def overdue_s(self, now_s: float) -> float:
         """Return how much longer than usual the oldest unreported ping is on its way; the queue is no shorter (s).
@@ -192,17 +224,6 @@ class QueueGauge:
         return self._backlog.delay_s(
             now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second
         )
-
-    def is_steady(self, since_s: float) -> bool:
-        """Return whether deliveries since then came at one rate, as from a queue and not from an application."""
-        if self._good_s > since_s:
-            return False
-        rates = [
-            size / interval_s
-            for at_s, interval_s, size, _ in self._deliveries
-            if at_s - interval_s >= since_s and interval_s > _LEAST_INTERVAL_S
-        ]
-        return len(rates) >= _STEADY_INTERVALS and min(rates) >= _STEADY_RATIO * max(rates) > 0
 
     def delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
         """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""
@@ -249,9 +270,26 @@ class PeerGauges:
         for gauge in self._gauges.values():
             gauge.forget()
 
-    def delay_s(self, now_s: float) -> float:
-        """Return the delay of a ping by the longest queue, also of one that has not arrived yet (s)."""
-        return max((max(gauge.delay_s, gauge.overdue_s(now_s)) for gauge in self._gauges.values()), default=0.0)
+    def delay_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
+        """Return the longest queue now by the pings, also by one that has not arrived yet (s).
+
+        While another peer reports, one that is silent is gone, and no queue holds its pings.
+        """
+        newest_s = max((gauge.reported_s for gauge in self._gauges.values()), default=-math.inf)
+        return max(
+            (
+                max(gauge.projected_s(now_s, handed_bytes=handed_bytes, capacity=capacity), gauge.overdue_s(now_s))
+                for gauge in self._gauges.values()
+                if newest_s - gauge.reported_s <= self._parameters.outage_s
+            ),
+            default=0.0,
+        )
+
+    @property
+    def busy_rate(self) -> float | None:
+        """Capacity over the last report of the only peer, None where the link may have idled (bytes/s)."""
+        gauges = tuple(self._gauges.values())
+        return gauges[0].busy_rate if len(gauges) == 1 else None
 
     def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
         """Return how long the missing bytes of the longest queue will take to arrive (s)."""
@@ -260,10 +298,6 @@ class PeerGauges:
             for gauge in self._gauges.values()
         )
         return max(each, default=0.0)
-
-    def is_steady(self, since_s: float) -> bool:
-        """Return whether deliveries to any peer since then came at one rate, as from a queue."""
-        return any(gauge.is_steady(since_s) for gauge in self._gauges.values())
 
     def delivery(self, since_s: float) -> tuple[float, float]:
         """Return what all peers received in the last intervals that began since then (bytes/s, packets/s)."""

@@ -38,7 +38,7 @@ class ProbeParameters:
     small_every, pair_s : one in so many large trains is followed by one of small packets, after this time (s)
     """
 
-    share: float = 0.0095
+    share: float = 0.008
     pings_share: float = 0.0035
     report_bytes: int = 230
     ping_s: float = 0.09

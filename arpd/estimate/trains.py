@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -46,6 +47,8 @@ class TrainLog:
     def __init__(self, memory_s: float) -> None:
         self._memory_s = memory_s
         self._large: deque[_Reading] = deque()
+        self.count = 0  # readings of large packets so far
+        self._taken = 0
         self._last: _Reading | None = None  # of a large packet; outlives `clear`
         # t_ovh s, whether it is that or less, and the time of a large packet then s
         self._overheads: deque[tuple[float, bool, float]] = deque(maxlen=_PAIRS)
@@ -62,6 +65,7 @@ class TrainLog:
         large = self._large[-1] if self._large else None
         if large is None or reading.packet_bytes > _SMALL * large.packet_bytes:
             self._large.append(reading)
+            self.count += 1
             self._last = reading
             self._forget(now_s)
         elif now_s - large.at_s <= _PAIR_S:
@@ -71,6 +75,11 @@ class TrainLog:
             excess = reading.packet_s * large.packet_bytes - least * reading.packet_bytes
             is_bound = train.sent_s >= _SENDER_LIMITED * train.duration_s
             self._overheads.append((excess / (large.packet_bytes - reading.packet_bytes), is_bound, least))
+
+    def take(self, *, packet_overhead_s: float) -> list[float]:
+        """Return the capacities that large trains saw since the last call, newest last (bytes/s)."""
+        fresh, self._taken = self.count - self._taken, self.count
+        return self.capacities(-math.inf, packet_overhead_s=packet_overhead_s)[-fresh:] if fresh else []
 
     def clear(self) -> None:
         """Forget the capacities; the overhead of a packet depends on the radio, and stays."""

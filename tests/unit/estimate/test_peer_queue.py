@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.estimate.parameters import EstimatorParameters
-from arpd.estimate.peer_queue import QueueGauge, SentProbe
+from arpd.estimate.peer_queue import PeerGauges, QueueGauge, SentProbe
 from arpd.model.probing import PeerReport
 
 PARAMETERS = EstimatorParameters()
@@ -84,6 +84,9 @@ class Fifo:
     def backlog_s(self, burst_bytes=0.0, capacity=RATE):
         return self.gauge.backlog_s(self.now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
 
+    def projected_s(self):
+        return self.gauge.projected_s(self.now_s, handed_bytes=self._known(), capacity=RATE)
+
     def _carry(self, until_s):
         carried = min(self.queue, RATE * (until_s - self.now_s))
         self.queue -= carried
@@ -147,12 +150,32 @@ def test_an_overdue_ping_waits_behind_a_queue_of_that_length(waits_s, standing_s
     assert fifo.gauge.overdue_s(fifo.now_s) == 0.0
 
 
-def test_before_any_ping_nothing_is_overdue():
-    """Before the first round trip nothing is usual."""
-    gauge = QueueGauge(PARAMETERS)
-    assert gauge.overdue_s(5.0) == 0.0
-    gauge.note_sent(SentProbe(number=1, sent_s=0.0, handed_bytes=None))
-    assert gauge.overdue_s(5.0) == 0.0
+def test_only_pings_are_overdue_and_only_after_a_first_one():
+    """Before the first round trip nothing is usual, and the report of a train waits for further probes."""
+    fifo = Fifo()
+    fifo.ping()
+    assert fifo.gauge.overdue_s(fifo.now_s + 5.0) == 0.0
+    fifo.run(0.1)
+    fifo.gauge.note_sent(SentProbe(number=99, sent_s=fifo.now_s, handed_bytes=0.0, is_ping=False))
+    assert fifo.gauge.overdue_s(fifo.now_s + 5.0) == 0.0
+
+
+# -- projected
+
+
+@pytest.mark.parametrize("is_busy", [False, True])
+@settings(deadline=None)
+@given(st.lists(st.floats(0.0, 0.15), min_size=3, max_size=30), CLOCKS, st.floats(0.0, 1.0))
+def test_the_queue_that_a_ping_met_is_projected_to_now(is_busy, loads_s, clock_s, later_s):
+    """What the last ping met, what came since, less the time since: exact on a busy link, and never too long."""
+    fifo = Fifo(clock_s=clock_s)
+    fifo.cycle()
+    for load_s in loads_s:
+        fifo.cycle((load_s + 0.1 * is_busy) * RATE)
+        true_s = fifo.queue / RATE
+        assert true_s - (1e-5 if is_busy else true_s) <= fifo.projected_s() <= true_s + 1e-5
+    fifo.now_s += later_s
+    assert fifo.projected_s() <= max(0.0, true_s - later_s) + 1e-5
 
 
 # -- bytes
@@ -172,6 +195,47 @@ def test_bytes_tell_the_queue_before_a_ping_can(loads, clock_s, growth):
     assert fifo.backlog_s() == pytest.approx(fifo.queue / RATE, abs=1e-3 + max(loads) / RATE)
 
 
+@settings(deadline=None)
+@given(st.lists(st.floats(0.0, 0.3), min_size=5, max_size=40))
+def test_a_link_that_was_never_idle_shows_its_exact_capacity(loads_s):
+    """Bytes that waited before a report and did not all arrive in it prove that the link was busy."""
+    fifo = Fifo()
+    fifo.cycle()
+    for load_s in loads_s:
+        fifo.wait(0.1, load_s * RATE)
+        assert fifo.gauge.busy_rate in (None, pytest.approx(RATE, rel=1e-3))
+    fifo.wait(0.1, 0.3 * RATE)
+    fifo.wait(0.1)
+    assert fifo.gauge.busy_rate == pytest.approx(RATE, rel=1e-3)
+    fifo.gauge.forget()
+    assert fifo.gauge.busy_rate is None
+
+
+def test_bytes_that_arrived_before_a_held_report_do_not_wait():
+    """A report that waited after its ping has bytes of later messages, so a link that is idle then is not slow."""
+    gauge, handed, late = QueueGauge(PARAMETERS), 0, 0
+    # Samples leave and arrive after a report; one leaves after a ping and arrives while its report is held for 20 ms.
+    rounds = [*[(0.1, 0, 30_000)] * 5, (0.1, 0, 0), (0.02, 30_000, 0), (0.1, 0, 0)]
+    for number, (interval_s, early, next_late) in enumerate(rounds, 1):
+        gauge.note_sent(SentProbe(number=number, sent_s=0.1 * number, handed_bytes=handed))
+        report = steadily((100 + early + late) / interval_s, 0.1 * number + 0.01, interval_s)
+        late, handed = next_late, handed + early
+        gauge.digest(replace(report, delays_s=(0.004,), last_probe=number), handed_bytes=handed)
+        assert gauge.busy_rate is None
+        handed += late
+
+
+def test_a_short_interval_shows_no_capacity():
+    """The bytes handed over are read after the report left, and a message may have come in between."""
+    fifo = Fifo()
+    fifo.cycle()
+    for _ in range(3):
+        fifo.wait(0.1, 0.2 * RATE)
+        assert fifo.gauge.busy_rate is None or fifo.gauge.busy_rate == pytest.approx(RATE)
+        fifo.wait(0.02)
+        assert fifo.gauge.busy_rate is None
+
+
 def test_lost_bytes_raise_an_alarm_until_the_next_ping():
     """Lost bytes look like a queue until the next ping arrives."""
     fifo = Fifo()
@@ -186,65 +250,20 @@ def test_lost_bytes_raise_an_alarm_until_the_next_ping():
     assert fifo.gauge.delay_s == pytest.approx(0.0, abs=1e-5)
 
 
-def test_a_burst_of_messages_is_no_queue():
-    """Bytes within a burst of the largest messages are no queue; above that, all of them count."""
-    fifo = Fifo()
-    fifo.cycle()
-    for _ in range(4):
-        fifo.wait(0.1, 0.1 * RATE + 10_000)
-    assert fifo.backlog_s(9_999) == pytest.approx(40_000 / RATE, rel=0.01)
-    assert fifo.backlog_s(40_000) == 0.0
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(0.0, 0.9 * RATE * 0.1), min_size=5, max_size=40))
-def test_messages_that_pass_before_the_next_ones_come_are_no_queue(sizes):
-    """A queue that was empty a moment ago does not stand, at any size of messages."""
-    fifo = Fifo()
-    fifo.cycle()
-    for size in sizes:
-        fifo.send(size)
-        fifo.report()
-        fifo.wait(0.1)
-        assert fifo.backlog_s(burst_bytes=1.0) == 0.0
-
-
-def test_a_link_that_carries_nothing_still_has_a_queue_of_some_length():
-    """When nothing arrives, the bytes count at a small part of the capacity, so the time is finite."""
-    fifo = Fifo()
-    fifo.cycle()
-    fifo.send(40_000)
-    for _ in range(4):
-        fifo.now_s += 0.1
-        fifo.report()
-    assert fifo.backlog_s(capacity=RATE) == pytest.approx(40_000 / (0.05 * RATE))
-
-
-def test_old_bytes_do_not_count():
-    """After half a second without a report, bytes say nothing."""
-    fifo = Fifo()
-    fifo.cycle()
-    for _ in range(4):
-        fifo.wait(0.1, 0.15 * RATE)
-    assert fifo.backlog_s() > 0.0
-    fifo.now_s += 0.5
-    assert fifo.backlog_s() == 0.0
-
-
 @settings(deadline=None)
 @given(LOADS)
 def test_without_counters_only_pings_speak(loads):
-    """Without counters of the interface, delays still count."""
+    """Without counters of the interface the delay counts, and bytes can neither have come nor have left."""
     fifo = Fifo(is_counted=False)
     fifo.cycle()
     for load in loads:
         fifo.cycle(load)
         fifo.report()
-        assert fifo.backlog_s() == 0.0
+        assert (fifo.backlog_s(), fifo.gauge.busy_rate) == (0.0, None)
     fifo.send(0.2 * RATE)
     in_front = fifo.queue
     fifo.cycle(duration_s=in_front / RATE + 0.01)
-    assert fifo.gauge.delay_s == pytest.approx(in_front / RATE, abs=1e-5)
+    assert fifo.projected_s() == fifo.gauge.delay_s == pytest.approx(in_front / RATE, abs=1e-5)
 
 
 def test_after_forget_measuring_starts_again():
@@ -264,61 +283,6 @@ def test_after_forget_measuring_starts_again():
 # -- delivery
 
 
-@settings(deadline=None)
-@given(st.lists(st.floats(0.02, 0.25), min_size=1, max_size=30), st.floats(1e3, 1e8))
-def test_delivery_is_bytes_over_the_time_they_took(intervals_s, rate):
-    """At a steady rate, intervals of any length show that rate."""
-    gauge = QueueGauge(PARAMETERS)
-    now_s = 10.0
-    for interval_s in intervals_s:
-        now_s += interval_s
-        gauge.digest(steadily(rate, now_s, interval_s), handed_bytes=None)
-        bytes_per_second, packets_per_second = gauge.delivery()
-        assert bytes_per_second == pytest.approx(rate)
-        assert packets_per_second * 1000 == pytest.approx(rate)
-
-
-def test_a_peer_that_slept_reports_one_long_interval():
-    """The long interval of a suspended host is its delivery, and replaces earlier ones."""
-    gauge = QueueGauge(PARAMETERS)
-    for at_s in (1.0, 1.1, 1.2):
-        gauge.digest(steadily(4e5, at_s, 0.1), handed_bytes=None)
-    gauge.digest(steadily(1e3, 21.2, 20.0), handed_bytes=None)
-    assert gauge.delivery()[0] == pytest.approx(1e3)
-
-
-def test_delivery_follows_within_its_window():
-    """One window after a change of the rate, the old rate does not count."""
-    gauge = QueueGauge(PARAMETERS)
-    steps = round(PARAMETERS.delivery_window_s / 0.1) + 1
-    for step in range(20):
-        rate = 4e5 if step < 20 - steps else 1e5
-        gauge.digest(steadily(rate, 0.1 * step, 0.1), handed_bytes=None)
-    assert gauge.delivery()[0] == pytest.approx(1e5)
-
-
-def test_delivery_since_a_moment_leaves_out_what_began_before():
-    """Only intervals that began after a moment count; without any, the delivery is 0."""
-    gauge = QueueGauge(PARAMETERS)
-    for step in range(10):
-        gauge.digest(steadily(1e5 if step < 9 else 3e5, 0.1 * step, 0.1), handed_bytes=None)
-    assert gauge.delivery(0.75)[0] == pytest.approx(3e5)
-    assert gauge.delivery(0.95) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("rates", "is_steady"),
-    [((3e5, 3e5), True), ((3e5, 2.8e5), True), ((3e5, 1.5e5), False), ((0.0, 0.0), False), ((3e5,), False)],
-)
-def test_only_an_even_stream_is_steady(rates, is_steady):
-    """A queue is served at one rate: two different intervals come from an application, and one is no evidence."""
-    gauge = QueueGauge(PARAMETERS)
-    gauge.digest(steadily(9e5, 1.0, 0.1), handed_bytes=None)
-    for step, rate in enumerate(rates, start=1):
-        gauge.digest(steadily(rate, 1.0 + 0.1 * step, 0.1), handed_bytes=None)
-    assert gauge.is_steady(0.99) == is_steady
-
-
 def steadily(rate, now_s, interval_s):
     return PeerReport(
         peer="p",
@@ -329,13 +293,30 @@ def steadily(rate, now_s, interval_s):
     )
 
 
-def test_a_train_is_not_overdue():
-    """The report of a train waits for further probes, so only pings can be overdue."""
-    fifo = Fifo()
-    for _ in range(5):
-        fifo.cycle()
-    fifo.gauge.note_sent(SentProbe(number=99, sent_s=fifo.now_s, handed_bytes=0.0, is_ping=False))
-    assert fifo.gauge.overdue_s(fifo.now_s + 0.15) == 0.0
+def fed(rates, *, interval_s=0.1):
+    """Return a gauge after one report per rate, the last one at the time 0."""
+    gauge = QueueGauge(PARAMETERS)
+    for place, rate in enumerate(rates, 1):
+        gauge.digest(steadily(rate, (place - len(rates)) * interval_s, interval_s), handed_bytes=None)
+    return gauge
+
+
+@given(st.floats(0.02, 0.25), st.integers(1, 30), st.floats(1e3, 1e8))
+def test_delivery_is_bytes_over_the_time_they_took(interval_s, reports, rate):
+    """At a steady rate, intervals of any length show that rate."""
+    delivery = fed([rate] * reports, interval_s=interval_s).delivery()
+    assert delivery == (pytest.approx(rate), pytest.approx(rate / 1000))
+
+
+def test_delivery_follows_within_its_window():
+    """One window after a change the old rate does not count, after a pause at once, and never before a moment."""
+    steps = round(PARAMETERS.delivery_window_s / 0.1) + 1
+    gauge = fed([4e5] * 10 + [1e5] * (steps - 1) + [3e5])
+    assert gauge.delivery()[0] < 3e5
+    assert gauge.delivery(-0.15)[0] == pytest.approx(3e5)
+    assert gauge.delivery(-0.05) == (0.0, 0.0)
+    gauge.digest(steadily(1e3, 20.0, 20.0), handed_bytes=None)
+    assert gauge.delivery()[0] == pytest.approx(1e3)
 
 
 @pytest.mark.parametrize("elsewhere", [0.5, 0.95])
@@ -381,15 +362,6 @@ def test_the_way_back_is_measured_above_its_least(ways_back_s, clock_s):
     assert gauge.delay_s == pytest.approx(0.0, abs=2e-6)
 
 
-@pytest.mark.parametrize("step_s", [-300.0, 300.0])
-def test_a_step_of_a_clock_is_no_queue_on_the_way_back(step_s):
-    """Round trips by our clock bound what a step of a clock adds."""
-    gauge = QueueGauge(PARAMETERS)
-    for number in range(1, 60):
-        excess_s = answer(gauge, number, way_back_s=0.004, clock_s=0.0 if number < 30 else step_s)
-        assert 0.0 <= excess_s <= 0.021
-
-
 def test_without_a_return_delay_the_way_back_is_unknown():
     """The way back is unknown before a report with a return delay, and after `forget`."""
     gauge = QueueGauge(PARAMETERS)
@@ -415,3 +387,24 @@ def test_a_report_that_waited_out_an_outage_delivers_nothing(waited_s, after_s, 
     report(2, 110.0, 7.0)
     report(3, 110.0 + after_s, 7.0 + waited_s)
     assert (gauge.delivery(110.05)[0] > 0) is counts
+
+
+# -- several peers
+
+
+def test_a_peer_that_died_has_no_queue():
+    """While another peer answers, overdue pings of a silent one are no queue; when all are silent, they are."""
+    gauges = PeerGauges(PARAMETERS)
+    longest_s: dict[str, float] = {}
+    for tick in range(1, 31):
+        now_s, heard = 0.1 * tick, "ab" if tick <= 10 else "a" if tick <= 20 else ""
+        gauges.note_sent(SentProbe(number=tick, sent_s=now_s - 0.01, handed_bytes=None))
+        for peer in heard:
+            report = replace(steadily(1e5, now_s, 0.1), peer=peer, delays_s=(0.005,), last_probe=tick)
+            gauges.digest(report, handed_bytes=None)
+        # Until it has been silent for a while, nobody knows.
+        if tick not in range(11, 15):
+            delay_s = gauges.delay_s(now_s, handed_bytes=None, capacity=RATE)
+            longest_s[heard] = max(delay_s, longest_s.get(heard, 0.0))
+    assert longest_s["ab"] == longest_s["a"] == 0.0
+    assert longest_s[""] > 0.8
