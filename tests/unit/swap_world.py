@@ -15,6 +15,7 @@ class Writer:
         self.acknowledges = True
         self.readers = world.readers
         self.loses_readers = False
+        self.has_reliable_readers = world.has_reliable_readers
         self.missed = 0
 
     def publish(self, sample):
@@ -29,6 +30,9 @@ class Writer:
     def is_acknowledged(self):
         assert self.is_alive, "looked at a destroyed writer"
         return self.acknowledges
+
+    def readers_acknowledge(self):
+        return self.has_reliable_readers
 
     def disconnects_readers(self):
         return self.loses_readers
@@ -46,6 +50,7 @@ class World:
 
     def __init__(self):
         self.readers = 1
+        self.has_reliable_readers = True
         self.refuses = False
         self.writers = []
         self.results = []

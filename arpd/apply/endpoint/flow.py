@@ -17,6 +17,8 @@ from arpd.model.wire import FRAGMENT_BYTES
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from arpd.model.price import Price
+
 # Samples that a swap held leave at twice their rate. A burst would crowd the link, and push samples out of a small
 # history of the writer or a reader.
 _CATCH_UP = 0.5
@@ -41,7 +43,7 @@ class Flow(Generic[W]):
 
     Notes
     -----
-    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_gate` and `state`. An owner with threads takes
+    Not thread-safe, but `write` may run beside `offer`, `retune`, `set_price` and `state`. An owner with threads takes
     samples one by one under its lock and writes them outside it, because a writer may block when the link is full.
     """
 
@@ -62,9 +64,9 @@ class Flow(Generic[W]):
         self._may_conflate = overflow is Overflow.LATEST
         self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
-        self._gate = 1.0
+        self._price: Price | None = None
         self._slow_start = SlowStart()
-        self._paced_for = (1.0, False)  # gate, and whether a slow start holds
+        self._is_slow = False  # whether a slow start holds
         self._source, self._departures = SampleRate(), SampleRate()
         self._withheld: Counter[str] = Counter()  # by cause
         self._deadlines = DeadlineCount(self._swap.current)
@@ -94,6 +96,11 @@ class Flow(Generic[W]):
     def offered(self) -> int:
         """Samples that the application gave so far."""
         return self._source.samples
+
+    @property
+    def payload_bytes(self) -> float:
+        """Mean size of a sample, 0 before the first (bytes)."""
+        return self._payload_bytes
 
     @property
     def is_waiting(self) -> bool:
@@ -191,12 +198,13 @@ class Flow(Generic[W]):
         self._pace(now_s)
         self._swap.request(qos)
 
-    def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is there, and the gate is open."""
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link, from which the rate follows; None = no daemon is there."""
         now_s = self._clock()
-        self._slow_start.has_daemon = gate is not None
-        self._gate = 1.0 if gate is None else gate
-        if self._paced_for != (self._gate, self._slow_start.holds(now_s)):
+        self._slow_start.has_daemon = price is not None
+        self._swap.loss_ratio = None if price is None else price.loss_ratio
+        if price != self._price or self._is_slow != self._slow_start.holds(now_s):
+            self._price = price
             self._pace(now_s)
 
     def service(self, now_s: float) -> float:
@@ -250,6 +258,7 @@ class Flow(Generic[W]):
             queued=len(self._pacer) + len(self._held),
             blocked_s=self._blocked_s,
             rate_hz=self._plan.rate_hz,
+            paced_rate_hz=self._pacer.rate_hz,
             depth=self.qos.depth,
             deadline_ns=self.qos.deadline_ns,
             deadlines_missed=self._deadlines.missed,
@@ -283,19 +292,16 @@ class Flow(Generic[W]):
         self._payload_bytes += weight * (len(sample) - self._payload_bytes)
 
     def _flowing_hz(self, now_s: float) -> float:
-        """Return the rate at which samples leave when neither gate nor swap holds them, as far as it is known."""
-        rate_hz, source_hz = self._plan.rate_hz, self._source.rate_hz(now_s)
-        # A planned rate above the source's would absorb the first part of a gate.
+        """Return the rate at which samples leave when no swap holds them, as far as it is known."""
+        rate_hz, source_hz = self._pacer.rate_hz, self._source.rate_hz(now_s)
         return min(rate_hz, source_hz) if source_hz > 0 else rate_hz
 
     def _pace(self, now_s: float) -> None:
-        rate_hz = self._plan.rate_hz
-        if self._gate < 1.0:
-            rate_hz = max(self._flowing_hz(now_s) * self._gate, min(self._plan.min_rate_hz, rate_hz))
-        self._paced_for = self._gate, self._slow_start.holds(now_s)
-        if self._paced_for[1]:
+        rate_hz = self._plan.rate_hz if self._price is None else self._price.rate_hz(self._plan)
+        self._is_slow = self._slow_start.holds(now_s)
+        if self._is_slow:
             rate_hz = min(rate_hz, SLOW_START_HZ)
-        limit = DropCause.GATE if rate_hz < self._plan.rate_hz else DropCause.RATE
+        limit = DropCause.PRICE if rate_hz < self._plan.rate_hz else DropCause.RATE
         self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s, limit=limit)
 
     def _on_withheld(self, samples: int, cause: DropCause) -> None:

@@ -13,16 +13,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 # A source at its paced rate may be early by half a period, or catch up on 50 ms that its scheduler cost, and is not
-# delayed. No window of T seconds sees more than rate·T + max(1.5, rate·50 ms) samples.
+# delayed. No window of T seconds sees more than rate·T + max(2, rate·50 ms) samples.
 _LEAST_BURST = 1.5
 _BURST_S = 0.05
+# Credit that comes between two samples of a faster source waits for the second one, and must not be lost meanwhile.
+_CONFLATING_BURST = 2.0
+_PATIENCE = 1.5  # source periods that a sample waits for a fresher one: by then its source may have stopped
+_GAP_WEIGHT = 0.1
+_LONGEST_GAP_S = 5.0  # a longer one is a silence
 
 
 class Pacer:
     """A bounded queue, emptied by a token bucket.
 
-    It counts credit in samples, so a change of rate leaves the credit as it is: a gate that moves ten times a second
+    It counts credit in samples, so a change of rate leaves the credit as it is: a price that moves ten times a second
     neither releases a sample early nor keeps an old schedule.
+
+    With ``latest``, a sample that finds credit leaves on arrival. Credit that comes while an older sample waits is for
+    the next arrival, which is fresher; only if none comes within 1.5 periods of the source, the older one leaves.
 
     Parameters
     ----------
@@ -44,6 +52,9 @@ class Pacer:
         self._credit = _LEAST_BURST
         self._at_s = -math.inf
         self._queue: deque[bytes] = deque()
+        self._is_due = False  # the newest sample found credit, and waits only for the thread that writes it
+        self._arrived_s = -math.inf
+        self._gap_s = 0.0  # mean time between two samples of the source, 0 = not known yet
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -58,7 +69,7 @@ class Pacer:
 
         Parameters
         ----------
-        limit : cause of the drops from now on, `rate` or `gate`, by the origin of this rate
+        limit : cause of the drops from now on, `rate` or `price`, by the origin of this rate
         """
         self._earn(now_s)
         self._rate_hz = rate_hz
@@ -69,8 +80,10 @@ class Pacer:
     def offer(self, sample: bytes, now_s: float) -> None:
         """Queue a sample; ``latest`` keeps only the newest, ``queue`` drops the oldest beyond the depth."""
         self._earn(now_s)
+        self._note_arrival(now_s)
         self._queue.append(sample)
         self._shed()
+        self._is_due = self._credit >= 1.0 and self._rate_hz > 0
 
     def admits(self, now_s: float) -> bool:
         """Return whether a sample may leave without being queued, and spend its credit."""
@@ -79,6 +92,7 @@ class Pacer:
         self._earn(now_s)
         if self._credit < 1.0 or self._rate_hz <= 0:
             return False
+        self._note_arrival(now_s)
         self._credit -= 1.0
         return True
 
@@ -87,9 +101,10 @@ class Pacer:
         if not self._queue or self._rate_hz <= 0:
             return math.inf
         self._earn(now_s)
-        if self._credit >= 1.0:
-            return now_s
-        return now_s + (1.0 - self._credit) / self._rate_hz
+        due_s = now_s if self._credit >= 1.0 else now_s + (1.0 - self._credit) / self._rate_hz
+        if self._waits_for_fresher:
+            return max(due_s, self._arrived_s + _PATIENCE * self._gap_s)
+        return due_s
 
     def take(self, now_s: float) -> bytes | None:
         """Return the next sample if it may leave now, and spend its credit."""
@@ -105,6 +120,12 @@ class Pacer:
         if withheld:
             self._on_withheld(withheld, DropCause.CLOSED)
 
+    def _note_arrival(self, now_s: float) -> None:
+        gap_s = now_s - self._arrived_s
+        self._arrived_s = now_s
+        if 0.0 <= gap_s < _LONGEST_GAP_S:
+            self._gap_s += (_GAP_WEIGHT if self._gap_s else 1.0) * (gap_s - self._gap_s)
+
     def _earn(self, now_s: float) -> None:
         if math.isinf(self._rate_hz):
             self._credit = _LEAST_BURST
@@ -113,18 +134,34 @@ class Pacer:
         self._at_s = max(self._at_s, now_s)
 
     @property
+    def _may_replace(self) -> bool:
+        """Whether a newer sample takes the place of one that waits for credit."""
+        return self._overflow is Overflow.LATEST and not math.isinf(self._rate_hz)
+
+    @property
+    def _is_outrun(self) -> bool:
+        """Whether the source is faster than the rate in force, so that some of its samples must give way."""
+        return self._may_replace and self._rate_hz * self._gap_s < 1.0
+
+    @property
+    def _waits_for_fresher(self) -> bool:
+        return self._is_outrun and not self._is_due
+
+    @property
     def _most_credit(self) -> float:
-        return _LEAST_BURST if math.isinf(self._rate_hz) else max(_LEAST_BURST, _BURST_S * self._rate_hz)
+        if math.isinf(self._rate_hz):
+            return _LEAST_BURST
+        return max(_CONFLATING_BURST if self._is_outrun else _LEAST_BURST, _BURST_S * self._rate_hz)
 
     def _shed(self) -> None:
         bound = self._depth
-        if self._overflow is Overflow.LATEST and not math.isinf(self._rate_hz):
-            # Samples that have credit wait only for the thread that writes them, as unpaced ones do: keep those.
-            bound = max(1, int(self._credit))
+        if self._may_replace:
+            # Samples that are due wait only for the thread that writes them, as unpaced ones do: keep those.
+            bound = max(1, int(self._credit)) if self._is_due else 1
         excess = len(self._queue) - bound
         if excess > 0:
             for _ in range(excess):
                 self._queue.popleft()
             # At full credit the next sample has been due for at least half a period, so pacing does not hold it.
-            is_due = self._rate_hz > 0 and self._credit >= self._most_credit
-            self._on_withheld(excess, DropCause.BLOCKED if is_due else self._limit)
+            is_held = self._rate_hz <= 0 or self._credit < self._most_credit or self._waits_for_fresher
+            self._on_withheld(excess, self._limit if is_held else DropCause.BLOCKED)

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import DropCause, WriterQos
+from arpd.model.price import Price
 from arpd.model.settings import Overflow
 from arpd.model.wire import FRAGMENT_BYTES
 from tests.unit import swap_world
 
 STEP_S = 0.005
+TERMS = {"weight": 1.0, "wire_bytes": 1.0, "packets": 1}
 SMALL, LARGE = bytes(FRAGMENT_BYTES), bytes(FRAGMENT_BYTES + 1)
 
 
@@ -37,7 +39,6 @@ class World(swap_world.World):
     def __init__(self, *, depth=10, overflow=Overflow.LATEST):
         super().__init__()
         self.now_s = 100.0
-        self.gate = 1.0
         self.flow = Flow(
             create=self.create,
             qos=WriterQos(depth=depth, deadline_ns=0),
@@ -53,9 +54,8 @@ class World(swap_world.World):
         plan = replace(self.flow.plan, **changes)
         self.flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
 
-    def set_gate(self, gate):
-        self.gate = gate
-        self.flow.set_gate(gate)
+    def set_price(self, rate_hz):
+        self.flow.set_price(price(rate_hz))
 
     def give(self, sample, *, by):
         if by == "publish":
@@ -67,6 +67,11 @@ class World(swap_world.World):
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S
             self.flow.service(self.now_s)
+
+
+def price(rate_hz):
+    """Return the price at which a topic of these terms, without a floor, gets this rate."""
+    return Price(share_per_weight=rate_hz, capacity_bytes_per_second=1.0)
 
 
 def name(number):
@@ -132,7 +137,7 @@ def test_a_hold_conflates_nothing_that_pacing_lets_through():
             st.tuples(st.just("admit"), st.integers(1, 8)),
             st.tuples(st.just("depth"), st.integers(1, 8)),
             st.tuples(st.just("rate"), st.sampled_from([0.0, 1.0, 20.0, float("inf")])),
-            st.tuples(st.just("gate"), st.sampled_from([0.1, 0.5, 1.0])),
+            st.tuples(st.just("price"), st.sampled_from([0.0, 0.5, 10.0, 1000.0, math.inf])),
             st.tuples(st.just("wait"), st.sampled_from([0.005, 0.1, 0.5, 2.0])),
             st.tuples(st.just("acknowledge"), st.booleans()),
             st.tuples(st.just("break"), st.booleans()),
@@ -142,7 +147,7 @@ def test_a_hold_conflates_nothing_that_pacing_lets_through():
     st.sampled_from(Overflow),
 )
 def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
-    """Any sequence of swaps, rates and gates accounts for each sample, and none leaves twice."""
+    """Any sequence of swaps, plans and prices accounts for each sample, and none leaves twice."""
     world = World(overflow=overflow)
     offered = 0
     is_broken = False
@@ -158,9 +163,9 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
         elif what == "depth":
             world.retune(depth=value)
         elif what == "rate":
-            world.retune(rate_hz=value)
-        elif what == "gate":
-            world.set_gate(value)
+            world.retune(rate_hz=value, **TERMS)
+        elif what == "price":
+            world.set_price(value)
         elif what == "wait":
             with suppress(RuntimeError):
                 world.wait(value)
@@ -184,9 +189,10 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
 
 def possible_causes(world, *, is_broken):
     """Return the causes for which a sample may be withheld now."""
-    gated = {DropCause.GATE} if world.gate < 1.0 and world.flow._pacer.rate_hz < world.flow.plan.rate_hz else set()
-    paced = {DropCause.RATE} if not gated and world.flow.plan.rate_hz < math.inf else set()
-    return {DropCause.BLOCKED} | gated | paced | ({DropCause.FAILED} if is_broken else set())
+    plan_hz = world.flow.plan.rate_hz
+    priced = {DropCause.PRICE} if world.flow.state().paced_rate_hz < plan_hz else set()
+    paced = {DropCause.RATE} if not priced and plan_hz < math.inf else set()
+    return {DropCause.BLOCKED} | priced | paced | ({DropCause.FAILED} if is_broken else set())
 
 
 def test_a_latched_writer_first_gets_what_the_old_one_held():
@@ -223,17 +229,50 @@ def run(world, *, rate_hz, seconds):
     return dict(Counter(world.flow.state().withheld_by_cause) - before)
 
 
-def test_what_gives_way_to_the_plan_is_told_from_what_gives_way_to_the_gate():
-    """The gate is the cause only while it makes the rate lower than the plan's."""
+def test_what_gives_way_to_the_ceiling_is_told_from_what_gives_way_to_the_price():
+    """The price is the cause only while it makes the rate lower than the plan's."""
     world = World()
-    world.retune(rate_hz=20.0, min_rate_hz=20.0)
+    world.retune(rate_hz=20.0, min_rate_hz=20.0, **TERMS)
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
-    world.set_gate(0.5)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}, "the gate lowers nothing below the floor"
+    world.set_price(10.0)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}, "it lowers nothing below the floor"
     world.retune(rate_hz=40.0, min_rate_hz=1.0)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.GATE}
-    world.set_gate(1.0)
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.PRICE}
+    world.set_price(40.0)
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.lists(
+        st.tuples(st.one_of(st.just(math.inf), st.floats(0.0, 100.0)), st.sampled_from([0.05, 0.3, 1.5])),
+        min_size=1,
+        max_size=12,
+    ),
+    st.sampled_from(Overflow),
+)
+def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overflow):
+    """Up and down, the rate in force is the price's; every window sees at most its integral and one burst."""
+    world = World(overflow=overflow)
+    world.retune(rate_hz=80.0, min_rate_hz=5.0, **TERMS)
+    allowed = 0.0
+    departures: list[float] = []
+    for wanted_hz, seconds in steps:
+        world.set_price(wanted_hz)
+        rate_hz = min(80.0, max(5.0, wanted_hz))
+        assert world.flow.state().paced_rate_hz == rate_hz
+        sent = len(departures)
+        for _ in range(round(seconds / STEP_S)):
+            world.now_s += STEP_S
+            allowed += rate_hz * STEP_S
+            before = len(world.log)
+            world.flow.publish(name(world.flow.offered))
+            world.flow.service(world.now_s)
+            departures += [allowed] * (len(world.log) - before)
+        assert len(departures) - sent >= math.floor(rate_hz * seconds) - 1
+    for first, start in enumerate(departures):
+        for last in range(first, len(departures)):
+            assert last - first + 1 <= departures[last] - start + 4.0 + 1e-6  # 50 ms at the ceiling
 
 
 @pytest.mark.parametrize("overflow", Overflow)
@@ -291,46 +330,46 @@ def test_only_the_writer_in_force_misses_deadlines():
     assert world.flow.state().deadlines_missed == 7
 
 
-def slow_start(world, seconds, *, gate, sample=LARGE):
-    """Publish at 50 Hz under a gate sent at 10 Hz (None = no daemon); return the number of samples written."""
+def slow_start(world, seconds, *, daemon=True, sample=LARGE):
+    """Publish at 50 Hz while a daemon sends its price at 10 Hz, or none; return the number of samples written."""
     before = len(world.log)
     for number in range(round(seconds * 50)):
         if number % 5 == 0:
-            world.flow.set_gate(gate)
+            world.flow.set_price(price(math.inf) if daemon else None)
         world.flow.publish(sample)
         world.wait(0.02)
     return len(world.log) - before
 
 
 def test_large_samples_wait_for_their_first_plan_while_a_daemon_is_there():
-    """The first sample leaves at once, then two a second; the gate is the cause for the others."""
+    """The first sample leaves at once, then two a second; the others count as withheld for the price."""
     world = World()
-    assert slow_start(world, 0.02, gate=1.0) == 1
-    assert slow_start(world, 2.0, gate=1.0) == pytest.approx(2.0 * SLOW_START_HZ, abs=1)
-    assert world.flow.state().withheld_by_cause.keys() == {DropCause.GATE.value}
+    assert slow_start(world, 0.02) == 1
+    assert slow_start(world, 2.0) == pytest.approx(2.0 * SLOW_START_HZ, abs=1)
+    assert world.flow.state().withheld_by_cause.keys() == {DropCause.PRICE.value}
 
 
 @pytest.mark.parametrize(
-    ("sample", "overflow", "gate"),
-    [(SMALL, Overflow.LATEST, 1.0), (LARGE, Overflow.QUEUE, 1.0), (LARGE, Overflow.LATEST, None)],
+    ("sample", "overflow", "daemon"),
+    [(SMALL, Overflow.LATEST, True), (LARGE, Overflow.QUEUE, True), (LARGE, Overflow.LATEST, False)],
     ids=["small", "not conflated", "no daemon"],
 )
-def test_what_need_not_wait_does_not(sample, overflow, gate):
+def test_what_need_not_wait_does_not(sample, overflow, daemon):
     """Small samples, those that may not be conflated, and all samples without a daemon leave as they come."""
-    assert slow_start(World(overflow=overflow), 2.0, gate=gate, sample=sample) == 100
+    assert slow_start(World(overflow=overflow), 2.0, daemon=daemon, sample=sample) == 100
 
 
 def test_the_wait_ends_with_the_first_plan_and_never_returns():
     """From the first plan on its rate is in force."""
     world = World()
-    slow_start(world, 1.0, gate=1.0)
+    slow_start(world, 1.0)
     world.retune()
-    assert slow_start(world, 2.0, gate=1.0) == pytest.approx(100, abs=1)
+    assert slow_start(world, 2.0) == pytest.approx(100, abs=1)
 
 
-@pytest.mark.parametrize(("seconds", "gate"), [(4.2, 1.0), (1.0, None)], ids=["four seconds", "no daemon any longer"])
-def test_the_wait_for_a_plan_ends(seconds, gate):
+@pytest.mark.parametrize(("seconds", "daemon"), [(4.2, True), (1.0, False)], ids=["four seconds", "no daemon"])
+def test_the_wait_for_a_plan_ends(seconds, daemon):
     """A topic that gets no plan waits for four seconds, and only while a daemon is there."""
     world = World()
-    slow_start(world, seconds, gate=1.0)
-    assert slow_start(world, 2.0, gate=gate) == pytest.approx(100, abs=1)
+    slow_start(world, seconds)
+    assert slow_start(world, 2.0, daemon=daemon) == pytest.approx(100, abs=1)

@@ -1,7 +1,7 @@
 """The pacer bounds the samples that leave, counts every one, and delays none without need."""
 
 import math
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -31,6 +31,18 @@ def drain(pacer, now_s):
     return taken
 
 
+def play(pacer, arrivals, *, until_s):
+    """Offer a sample at each time, and take each when it is due; return (time, age) of every departure."""
+    departures = []
+    for number, (now_s, next_s) in enumerate(pairwise([*arrivals, until_s])):
+        pacer.offer(b"%d" % number, now_s)
+        looked_s = now_s
+        while (due_s := pacer.due_s(looked_s)) < next_s:
+            looked_s = due_s + 1e-9
+            departures.append((due_s, due_s - arrivals[int(pacer.take(looked_s))]))
+    return departures
+
+
 @settings(deadline=None)
 @given(GAPS, st.lists(RATES, min_size=1, max_size=8), OVERFLOWS)
 def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflow):
@@ -44,7 +56,7 @@ def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflo
         departures += [allowed] * len(drain(pacer, now_s))
         now_s += gap_s
         allowed += rate_hz * gap_s
-    burst = max(1.5, 0.05 * max(rates))
+    burst = max(2.0, 0.05 * max(rates))
     for first, start in enumerate(departures):
         for last in range(first, len(departures)):
             assert last - first + 1 <= departures[last] - start + burst + 1e-6
@@ -98,6 +110,53 @@ def test_due_is_the_first_moment_a_sample_may_leave(rate_hz, samples):
     assert pacer.due_s(now_s) == math.inf
 
 
+@settings(deadline=None)
+@given(st.floats(0.05, 0.97), st.floats(1.0, 100.0), st.randoms(use_true_random=False))
+def test_a_conflated_sample_leaves_as_it_arrives_and_the_rate_stays(share, source_hz, random):
+    """A steady source that must give way sends only fresh samples, at the paced rate."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=share * source_hz, depth=10, now_s=0.0)
+    arrivals = [(number + random.uniform(0.0, 0.1)) / source_hz for number in range(400)]
+    departures = play(pacer, arrivals, until_s=arrivals[-1])
+    assert all(age_s == 0.0 for _, age_s in departures)
+    assert len(departures) == pytest.approx(share * 400, abs=4)
+
+
+@settings(deadline=None)
+@given(RATES, GAPS)
+def test_the_last_sample_leaves_whatever_came_before(rate_hz, gaps):
+    """When the source stops, its newest sample leaves after a period of the rate or 1.5 of the source."""
+    pacer, withheld = make()
+    pacer.retune(rate_hz=rate_hz, depth=10, now_s=0.0)
+    arrivals = list(accumulate(gaps))
+    departures = play(pacer, arrivals, until_s=math.inf)
+    assert len(departures) + sum(withheld) == len(arrivals)
+    assert departures[-1][0] - departures[-1][1] == pytest.approx(arrivals[-1])
+    assert departures[-1][1] <= max(1.0 / rate_hz, 1.5 * max(gaps)) + 1e-6
+
+
+def test_what_waits_for_a_fresher_sample_waits_one_and_a_half_periods():
+    """A source that stops while credit comes has its waiting sample sent then, not before."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=4.0, depth=10, now_s=0.0)
+    arrivals = [number / 10.0 for number in range(4)]  # the last finds credit for 0.7 samples
+    sent_s, age_s = play(pacer, arrivals, until_s=math.inf)[-1]
+    assert age_s == pytest.approx(0.15)
+    assert sent_s == pytest.approx(arrivals[-1] + 0.15)
+
+
+def test_a_sample_that_waited_out_a_pause_gives_way_to_a_fresher_one():
+    """Credit from before the pause goes to the first arrival after it."""
+    pacer, _ = make()
+    pacer.retune(rate_hz=0.0, depth=10, now_s=0.0)
+    for number in range(10):
+        pacer.offer(name(number), number / 10.0)
+    pacer.retune(rate_hz=5.0, depth=10, now_s=0.95)
+    assert pacer.take(0.95) is None
+    pacer.offer(name(10), 1.0)
+    assert pacer.take(1.0) == name(10)
+
+
 def test_latest_keeps_only_the_newest():
     """While paced, a newer sample replaces the one that waits, and the older one is counted."""
     pacer, withheld = make(Overflow.LATEST)
@@ -141,7 +200,7 @@ def test_a_paused_topic_waits_without_end_and_resumes():
     assert pacer.due_s(1e6) <= 1e6 + 0.5
 
 
-def test_a_gate_that_moves_does_not_restart_the_schedule():
+def test_a_price_that_repeats_does_not_restart_the_schedule():
     """Retuning to the same rate ten times a second neither releases early nor keeps a sample back."""
     pacer, _ = make()
     pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)

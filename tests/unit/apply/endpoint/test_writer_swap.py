@@ -80,6 +80,60 @@ def test_a_swap_settles_then_switches_when_acknowledged():
     assert world.live == [swap.current]
 
 
+@pytest.mark.parametrize(
+    ("loss_ratio", "is_reliable", "settle_s"),
+    [
+        (0.0, True, 0.2),
+        (0.0049, True, 0.2),
+        (0.0, False, 1.5),
+        (0.005, True, 3.0),
+        (0.3, False, 3.0),
+        (None, True, 3.0),
+    ],
+)
+def test_on_a_clean_link_a_swap_settles_soon(loss_ratio, is_reliable, settle_s):
+    """The settle time is short while the link is known to lose next to nothing, and shortest if a proof is possible."""
+    world, swap = make()
+    world.has_reliable_readers = is_reliable
+    swap.loss_ratio = loss_ratio
+    swap.request(qos(2))
+    swap.step(0.0)
+    swap.step(settle_s - 0.001)
+    assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
+    run(swap, settle_s, 0.05, publishing=True)
+    assert world.results == [SwapResult.OK]
+
+
+def test_a_link_that_is_clean_no_longer_is_given_time():
+    """A loss that shows while readers settle, or while a silent topic waits for proof, gives them the longer time."""
+    world, swap = make()
+    swap.loss_ratio = 0.0
+    swap.request(qos(2))
+    run(swap, 0.0, 0.15)
+    swap.loss_ratio = 0.1
+    run(swap, 0.15, TIMING.settle_s - 0.2)
+    assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
+    swap.loss_ratio = 0.0
+    swap.step(TIMING.settle_s)
+    assert (swap.state, swap.qos) == (SwapState.PROVING, qos(2))
+    swap.loss_ratio = None
+    run(swap, TIMING.settle_s, TIMING.settle_s - 0.05)
+    assert swap.state is SwapState.PROVING
+    run(swap, 2 * TIMING.settle_s, 0.1)
+    assert world.results == [SwapResult.OK]
+
+
+@pytest.mark.parametrize("settle_s", [0.0, 0.1])
+def test_a_settle_time_below_the_clean_one_stays(settle_s):
+    """A clean link makes no swap slower."""
+    _, swap = make(SwapTiming(settle_s=settle_s))
+    swap.loss_ratio = 0.0
+    swap.request(qos(2))
+    swap.step(0.0)
+    swap.step(settle_s)
+    assert swap.qos == qos(2)
+
+
 def settled(world, swap, wanted=None):
     """Bring a swap to WATCHING; return the time."""
     acknowledge(world, is_acknowledging=False)
@@ -188,7 +242,9 @@ def test_a_silent_topic_is_swapped_without_proof():
     """Without samples nothing can be lost, so the swap ends after the settle time."""
     world, swap = make()
     now_s = proving(world, swap)
-    run(swap, now_s, TIMING.settle_s + 0.01)
+    now_s = run(swap, now_s, TIMING.settle_s - 0.02)
+    assert not world.results
+    run(swap, now_s, 0.03)
     assert world.results == [SwapResult.OK]
 
 

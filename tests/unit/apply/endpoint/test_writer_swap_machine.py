@@ -98,6 +98,10 @@ class SwapMachine(RuleBasedStateMachine):
     def the_next_writer_will_see(self, readers, refuses):
         self.world.readers, self.world.refuses = readers, refuses
 
+    @rule(loss_ratio=st.sampled_from([None, 0.0, 0.1]))
+    def the_link_loses(self, loss_ratio):
+        self.swap.loss_ratio = loss_ratio
+
     @precondition(lambda self: self.world.live[1:])
     @rule()
     def a_reader_refuses_the_newest_writer(self):
