@@ -12,7 +12,7 @@ from scripts.robot.run import PREFIX, robot
 from scripts.robot.sensors import SENSORS
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
-# 5 Mbit/s cannot carry these topics at the source's rate; the others keep their rates and their QoS.
+# 5 Mbit/s cannot carry these topics at the source's rate; the others keep their rates and their deadlines.
 HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
 SOURCES = ("planner", *(topic.strip("/").replace("/", "_") for topic in SENSORS), "base_driver")
 
@@ -39,11 +39,6 @@ def is_confirmed(side):
         and status["plan"]["topics"] == 12
         and status["plan"]["confirmed"] == 12
     )
-
-
-def qos(topic):
-    confirmed = topic["confirmed"]
-    return confirmed["rate_hz"], confirmed["depth"], confirmed["deadline_ns"]
 
 
 def received(side, name):

@@ -53,9 +53,9 @@ from std_msgs.msg import String
 
 class Listener(AdaptivePublisher):
     heard = 0
-    def set_gate(self, gate):
-        Listener.heard += gate == 0.5  # from the daemon; without it, a node returns to 1.0 by itself
-        super().set_gate(gate)
+    def set_price(self, price):
+        Listener.heard += price is not None  # from the daemon; without it, a node sets None by itself
+        super().set_price(price)
 
 with ros_node(sys.argv[1]) as node:
     publisher = Listener(node, String, "/chat", 10)
@@ -68,6 +68,7 @@ with ros_node(sys.argv[1]) as node:
 """
 DAEMON = """
 import json, sys, time
+from arpd.model.price import Price
 from arpd.model.probing import ProbeRequest
 from arpd.adapters.ros.world import RosControl
 from arpd.adapters.ros.runtime import control_node, ros_node, spinning
@@ -83,7 +84,7 @@ with (control_node if sys.argv[2] == "never waits" else ros_node)("arpd") as nod
         while True:
             seen = world.observe(time.monotonic())
             heard += len(seen.reports)
-            world.set_gate(0.5)
+            world.set_price(Price(share_per_weight=0.5, capacity_bytes_per_second=1e6))
             number += 1
             world.probe(ProbeRequest(packets=8, packet_bytes=1300, number=number))
             ages = [one.age_s for one in seen.publishers]
@@ -241,7 +242,7 @@ def test_the_queue_of_a_real_interface_is_seen_as_it_fills_and_overflows(make_li
     assert handed - before["tx_bytes"] == pytest.approx(200_000, abs=2_000)
 
 
-# -- gate and ticks
+# -- price and ticks
 
 
 class Counted:
@@ -274,7 +275,7 @@ class Robot:
     daemon: Counted
 
     def silences(self, duration_s):
-        """Return the longest time without a gate at the publisher, and without a tick of the daemon (s)."""
+        """Return the longest time without a price at the publisher, and without a tick of the daemon (s)."""
         start_s = time.monotonic()
         longest, seen, at_s = [0.0, 0.0], [self.publisher.count, self.daemon.count], [start_s, start_s]
         while (now_s := time.monotonic()) < start_s + duration_s:
@@ -305,8 +306,8 @@ def robot(make_link):
 
 
 @pytest.mark.ros
-def test_the_gate_reaches_publishers_whatever_becomes_of_the_interface(robot):
-    """Without carrier, address or interface the gate reaches local publishers, even after DDS's participant lease."""
+def test_the_price_reaches_publishers_whatever_becomes_of_the_interface(robot):
+    """Without carrier, address or interface the price reaches local publishers, even after DDS's participant lease."""
     link, both = robot(transports="DEFAULT")
     silences = {}
     ip(link.ceddp, "link", "set", INTERFACE, "down")
@@ -317,20 +318,20 @@ def test_the_gate_reaches_publishers_whatever_becomes_of_the_interface(robot):
     silences["down"] = both.silences(24.0)  # DDS forgets a participant after 20 s
     ip(link.robot, "link", "delete", INTERFACE)
     silences["gone"] = both.silences(3.0)
-    print(f"longest without gate and without tick (s): {silences}")
-    assert all(gate_s < 1.5 and tick_s < 1.0 for gate_s, tick_s in silences.values()), silences
+    print(f"longest without price and without tick (s): {silences}")
+    assert all(price_s < 1.5 and tick_s < 1.0 for price_s, tick_s in silences.values()), silences
     assert both.daemon.last["publishers"] == 1  # only the remote one is forgotten
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(("transports", "most_gate_s"), [("DEFAULT", 1.5), ("UDPv4", math.inf)])
-def test_the_daemon_lives_through_a_link_that_stands_still(robot, transports, most_gate_s):
-    """While the link is stalled the tick goes on, the gate waits only if it shares the socket, and both recover."""
+@pytest.mark.parametrize(("transports", "most_price_s"), [("DEFAULT", 1.5), ("UDPv4", math.inf)])
+def test_the_daemon_lives_through_a_link_that_stands_still(robot, transports, most_price_s):
+    """While the link is stalled the tick goes on, the price waits only if it shares the socket, and both recover."""
     link, both = robot(transports=transports)
     stop(link.robot)
-    gate_s, tick_s = both.silences(6.0)
-    print(f"stalled, {transports}: longest without gate {gate_s:.2f} s, without tick {tick_s:.2f} s")
-    assert gate_s < most_gate_s
+    price_s, tick_s = both.silences(6.0)
+    print(f"stalled, {transports}: longest without price {price_s:.2f} s, without tick {tick_s:.2f} s")
+    assert price_s < most_price_s
     assert tick_s < 1.0
     reports, heard = both.daemon.last["reports"], both.publisher.count
     resume(link.robot)
@@ -343,5 +344,5 @@ def test_without_that_setting_the_ticks_end(robot):
     """With Fast DDS's default the daemon's first write to a full socket ends its ticks."""
     link, both = robot(transports="DEFAULT", how="waits")
     stop(link.robot)
-    gate_s, tick_s = both.silences(4.0)
-    assert min(gate_s, tick_s) > 3.0
+    price_s, tick_s = both.silences(4.0)
+    assert min(price_s, tick_s) > 3.0

@@ -5,6 +5,8 @@ import time
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
+_OWN = ("rate", "min_rate", "weight", "wire_bytes", "packets")
+
 
 class Setter:
     """Atomic parameter calls to one node, with short names for the settings of one publisher or subscription."""
@@ -16,8 +18,7 @@ class Setter:
         self._names = {
             "depth": f"qos_overrides.{topic}.{kind}.depth",
             "deadline": f"qos_overrides.{topic}.{kind}.deadline",
-            "rate": f"arpd.{topic}.publisher.rate",
-            "min_rate": f"arpd.{topic}.publisher.min_rate",
+            **{name: f"arpd.{topic}.publisher.{name}" for name in _OWN},
             "generation": f"{own}.generation",
             "lease": f"{own}.lease",
         }

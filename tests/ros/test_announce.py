@@ -28,6 +28,8 @@ REPLACED = publisher(
     "/t",
     direction=Direction.LOCAL,
     published_rate_hz=7.25,
+    rate_hz=12.5,
+    paced_rate_hz=7.5,
     withheld=1300,
     withheld_by_cause={cause.value: 100 * number for number, cause in enumerate(DropCause, start=1)},
     deadlines_missed=4,
@@ -42,7 +44,10 @@ REPLACED = publisher(
         seconds_by_phase={SwapPhase.MATCHING: 3.00125, SwapPhase.PROVING: 0.0325},
     ),
 )
-NEW_KEYS = ("published_rate_hz", "withheld_", "deadlines_missed", "begun_swaps", "swap_seconds", "last_swap")
+NEW_KEYS = (
+    *("paced_rate_hz", "published_rate_hz", "withheld_", "deadlines_missed"),
+    *("begun_swaps", "swap_seconds", "last_swap"),
+)
 
 
 DRIVEN = reader(
@@ -127,12 +132,13 @@ def test_an_older_announcer_is_understood():
 
 
 def test_an_announcer_of_before_the_accounts_is_understood():
-    """Missing counters are zero: no cause, no phase, no last swap."""
+    """Missing counters are zero, and the paced rate is that of the plan."""
     status = to_status(REPLACED)
     status.values = [pair for pair in status.values if not pair.key.startswith(NEW_KEYS)]
     state = from_status(status)
     assert (state.withheld, dict(state.withheld_by_cause), state.deadlines_missed) == (1300, {}, 0)
     assert (state.published_rate_hz, state.swaps_begun, state.last_swap) == (0.0, 0, None)
+    assert state.paced_rate_hz == state.rate_hz == 12.5
     assert not state.swap_seconds_by_phase
 
 
@@ -147,14 +153,14 @@ def test_unknown_causes_and_phases_make_no_labels():
     """Only known causes and phases of an announcement are kept."""
     status = to_status(REPLACED)
     invented = {
-        "withheld_by_cause": "moon=1 gate=2 =3 x",
+        "withheld_by_cause": "moon=1 price=2 =3 x",
         "swap_seconds_by_phase": "moon=1 holding=0.5",
         "last_swap": "7 moon 1 0 moon=1 proving=2 =3 x",
     }
     status.values = [pair for pair in status.values if pair.key not in invented]
     status.values += [KeyValue(key=key, value=value) for key, value in invented.items()]
     state = from_status(status)
-    assert state.withheld_by_cause == {DropCause.GATE: 2}
+    assert state.withheld_by_cause == {DropCause.PRICE: 2}
     assert state.swap_seconds_by_phase == {SwapPhase.HOLDING: 0.5}
     assert state.last_swap == SwapRecord(
         number=7, result="moon", depth=1, deadline_ns=0, seconds_by_phase={SwapPhase.PROVING: 2.0}
@@ -175,8 +181,10 @@ def test_unknown_causes_and_phases_make_no_labels():
         ("queued", "9" * 5000),
         ("node", "/n/" + "é"),
         ("published_rate_hz", "1e9"),
-        ("withheld_by_cause", "rate=1 gate=-1"),
-        ("withheld_by_cause", "gate"),
+        ("paced_rate_hz", "nan"),
+        ("paced_rate_hz", "-1"),
+        ("withheld_by_cause", "rate=1 price=-1"),
+        ("withheld_by_cause", "price"),
         ("deadlines_missed", "some"),
         ("begun_swaps", "1.5"),
         ("swap_seconds_by_phase", "holding=inf"),

@@ -5,10 +5,10 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.daemons import Daemons, from_status, to_status
-from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
+from arpd.adapters.ros.names import DAEMONS_TOPIC, PRICE_TOPIC
 from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
 
 pytestmark = pytest.mark.ros
@@ -19,7 +19,7 @@ def test_the_elder_drives_and_is_succeeded(ros, eventually):
     """The older of two daemons is active; when it is gone, the younger one is."""
     first, second = ros.node("first"), ros.node("second")
     for node in (first, second):
-        node.create_publisher(Float64, GATE_TOPIC, 1)
+        node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
     elder = Daemons(first, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
     younger = Daemons(second, wall_clock_ns=lambda: LEAST_STARTED_NS + 2)
     eventually(lambda: elder.others() and younger.active_daemon())
@@ -29,10 +29,10 @@ def test_the_elder_drives_and_is_succeeded(ros, eventually):
     assert younger.active_daemon() == ""
 
 
-def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
-    """Heartbeats of a node without a gate do not make it the active daemon."""
+def test_who_sends_no_price_is_no_daemon(ros, eventually, background):
+    """Heartbeats of a node without a price do not make it the active daemon."""
     driver = ros.node("driver")
-    driver.create_publisher(Float64, GATE_TOPIC, 1)
+    driver.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
     received = []
     daemons = Daemons(driver, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
     note = daemons._leader.note
@@ -47,7 +47,7 @@ def test_who_has_no_gate_is_no_daemon(ros, eventually, background):
     background(beat)
     eventually(lambda: received.count(OWN) > 5)
     assert (daemons.active_daemon(), daemons.others()) == ("", ())
-    liar.create_publisher(Float64, GATE_TOPIC, 1)
+    liar.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
     eventually(lambda: daemons.active_daemon() == "robot")
 
 

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
 from arpd.adapters.ros.graph import read_crossings
-from arpd.adapters.ros.names import GATE_TOPIC
+from arpd.adapters.ros.names import PRICE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
 from arpd.report.decision_log import DecisionLog
@@ -33,7 +33,7 @@ class Daemon:
         self.snapshot = None
 
     def tick(self, **link):
-        """Take the sample with the gate open, and another link where the test says so."""
+        """Take the sample with all traffic admitted, and another link where the test says so."""
         # Of the future, so that it does not grow stale on a slow machine.
         times = {"finished_at_s": time.monotonic() + 1000.0, "unix_time_s": time.time()}
         snapshot = changed(link=link, decision={"gate": 1.0}, **times)
@@ -112,7 +112,9 @@ def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
     clock.stop()
     daemon.tick(state=LinkState.OUTAGE)
     told_s = time.monotonic()
-    eventually(lambda: "the link carries nothing since 62.5 ms ago: every topic stays at its floor" in monitor.events())
+    eventually(
+        lambda: "the link carries nothing since 62.5 ms ago: no topic sends more than its floor" in monitor.events()
+    )
     assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.ERROR
     print(f"seen after {monitor.arrays[-1][0] - told_s:.2f} s")
 
@@ -154,7 +156,7 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, 
 def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventually):
     """The graph shows the robot's writers of /diagnostics without the daemon's."""
     node = ros.node("arpd")
-    node.create_publisher(Float64, GATE_TOPIC, 1)  # by which the daemon knows its host
+    node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)  # by which the daemon knows its host
     Diagnostics(node, lambda: daemon.snapshot)
     Monitor(ros.node("monitor"))
     rmw = current_rmw()

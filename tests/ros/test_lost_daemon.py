@@ -10,18 +10,20 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64, String
+from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.adapters.ros.parameters import ParameterApplier
 from arpd.model.plan import TopicPlan, Transition
+from tests.ros.price import TERMS, PriceSender, costing
 from tests.ros.setter import Setter
 
 pytestmark = pytest.mark.ros
 TOPIC = "/leased"
 DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
-ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
+ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TERMS)
+PRICE = costing(2.5)
 
 
 class Announced:
@@ -40,11 +42,11 @@ class Announced:
 
 
 class FakeDaemon:
-    """Applies one plan as `arpd run` does, and sends the gate until `fall_silent`."""
+    """Applies one plan as `arpd run` does, and sends the price until `fall_silent`."""
 
     def __init__(self, node, stopping):
         self._applier = ParameterApplier(node)
-        self._gate = node.create_publisher(Float64, "/arpd/gate", 1)
+        self._send_price = PriceSender(node)
         self._is_talking = threading.Event()
         self._thread = threading.Thread(target=self._talk, args=(stopping,), daemon=True)
         self._transition = None
@@ -62,7 +64,7 @@ class FakeDaemon:
     def _talk(self, stopping):
         while not stopping.wait(0.1):
             if self._is_talking.is_set():
-                self._gate.publish(Float64(data=1.0))
+                self._send_price(PRICE)
                 self._applier.apply([self._transition], now_s=time.monotonic())
 
 
@@ -91,25 +93,26 @@ def daemon(ros):
 
 
 def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(node, publisher, announced, daemon, eventually):
-    """The plan stays while the daemon sends its gate, ends with the lease, and a returning daemon plans again."""
-    daemon.plan(generation=7, lease_s=4.0)
-    eventually(lambda: announced.shows(depth=40, generation=7, lease_s=4.0))
-    time.sleep(6.0)
-    assert publisher.plan == ROW, "the daemon still sends its gate"
+    """Plan and price stay while the daemon sends, and end with the lease; a returning daemon plans again."""
+    daemon.plan(generation=7, lease_s=5.0)
+    eventually(lambda: announced.shows(depth=40, generation=7, lease_s=5.0, paced_rate_hz=2.5))
+    time.sleep(7.0)
+    assert publisher.plan == ROW, "the daemon still sends its price"
     daemon.fall_silent()
     eventually(lambda: announced.shows(depth=10, deadline_ns=0, rate_hz=math.inf, generation=0))
+    eventually(lambda: announced.shows(paced_rate_hz=math.inf))
     assert node.get_parameter(DEPTH).value == 10, "the parameters follow"
-    daemon.plan(generation=1, lease_s=4.0)  # another daemon, without knowledge of its predecessor
-    eventually(lambda: announced.shows(depth=40, generation=1))
+    daemon.plan(generation=1, lease_s=5.0)  # another daemon, without knowledge of its predecessor
+    eventually(lambda: announced.shows(depth=40, generation=1, paced_rate_hz=2.5))
 
 
 def test_without_a_lease_a_plan_stays(publisher, announced, daemon, eventually):
-    """By default a plan stays in force when its daemon falls silent."""
+    """By default plan and price stay in force when their daemon falls silent."""
     daemon.plan(generation=7, lease_s=0.0)
-    eventually(lambda: announced.shows(depth=40, generation=7))
+    eventually(lambda: announced.shows(depth=40, generation=7, paced_rate_hz=2.5))
     daemon.fall_silent()
-    time.sleep(4.0)
-    assert announced.shows(depth=40, generation=7)
+    time.sleep(7.0)
+    assert announced.shows(depth=40, generation=7, paced_rate_hz=2.5)
 
 
 def test_settings_made_by_hand_have_no_lease(node, publisher, eventually):

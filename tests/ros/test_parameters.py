@@ -22,14 +22,17 @@ from arpd.adapters.ros.bounds import (
     checked_depth,
     checked_floor_hz,
     checked_lease_s,
+    checked_packets,
     checked_rate_hz,
+    checked_weight,
+    checked_wire_bytes,
 )
 from arpd.adapters.ros.grant import Grant
 from arpd.adapters.ros.parameters import ParameterApplier
 from arpd.model.plan import MOST_GENERATION, ReaderPlan, TopicPlan, Transition
 
 pytestmark = pytest.mark.ros
-ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20)
+ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20, weight=2.0, wire_bytes=1500.5, packets=3)
 STEP = Transition(node="/n", generation=3, topics={"/t": ROW}, reason="test")
 TO_READERS = Transition(
     node="/n", generation=3, topics={}, readers={"/t": ReaderPlan(depth=7, deadline_ns=9)}, reason="test", lease_s=4.0
@@ -119,6 +122,23 @@ def test_readers_are_told_apart_from_publishers(node, applier):
     }
 
 
+def test_a_plan_has_the_terms_of_the_price(node, applier):
+    """One call sets rate, floor, weight, size, QoS and generation of a publisher."""
+    applier.apply([STEP], now_s=0.0)
+    (call,) = node.calls
+    assert {name: value.integer_value or value.double_value for name, value in call.items()} == {
+        "qos_overrides./t.publisher.depth": 20,
+        "qos_overrides./t.publisher.deadline": 0,
+        "arpd./t.publisher.rate": 5.0,
+        "arpd./t.publisher.min_rate": 1.0,
+        "arpd./t.publisher.weight": 2.0,
+        "arpd./t.publisher.wire_bytes": 1500.5,
+        "arpd./t.publisher.packets": 3,
+        "arpd.generation": 3,
+        "arpd.lease": 0.0,
+    }
+
+
 def test_nodes_without_end_take_no_memory_without_end(node, applier):
     """Beyond the limit of nodes those used longest ago are forgotten."""
     for k in range(600):
@@ -142,7 +162,9 @@ def test_a_nodes_reason_is_cut_short_and_harmless(node, applier, caplog):
 BOUNDS = {
     checked_rate_hz: lambda value: 0 <= value <= MOST_RATE_HZ or value == math.inf,
     checked_floor_hz: lambda value: 0 <= value <= MOST_RATE_HZ,
-    checked_lease_s: lambda value: value == 0 or 1 <= value <= 1e9,
+    checked_lease_s: lambda value: value == 0 or 5 <= value <= 1e9,
+    checked_weight: lambda value: value == 0 or 1e-6 <= value <= 1e6,
+    checked_wire_bytes: lambda value: value == 0 or 1 <= value <= 1e12,
 }
 
 
@@ -161,13 +183,14 @@ def test_a_number_that_is_set_is_within_bounds_or_refused_by_name(check, value):
 
 @settings(max_examples=60)
 @given(st.integers(-(2**63), 2**63 - 1))
-def test_a_depth_or_a_deadline_that_is_set_is_one_that_a_writer_can_have(value):
+def test_an_integer_that_is_set_is_within_bounds_or_refused_by_name(value):
     """Depths from 1 to 5000 and deadlines from 10 us are taken, and the application's own deadline always."""
     parameter = SimpleNamespace(name="p", value=value)
     for check, is_good in (
         (lambda: checked_depth(parameter, 5000), 1 <= value <= 5000),
         (lambda: checked_deadline_ns(parameter), value == 0 or value >= LEAST_DEADLINE_NS),
         (lambda: checked_deadline_ns(parameter, own_ns=value), value >= 0),
+        (lambda: checked_packets(parameter), 0 <= value <= 10**9),
     ):
         if is_good:
             assert check() in (value, 0)
@@ -178,7 +201,7 @@ def test_a_depth_or_a_deadline_that_is_set_is_one_that_a_writer_can_have(value):
 
 def test_no_plan_is_numbered_beyond_all_others():
     """A generation above the greatest is refused, because it would block every later plan."""
-    declared = SimpleNamespace(declare_parameter=lambda *_: None)
+    declared = SimpleNamespace(declare_parameter=lambda *_: None, publishers=())
     grant = Grant(declared, generation_name="g", lease_name="l", plan="", whose="", clock=lambda: 0.0)
     grant.check([SimpleNamespace(name="g", value=MOST_GENERATION)])
     with pytest.raises(ValueError, match="g 9223372036854775807 is more than"):

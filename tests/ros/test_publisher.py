@@ -19,6 +19,7 @@ from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.settings import Overflow
+from tests.ros.price import FREE, TERMS, PriceSender, costing
 from tests.ros.setter import Setter
 
 pytestmark = pytest.mark.ros
@@ -101,24 +102,73 @@ def test_pacing_conflates_and_counts(publisher, reader, configure, background, e
     assert reader.received == sorted(set(reader.received))
 
 
-def test_gate_scales_but_keeps_the_floor(ros, publisher, configure, background, eventually):
-    """A closed gate lowers the rate to the floor and no further; an open one lets the rate return."""
-    assert configure(rate=100.0, min_rate=20.0).successful
-    gate = ros.node("governor").create_publisher(Float64, "/arpd/gate", 1)
-    background(publish_at(publisher, 200))
+@pytest.fixture
+def send_price(ros, publisher, eventually):
+    sender = PriceSender(ros.node("governor"))
+    eventually(lambda: sender.listeners)
+    return sender
 
-    def rate_under(value):
-        for _ in range(5):
-            gate.publish(Float64(data=value))
-            time.sleep(0.05)
+
+def test_the_rate_follows_the_price_down_to_the_floor(publisher, configure, send_price, background, eventually):
+    """A price lowers the rate to what it buys, but not below the floor, and a better one lets it return."""
+    assert configure(rate=100.0, min_rate=20.0, **TERMS).successful
+    background(publish_at(publisher, 200))
+    for price, rate_hz in ((costing(50.0), 50.0), (costing(1.0), 20.0), (FREE, 100.0)):
+        send_price(price)
+        eventually(lambda rate_hz=rate_hz: state(publisher).paced_rate_hz == pytest.approx(rate_hz))
         before, since_s = state(publisher).published, time.monotonic()
         time.sleep(1.0)
-        return (state(publisher).published - before) / (time.monotonic() - since_s)
+        published_hz = (state(publisher).published - before) / (time.monotonic() - since_s)
+        assert 0.5 * rate_hz < published_hz < 1.5 * rate_hz
 
-    eventually(lambda: gate.get_subscription_count() >= 1)
-    closed, opened = rate_under(0.01), rate_under(1.0)
-    assert 0.5 * 20 < closed < 1.5 * 20
-    assert opened > 2 * closed
+
+def test_a_rate_set_by_hand_has_no_price(publisher, configure, send_price, eventually):
+    """Without a weight the rate is what was set, whatever the price; with the weight it follows the last price."""
+    assert configure(rate=100.0).successful
+    send_price(costing(5.0))
+    eventually(lambda: publisher._flow._price)
+    assert state(publisher).paced_rate_hz == 100.0
+    assert configure(**TERMS).successful
+    assert state(publisher).paced_rate_hz == pytest.approx(5.0)
+
+
+def test_what_is_no_price_changes_nothing(publisher, configure, send_price, eventually):
+    """Malformed messages are ignored, and the next price counts."""
+    assert configure(rate=100.0, **TERMS).successful
+    send_price(costing(5.0))
+    eventually(lambda: state(publisher).paced_rate_hz == pytest.approx(5.0))
+    for numbers in ([], [1.0, math.nan, *[0.0] * 5], [7.0] * 7, [1.0] * 500):
+        send_price.send(numbers)
+        time.sleep(0.1)
+    assert state(publisher).paced_rate_hz == pytest.approx(5.0)
+    send_price(costing(6.0))
+    eventually(lambda: state(publisher).paced_rate_hz == pytest.approx(6.0))
+
+
+def test_a_later_publisher_has_the_last_price_at_once(ros, send_price, eventually):
+    """A publisher that is made after the price was sent follows it from the beginning."""
+    settings = {"rate": 100.0, **TERMS}
+    overrides = [Parameter(f"arpd.{TOPIC}.publisher.{name}", value=value) for name, value in settings.items()]
+    node = ros.node("latecomer", parameter_overrides=overrides)
+    first = AdaptivePublisher(node, String, "/first", 10)
+    eventually(lambda: send_price.listeners == 2)
+    send_price(costing(5.0))
+    eventually(lambda: first._flow._price)
+    assert state(AdaptivePublisher(node, String, TOPIC, 10)).paced_rate_hz == pytest.approx(5.0)
+
+
+def test_silence_ends_a_slow_start_and_no_price(publisher, configure, send_price, monkeypatch, eventually):
+    """After some seconds without a price no new topic waits for a plan, and a topic with a plan keeps the price."""
+    monkeypatch.setattr("arpd.adapters.ros.node_publishers._SILENT_S", 0.5)
+    planned = AdaptivePublisher(publisher._node, String, "/planned", 10)
+    planned.retune(replace(planned.plan, rate_hz=100.0, **TERMS))
+    slow_start = publisher._flow._slow_start
+    send_price(costing(5.0))
+    eventually(lambda: slow_start.has_daemon)
+    eventually(lambda: not slow_start.has_daemon)
+    assert state(planned).paced_rate_hz == pytest.approx(5.0)
+    assert configure(rate=100.0, **TERMS).successful
+    assert state(publisher).paced_rate_hz == pytest.approx(5.0), "a plan finds the last price"
 
 
 @pytest.mark.parametrize(
@@ -132,6 +182,9 @@ def test_gate_scales_but_keeps_the_floor(ros, publisher, configure, background, 
         ({"rate": float("nan")}, "not a rate"),
         ({"rate": 5}, "Wrong parameter type"),
         ({"min_rate": float("inf")}, "not a floor"),
+        ({"weight": -1.0}, "not a weight"),
+        ({"wire_bytes": 1e-9}, "not a size"),
+        ({"packets": -1}, "outside 0..1000000000"),
     ],
 )
 def test_nonsense_is_refused_with_a_reason(publisher, configure, values, reason):
@@ -294,6 +347,35 @@ def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, monkeypatch
     eventually(is_written_here)
 
 
+def test_a_small_sample_waits_for_one_large_one_at_most(publisher, monkeypatch, eventually):
+    """A small sample that comes while a large one is written leaves before all other large ones, of any topic."""
+    cameras = [
+        AdaptivePublisher(publisher._node, String, f"/camera{k}", 100, overflow=Overflow.QUEUE) for k in range(2)
+    ]
+    small = publisher
+    small._shared.quick_from_s = math.inf  # every write is the pacing thread's
+    order = []
+
+    def write_large(_sample):
+        small.offer(b"small")
+        order.append("large")
+        time.sleep(0.02)
+        return 0.02
+
+    def write_small(_sample):
+        order.append("small")
+        return 0.0
+
+    monkeypatch.setattr(small._flow, "write", write_small)
+    for camera in cameras:
+        monkeypatch.setattr(camera._flow, "write", write_large)
+        with camera._lock:
+            for _ in range(5):
+                camera.offer(b"a large sample" * 1000)
+    eventually(lambda: len(order) == 20)
+    assert order == ["large", "small"] * 10
+
+
 def test_only_due_publishers_are_served(ros, monkeypatch, eventually):
     """The pacing thread does not serve publishers whose samples left at once, while another topic is busy."""
     publisher = AdaptivePublisher(ros.node("queued"), String, TOPIC, 100, overflow=Overflow.QUEUE)
@@ -336,16 +418,16 @@ def test_what_waits_leaves_without_further_offers(ros, monkeypatch, eventually):
     eventually(lambda: writer.written == 2 * samples)
 
 
-def test_a_gate_that_opens_lets_out_what_waits(ros, monkeypatch, eventually):
-    """Samples that a closed gate holds leave when it opens, without a further offer."""
-    publisher = AdaptivePublisher(ros.node("gated"), String, TOPIC, 100, overflow=Overflow.QUEUE)
+def test_a_better_price_lets_out_what_waits(ros, monkeypatch, eventually):
+    """Samples that a price holds leave when it allows more, without a further offer."""
+    publisher = AdaptivePublisher(ros.node("slowed"), String, TOPIC, 100, overflow=Overflow.QUEUE)
     writer = SlowWriter(publisher, monkeypatch)
-    publisher.retune(replace(publisher.plan, rate_hz=100.0))
-    publisher.set_gate(1e-6)
+    publisher.retune(replace(publisher.plan, rate_hz=100.0, **TERMS))
+    publisher.set_price(costing(1e-4))
     for number in range(10):
         publisher.offer(b"%d" % number)
     assert state(publisher).queued > 0
-    publisher.set_gate(1.0)
+    publisher.set_price(FREE)
     eventually(lambda: len(writer.written) == 10)
 
 

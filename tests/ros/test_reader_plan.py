@@ -19,7 +19,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
-from std_msgs.msg import Float64, String
+from std_msgs.msg import String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.ros.announcement import reader_from_status
@@ -33,6 +33,7 @@ from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.chaos.world import is_gapless
 from tests.ros.domain import DOMAIN
+from tests.ros.price import PriceSender
 from tests.ros.setter import Setter
 
 pytestmark = pytest.mark.ros
@@ -170,26 +171,26 @@ def test_readers_that_cannot_change_say_so_and_are_left_alone(ros, planner, even
 
 
 def test_a_reader_outlives_its_daemon_only_as_long_as_was_granted(ros, planner, background, eventually):
-    """The plan stays while the gate comes; after the lease the reader has its own QoS again."""
+    """The plan stays while the price comes; after the lease the reader has its own QoS again."""
     node = ros.node("listener")
     subscription = AdaptiveSubscription(node, String, TOPIC, lambda _m: None, 10)
-    gate = ros.node("gate").create_publisher(Float64, "/arpd/gate", 1)
+    send_price = PriceSender(ros.node("elsewhere"))
     is_sending = threading.Event()
     is_sending.set()
 
     def send(stopping):
         while not stopping.wait(0.1):
             if is_sending.is_set():
-                gate.publish(Float64(data=1.0))
+                send_price()
 
     background(send)
-    planner.lease_s = 4.0
+    planner.lease_s = 5.0
     planner.intend(80 * MS, 20)
     eventually(lambda: subscription.state().depth == 20)
     assert subscription.state().deadline_ns == 0, "its application requests none"
     planner.restore()
     planner._generation = 0  # the planner stops
-    time.sleep(6.0)
+    time.sleep(7.0)
     assert subscription.state().depth == 20
     is_sending.clear()
     eventually(lambda: subscription.state().depth == 10)

@@ -28,6 +28,7 @@ _BEGUN = "begun_swaps"  # not "swaps_…": an older daemon would read that as a 
 _LAST_RESULT = "last_swap"
 _MISSED = "deadlines_missed"
 _PUBLISHED_RATE = "published_rate_hz"
+_PACED_RATE = "paced_rate_hz"
 _KEEP_ALL = "keep_all"
 _FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
 _INTEGERS = (
@@ -48,6 +49,7 @@ _MOST_FLOATS = {
     _PUBLISHED_RATE: 1e5,
     "blocked_s": _MOST_SECONDS,
     "rate_hz": math.inf,
+    _PACED_RATE: math.inf,
     "lease_s": MOST_LEASE_S,
 }
 _READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
@@ -97,6 +99,7 @@ def from_status(status: Any) -> PublisherState:
         type_name=_plain(fields.pop("type")),
         direction=Direction.LOCAL,
         published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
+        paced_rate_hz=_number(_PACED_RATE, values.get(_PACED_RATE, values["rate_hz"])),
         swaps_by_result=_counts(values, _WRITER_RESULTS),
         withheld_by_cause=_by_name(_CAUSES, values.get(_CAUSES, "").split(), DropCause, _bounded),
         swaps_begun=_bounded(_BEGUN, values.get(_BEGUN, "0")),
@@ -163,8 +166,10 @@ def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
 
 
 def _account(state: PublisherState) -> list[tuple[str, str]]:
-    """Return the pairs that explain the counters; counters at zero are left out."""
-    values = [(_PUBLISHED_RATE, f"{state.published_rate_hz:.6g}")] if state.published_rate_hz else []
+    """Return the pairs that explain rate and counters; those that would say nothing are left out."""
+    is_slowed = state.paced_rate_hz != state.rate_hz
+    values = [(_PACED_RATE, f"{state.paced_rate_hz:.6g}")] if is_slowed else []
+    values += [(_PUBLISHED_RATE, f"{state.published_rate_hz:.6g}")] if state.published_rate_hz else []
     values += [(_CAUSES, _words(state.withheld_by_cause))] if state.withheld_by_cause else []
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
     if state.swaps_begun:

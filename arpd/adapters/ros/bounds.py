@@ -16,7 +16,10 @@ MOST_DEPTH = 5000
 # takes a tenth of a core (measured from 1 ms down, Fast DDS).
 LEAST_DEADLINE_NS = 10_000
 MOST_RATE_HZ = 1e6
-LEAST_LEASE_S, MOST_LEASE_S = 1.0, 1e9  # the gate, which renews a lease, comes ten times a second
+LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
+MOST_WIRE_BYTES = 1e12  # the largest sample there is, to a thousand readers
+MOST_PACKETS = 10**9
+LEAST_LEASE_S, MOST_LEASE_S = 5.0, 1e9  # the price, which renews a lease, comes once a second, and may be lost
 
 
 def checked_depth(parameter: Any, most: int) -> int:
@@ -55,6 +58,32 @@ def checked_floor_hz(parameter: Any) -> float:
     if not 0 <= parameter.value <= MOST_RATE_HZ:
         raise ValueError(f"{parameter.name} = {parameter.value} is not a floor; use 0 to {MOST_RATE_HZ:g} Hz")
     return float(parameter.value)
+
+
+def checked_weight(parameter: Any) -> float:
+    """Return a weight, 0 = the price does not apply."""
+    if parameter.value != 0 and not LEAST_WEIGHT <= parameter.value <= MOST_WEIGHT:
+        raise ValueError(
+            f"{parameter.name} = {parameter.value} is not a weight; use {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, "
+            "0 = the price does not apply"
+        )
+    return float(parameter.value)
+
+
+def checked_wire_bytes(parameter: Any) -> float:
+    """Return the bytes of a sample on the link, 0 = unknown (bytes)."""
+    if parameter.value != 0 and not 1.0 <= parameter.value <= MOST_WIRE_BYTES:
+        raise ValueError(
+            f"{parameter.name} = {parameter.value} is not a size; use 1 to {MOST_WIRE_BYTES:g} bytes, 0 = unknown"
+        )
+    return float(parameter.value)
+
+
+def checked_packets(parameter: Any) -> int:
+    """Return the packets of a sample on the link."""
+    if not 0 <= parameter.value <= MOST_PACKETS:
+        raise ValueError(f"{parameter.name} = {parameter.value} is outside 0..{MOST_PACKETS}")
+    return int(parameter.value)
 
 
 def checked_lease_s(parameter: Any) -> float:

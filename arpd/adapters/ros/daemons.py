@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.names import DAEMONS_TOPIC, GATE_TOPIC
+from arpd.adapters.ros.names import DAEMONS_TOPIC, PRICE_TOPIC
 from arpd.adapters.ros.raw_subscription import RawSubscription, RefusedMessages, peek
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat, Leader
@@ -40,7 +40,7 @@ _HEAD = "arpd on "
 class Daemons:
     """Sends this daemon's heartbeats, and receives the others'.
 
-    At most as many daemons are believed as the graph shows nodes that write heartbeats and a gate.
+    At most as many daemons are believed as the graph shows nodes that write heartbeats and a price.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Daemons:
 
     def _beat(self) -> None:
         self._publisher.publish(self._message)
-        daemons = min(self._node.count_publishers(DAEMONS_TOPIC), self._node.count_publishers(GATE_TOPIC))
+        daemons = min(self._node.count_publishers(DAEMONS_TOPIC), self._node.count_publishers(PRICE_TOPIC))
         with self._lock:
             self._most_others = daemons - 1
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rcl_interfaces.msg import ParameterDescriptor
-
 from arpd.adapters.ros.bounds import checked_lease_s
+from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.apply.endpoint.lease import Lease
 from arpd.model.plan import MOST_GENERATION
 
@@ -34,10 +33,9 @@ class Grant:
         self._clock = clock
         self.generation = 0
         self.lease = Lease()
-        description = f"generation of the {plan}; 0 = none, or its lease is over"
-        node.declare_parameter(generation_name, 0, ParameterDescriptor(description=description))
-        description = f"silence of arpd in s after which the {whose} return to their own QoS, 0 = never"
-        node.declare_parameter(lease_name, 0.0, ParameterDescriptor(description=description))
+        own = OwnParameters.of(node)
+        own.declare(generation_name, 0, f"generation of the {plan}; 0 = none, or its lease is over")
+        own.declare(lease_name, 0.0, f"silence of arpd in s after which the {whose} return to their own QoS, 0 = never")
 
     def check(self, parameters: Sequence[Any]) -> None:
         """Refuse a generation below the one in force or above the greatest, and a lease out of bounds.

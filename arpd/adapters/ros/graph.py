@@ -8,11 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import NameValidationException
+from rclpy.qos import QoSReliabilityPolicy
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
 from arpd.adapters.ros.names import (
-    GATE_TOPIC,
     INFINITE_NS,
+    PRICE_TOPIC,
     PUBLISHERS_TOPIC,
     READERS_TOPIC,
     REPORT_TOPIC,
@@ -157,13 +158,13 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
 def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mapping[str, Crossing]:
     """Return the crossing of every topic of the graph, without those of ROS and of arpd itself.
 
-    Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's gate writer.
+    Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's price writer.
 
     Parameters
     ----------
     first : topics to read first, in case there are too many
     """
-    own = [info for info in node.get_publishers_info_by_topic(GATE_TOPIC) if info.node_name == node.get_name()]
+    own = [info for info in node.get_publishers_info_by_topic(PRICE_TOPIC) if info.node_name == node.get_name()]
     robot_host = _endpoint(own[0]).host if own else b""
     cross = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
     topics = [topic for topic, _ in node.get_topic_names_and_types() if not is_internal(topic) and is_full_name(topic)]
@@ -239,7 +240,7 @@ def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:
 
 
 class Requests:
-    """Deadlines that the readers of a topic request.
+    """QoS that the readers of a topic request.
 
     Parameters
     ----------
@@ -255,6 +256,11 @@ class Requests:
         """Return the shortest deadline, 0 = none is requested (ns)."""
         return min((request for _, request in self._all() if request), default=0)
 
+    def are_reliable(self) -> bool:
+        """Return whether all readers are reliable."""
+        readers = self._node.get_subscriptions_info_by_topic(self._topic)
+        return all(reader.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE for reader in readers)
+
     def names(self) -> list[str]:
         """Name the nodes that read the topic."""
         return sorted(name for name, _ in self._all())
@@ -266,6 +272,12 @@ class Requests:
             for name, request in self._all()
             if is_kept(offered_ns, request) and not is_kept(offer_ns, request)
         )
+
+    def objection(self, *, offered_ns: int, offer_ns: int) -> str:
+        """Return in words why the readers did not all match a writer that offers the second deadline (ns)."""
+        if lost := self.lost(offered_ns=offered_ns, offer_ns=offer_ns):
+            return f"DEADLINE {offer_ns or 'infinite'} would lose readers ({', '.join(lost)})"
+        return f"not all readers matched in time (in the graph: {', '.join(self.names()) or 'none'})"
 
     def _all(self) -> Iterator[tuple[str, int]]:
         for reader in self._node.get_subscriptions_info_by_topic(self._topic):

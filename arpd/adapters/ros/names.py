@@ -7,7 +7,7 @@ import re
 PUBLISHERS_TOPIC = "/arpd/publishers"
 READERS_TOPIC = "/arpd/subscriptions"
 DAEMONS_TOPIC = "/arpd/daemons"
-GATE_TOPIC = "/arpd/gate"
+PRICE_TOPIC = "/arpd/price"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 GENERATION_PARAMETER = "arpd.generation"
@@ -21,6 +21,9 @@ DEPTH = "depth"
 DEADLINE = "deadline"
 RATE = "rate"
 MIN_RATE = "min_rate"
+WEIGHT = "weight"
+WIRE_BYTES = "wire_bytes"
+PACKETS = "packets"
 
 _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _MOST_NAME = 256  # characters; ROS itself ends at 255
@@ -29,8 +32,8 @@ _MOST_NAME = 256  # characters; ROS itself ends at 255
 def parameter_name(topic: str, setting: str) -> str:
     """Return the full parameter name of one setting of the publisher on ``topic``.
 
-    Depth and deadline have ROS 2's standard names (design.ros2.org, "QoS Overrides by Parameters"); rate and floor have
-    arpd's own.
+    Depth and deadline have ROS 2's standard names (design.ros2.org, "QoS Overrides by Parameters"); all others
+    have arpd's own.
     """
     if setting in {DEPTH, DEADLINE}:
         return f"qos_overrides.{topic}.publisher.{setting}"

@@ -1,62 +1,84 @@
-"""The shared half of one node's AdaptivePublishers: pacing thread, parameters, gate and announcement."""
+"""The shared half of one node's AdaptivePublishers: pacing thread, parameters, price and announcement."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
+from collections import deque
 from dataclasses import replace
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.announcement import to_status
-from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth, checked_floor_hz, checked_rate_hz
+from arpd.adapters.ros.bounds import (
+    MOST_DEPTH,
+    checked_deadline_ns,
+    checked_depth,
+    checked_floor_hz,
+    checked_packets,
+    checked_rate_hz,
+    checked_weight,
+    checked_wire_bytes,
+)
 from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
 from arpd.adapters.ros.grant import Grant
 from arpd.adapters.ros.names import (
     DEADLINE,
     DEPTH,
-    GATE_TOPIC,
     GENERATION_PARAMETER,
     LEASE_PARAMETER,
     MIN_RATE,
+    PACKETS,
+    PRICE_TOPIC,
     PUBLISHERS_TOPIC,
     RATE,
+    WEIGHT,
+    WIRE_BYTES,
     parameter_name,
 )
+from arpd.adapters.ros.own_parameters import OwnParameters
+from arpd.adapters.ros.price_message import decode_price
+from arpd.adapters.ros.wakeups import Wakeups
 from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rclpy.node import Node
 
     from arpd.model.endpoints import PublisherState, WriterQos
+    from arpd.model.price import Price
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
 _ATTRIBUTE = "_arpd_publishers"
 _ANNOUNCE_S = 1.0
-_GATE_LEASE_S = 5.0  # a gate that is not repeated for this long opens: its daemon is gone
+_EARLY_S = 0.4  # least time between two announcements of finished swaps: the daemon takes four a second, of any kind
+_SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
 _RETRY_S = 0.1
 QUICK_S = 0.005  # longest write that nothing blocks; 20 MB took 5 to 9 ms on loopback
+_LOOK_S = 0.001  # a write that nothing blocks mostly takes less
 _BLOCKED_S = 0.05  # a scheduler takes less; the history of a reader at 200 Hz does not bridge two such waits
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
 _WARN_EVERY_S = 5.0
 _SETTINGS = {
     DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
     DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
-    RATE: ("rate_hz", "paced publish rate in Hz, .inf = unpaced, 0 = paused"),
-    MIN_RATE: ("min_rate_hz", "floor in Hz; the gate does not lower the rate below it"),
+    RATE: ("rate_hz", "ceiling of the publish rate in Hz, .inf = unpaced, 0 = paused"),
+    MIN_RATE: ("min_rate_hz", "floor in Hz, which the price keeps while the link carries all floors"),
+    WEIGHT: ("weight", "share of link time relative to other topics, 0 = the price does not apply"),
+    WIRE_BYTES: ("wire_bytes", "bytes of a sample on the link, over all copies"),
+    PACKETS: ("packets", "packets of a sample on the link, over all copies"),
 }
 
 
@@ -75,14 +97,18 @@ class Paced(Protocol):
     def baseline(self) -> WriterQos:
         """QoS of the application."""
 
+    @property
+    def payload_bytes(self) -> float:
+        """Mean size of a sample."""
+
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""
 
     def service(self, now_s: float) -> float:
-        """Write the samples that are due; return when to call again (s)."""
+        """Write samples that are due, none after a write that took long; return when to call again (s)."""
 
-    def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate; None = no daemon sends a gate."""
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link; None = no daemon is there."""
 
     def state(self, *, generation: int, lease_s: float) -> PublisherState:
         """Return the state to announce."""
@@ -92,7 +118,7 @@ class NodePublishers:
     """Paces, tunes and announces all AdaptivePublishers of one node; the first of them makes it.
 
     One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and the
-    gate arrive through the executor. The lease ends there too, so no parameter call can interfere.
+    price arrive through the executor. The lease ends there too, so no parameter call can interfere.
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -100,7 +126,9 @@ class NodePublishers:
         self._clock = clock
         self._publishers: dict[str, Paced] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
-        self._wakeups: Wakeups[Paced] = Wakeups()
+        self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
+        self._wakeups: Wakeups[Paced] = Wakeups(attrgetter("payload_bytes"))
+        self._swapped: deque[Paced] = deque()  # publishers whose end of a swap is not announced yet
         self._suspect_until_s = -math.inf
         self.finished_s = clock()  # when the pacing thread last finished a turn
         self.quick_from_s = -math.inf  # from then on a thread that offers a sample may write it
@@ -116,7 +144,9 @@ class NodePublishers:
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(Float64, GATE_TOPIC, self._on_gate, newest, event_callbacks=no_subscription_events())
+        node.create_subscription(
+            Float64MultiArray, PRICE_TOPIC, self._on_price, newest, event_callbacks=no_subscription_events()
+        )
         node.create_timer(_ANNOUNCE_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._announcer = node.create_publisher(
             DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
@@ -145,13 +175,13 @@ class NodePublishers:
         for setting, (field, description) in _SETTINGS.items():
             name = parameter_name(topic, setting)
             self._parameters[name] = (topic, field)
-            value = getattr(publisher.plan, field)
-            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
+            OwnParameters.of(self._node).declare(name, getattr(publisher.plan, field), description)
         self._publishers = {**self._publishers, topic: publisher}
         # Overrides given at the start (--ros-args -p qos_overrides…) are in force from the beginning.
         plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
         if plan != publisher.plan:
             publisher.retune(plan)
+        self._show_price(publisher)
         self.wake(publisher)
 
     def release(self, publisher: Paced) -> None:
@@ -160,12 +190,17 @@ class NodePublishers:
         self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
         for setting in _SETTINGS:
             name = parameter_name(topic, setting)
-            if self._parameters.pop(name, None) and self._node.context.ok():
-                self._node.undeclare_parameter(name)
+            if self._parameters.pop(name, None):
+                OwnParameters.of(self._node).undeclare(name)
 
     def wake(self, publisher: Paced) -> None:
         """Let the pacing thread serve a publisher at once."""
         self._wakeups.wake(publisher)
+
+    def note_swap(self, publisher: Paced) -> None:
+        """Announce a publisher soon, because a swap of it has ended; for any thread."""
+        self._swapped.append(publisher)
+        self._wakeups.end()
 
     def shun_writing(self, took_s: float) -> None:
         """Leave writes of `offer` to the pacing thread for a while: writes block, and all share the link's queue."""
@@ -183,55 +218,82 @@ class NodePublishers:
             self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
-        announce_s = self._clock()
+        announce_s = early_s = self._clock()
         while not self._stopping and self._node.context.ok():
             try:
-                self._service(self._clock())
+                self._service(self._clock(), until_s=announce_s)
                 now_s = self.finished_s = self._clock()
                 if now_s >= announce_s:
                     announce_s = now_s + _ANNOUNCE_S
-                    self._expire_gate(now_s)
-                    self._announce()
+                    self._swapped.clear()
+                    self._note_silence(now_s)
+                    self._announce(self._publishers.values())
+                elif self._swapped and now_s >= early_s:
+                    early_s = now_s + _EARLY_S
+                    swapped = {self._swapped.popleft() for _ in range(len(self._swapped))}
+                    self._announce(one for one in self._publishers.values() if one in swapped)
             except InvalidHandle:
                 return  # the application destroyed the node
-            self._wakeups.wait(min(announce_s, self._wakeups.next_s()) - self._clock())
+            next_s = min(announce_s, self._wakeups.next_s(), early_s if self._swapped else math.inf)
+            self._wakeups.wait(next_s - self._clock())
 
-    def _service(self, now_s: float) -> None:
-        """Serve every publisher that is due; one that raises does not stop the others."""
-        for publisher in self._wakeups.take_due(now_s):
-            if self._publishers.get(publisher.topic_name) is not publisher:
-                continue  # destroyed meanwhile
-            try:
-                due_s = publisher.service(now_s)
-            except InvalidHandle:
-                raise
-            except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
-                self._node.get_logger().error(
-                    f"{publisher.topic_name}: pacing or a swap failed: {error}; arpd tries again",
-                    throttle_duration_sec=_WARN_EVERY_S,
-                    skip_first=False,
-                )
-                due_s = now_s + _RETRY_S
-            self._wakeups.set(publisher, due_s)
+    def _service(self, now_s: float, *, until_s: float) -> None:
+        """Serve the publishers that are due, and those that become due while a write blocks."""
+        looked_s = now_s
+        self._wakeups.look(now_s)
+        while now_s < until_s and (publisher := self._wakeups.take(now_s)) is not None:
+            if self._publishers.get(publisher.topic_name) is publisher:  # it may be destroyed by now
+                self._wakeups.set(publisher, self._serve(publisher, now_s))
+            now_s = self._clock()
+            if now_s - looked_s > _LOOK_S:
+                looked_s = now_s
+                self._wakeups.look(now_s)
 
-    def _announce(self) -> None:
+    def _serve(self, publisher: Paced, now_s: float) -> float:
+        """Serve one publisher and return when to serve it again (s); its faults do not stop the others."""
+        try:
+            return publisher.service(now_s)
+        except InvalidHandle:
+            raise
+        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
+            self._node.get_logger().error(
+                f"{publisher.topic_name}: pacing or a swap failed: {error}; arpd tries again",
+                throttle_duration_sec=_WARN_EVERY_S,
+                skip_first=False,
+            )
+            return now_s + _RETRY_S
+
+    def _announce(self, publishers: Iterable[Paced]) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         generation, lease_s = self._grant.generation, self._grant.lease.granted_s
-        publishers = self._publishers.values()
         message.status = [to_status(one.state(generation=generation, lease_s=lease_s)) for one in publishers]
-        self._announcer.publish(message)
+        if message.status:  # the last one may just be destroyed, and an empty message is none
+            self._announcer.publish(message)
 
-    def _on_gate(self, message: Any) -> None:
-        if 0.0 < message.data <= 1.0:
-            self._grant.lease.renew(self._clock())
-            for publisher in self._publishers.values():
-                publisher.set_gate(message.data)
+    def _on_price(self, message: Any) -> None:
+        try:
+            self._price = decode_price(message.data)
+        except ValueError as fault:
+            self._node.get_logger().warning(f"a price is ignored: {fault}", once=True)
+            return
+        self._grant.lease.renew(self._clock())
+        self._show_price(*self._publishers.values())
 
-    def _expire_gate(self, now_s: float) -> None:
-        if self._grant.lease.is_silent(now_s, for_s=_GATE_LEASE_S):
-            for publisher in self._publishers.values():
-                publisher.set_gate(None)
+    def _note_silence(self, now_s: float) -> None:
+        if self._grant.lease.is_silent(now_s, for_s=_SILENT_S):
+            self._show_price(*self._publishers.values())
+
+    def _show_price(self, *publishers: Paced) -> None:
+        """Give publishers the last price.
+
+        To one without a plan a price only says that a daemon is there, which will plan it. Silence ends that.
+        """
+        price = self._price
+        if is_silent := self._grant.lease.is_silent(self._clock(), for_s=_SILENT_S):
+            price = None if price is None else replace(price, is_stale=True)
+        for publisher in publishers:
+            publisher.set_price(None if is_silent and not publisher.plan.weight else price)
 
     def _expire_plan(self) -> None:
         """Return every publisher to its application's QoS when the lease has run out."""
@@ -260,6 +322,9 @@ class NodePublishers:
             self._node.get_logger().error(
                 f"the publishers keep their plan for now: {result.reason}", throttle_duration_sec=_WARN_EVERY_S
             )
+            return
+        self._price = None
+        self._show_price(*self._publishers.values())
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
@@ -273,6 +338,7 @@ class NodePublishers:
         self._grant.take(parameters)
         for topic, plan in self._plans(parameters).items():
             self._publishers[topic].retune(plan)
+            self._show_price(self._publishers[topic])
 
     def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
         """Return the plan of each topic with changed parameters; raise ValueError with a reason for a bad value."""
@@ -290,60 +356,19 @@ class NodePublishers:
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
 
 
+_CHECKS: dict[str, Callable[[Any], int | float]] = {
+    "rate_hz": checked_rate_hz,
+    "min_rate_hz": checked_floor_hz,
+    "weight": checked_weight,
+    "wire_bytes": checked_wire_bytes,
+    "packets": checked_packets,
+}
+
+
 def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: int = 0) -> int | float:
     """Return a valid setting; rclpy has already refused values of another type."""
     if field == "depth":
         return checked_depth(parameter, most_depth)
     if field == "deadline_ns":
         return checked_deadline_ns(parameter, own_ns=own_deadline_ns)
-    return checked_rate_hz(parameter) if field == "rate_hz" else checked_floor_hz(parameter)
-
-
-T = TypeVar("T")
-
-
-class Wakeups(Generic[T]):
-    """Due times of the publishers, and a queue of those that are due at once.
-
-    Only `wake` and `end` may be called from other threads. A publisher that is woken is due until it is taken; one that
-    is woken while it is served is due again.
-    """
-
-    def __init__(self) -> None:
-        self._due_s: dict[T, float] = {}
-        self._woken: SimpleQueue[T | None] = SimpleQueue()
-
-    def wake(self, one: T) -> None:
-        """Make one due at once."""
-        self._woken.put(one)
-
-    def end(self) -> None:
-        """Let `wait` return without waking any."""
-        self._woken.put(None)
-
-    def wait(self, for_s: float) -> None:
-        """Wait until one is woken, or the time is over."""
-        try:
-            woken = self._woken.get(timeout=max(0.0, for_s))
-            while True:
-                if woken is not None:
-                    self._due_s[woken] = -math.inf
-                woken = self._woken.get_nowait()
-        except Empty:
-            return
-
-    def take_due(self, now_s: float) -> list[T]:
-        """Return those that are due, and forget them until they are woken or given a time again."""
-        due = [one for one, due_s in self._due_s.items() if due_s <= now_s]
-        for one in due:
-            del self._due_s[one]
-        return due
-
-    def set(self, one: T, due_s: float) -> None:
-        """Set when one that was just taken is due again, ``inf`` = not before it is woken (s)."""
-        if due_s < math.inf:
-            self._due_s[one] = due_s
-
-    def next_s(self) -> float:
-        """Return when the next one is due, ``inf`` = none is (s)."""
-        return min(self._due_s.values(), default=math.inf)
+    return _CHECKS[field](parameter)

@@ -14,12 +14,12 @@ from rclpy.clock_type import ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.announcement import reader_to_status
 from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
 from arpd.adapters.ros.grant import Grant
-from arpd.adapters.ros.names import GATE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
+from arpd.adapters.ros.names import PRICE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ class NodeSubscriptions:
         self._node = node
         self._clock = clock
         self._subscriptions: dict[str, Announced] = {}
-        self._gate: Any = None
+        self._price: Any = None  # subscription
         self._unchanged = 0  # timer calls since the last news
         self._grant = Grant(
             node,
@@ -144,23 +144,23 @@ class NodeSubscriptions:
     def _apply(self, parameters: Sequence[Any]) -> None:
         self.note_news()
         self._grant.take(parameters)
-        self._follow_gate()
+        self._follow_price()
 
-    def _follow_gate(self) -> None:
-        """Subscribe to the gate, as a sign of the daemon, while there is a lease; otherwise spare the link."""
-        if self._grant.lease.granted_s > 0 and self._gate is None:
+    def _follow_price(self) -> None:
+        """Subscribe to the price, as a sign of the daemon, while there is a lease; otherwise spare the link."""
+        if self._grant.lease.granted_s > 0 and self._price is None:
             newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-            self._gate = self._node.create_subscription(
-                Float64,
-                GATE_TOPIC,
-                self._on_gate,
+            self._price = self._node.create_subscription(
+                Float64MultiArray,
+                PRICE_TOPIC,
+                self._on_price,
                 newest,
                 callback_group=self._group,
                 event_callbacks=no_subscription_events(),
             )
-        elif self._grant.lease.granted_s == 0 and self._gate is not None:
-            self._node.destroy_subscription(self._gate)
-            self._gate = None
+        elif self._grant.lease.granted_s == 0 and self._price is not None:
+            self._node.destroy_subscription(self._price)
+            self._price = None
 
-    def _on_gate(self, _message: Any) -> None:
+    def _on_price(self, _message: Any) -> None:
         self._grant.lease.renew(self._clock())

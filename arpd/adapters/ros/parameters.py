@@ -16,9 +16,12 @@ from arpd.adapters.ros.names import (
     GENERATION_PARAMETER,
     LEASE_PARAMETER,
     MIN_RATE,
+    PACKETS,
     RATE,
     READERS_GENERATION_PARAMETER,
     READERS_LEASE_PARAMETER,
+    WEIGHT,
+    WIRE_BYTES,
     parameter_name,
     reader_parameter_name,
 )
@@ -162,5 +165,8 @@ def _of_publisher(topic: str, row: TopicPlan) -> list[Any]:
         DEADLINE: row.deadline_ns,
         RATE: float(row.rate_hz),
         MIN_RATE: float(row.min_rate_hz),
+        WEIGHT: float(row.weight),
+        WIRE_BYTES: float(row.wire_bytes),
+        PACKETS: row.packets,
     }
     return [Parameter(parameter_name(topic, setting), value=value) for setting, value in values.items()]

@@ -10,14 +10,12 @@ from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.adapters.ros.node_publishers import QUICK_S, NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
-from arpd.adapters.ros.writer import RosWriter, without_ours
+from arpd.adapters.ros.writer import RosWriter, serialized, with_qos, without_ours
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import (
     NO_REFUSAL,
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
 
     from arpd.apply.endpoint.writer_swap import SwapTiming
     from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
 
 _LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
 _FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
@@ -54,7 +53,7 @@ class AdaptivePublisher:
 
     Parameters
     ----------
-    node : node it lives in; its executor must spin for parameters and the gate to work
+    node : node it lives in; its executor must spin for parameters and the price to work
     msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
     event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
         swap prepares or retires; the counts in the events start again with every swap
@@ -165,7 +164,7 @@ class AdaptivePublisher:
         TypeError
             If it is neither.
         """
-        sample = self._serialized(msg)
+        sample = serialized(msg, self.msg_type)
         with self._lock:
             self._flow.offer(sample)
         with self._writing:
@@ -181,7 +180,7 @@ class AdaptivePublisher:
         ----------
         msg : as in `publish`
         """
-        sample = self._serialized(msg)
+        sample = serialized(msg, self.msg_type)
         if self._clock() >= self._shared.quick_from_s and self._writing.acquire(blocking=False):
             try:
                 with self._lock:
@@ -229,6 +228,11 @@ class AdaptivePublisher:
         """QoS of the application at creation."""
         return self._baseline
 
+    @property
+    def payload_bytes(self) -> float:
+        """Mean size of a sample, serialized (bytes)."""
+        return self._flow.payload_bytes
+
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap.
 
@@ -252,20 +256,20 @@ class AdaptivePublisher:
             self._flow.retune(plan, qos=qos)
         self._shared.wake(self)
 
-    def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is there, and the gate is open."""
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link, from which the rate follows; None = no daemon is there."""
         with self._lock:
-            self._flow.set_gate(gate)
+            self._flow.set_price(price)
         self._leave_rest()  # samples may now leave sooner
 
     def service(self, now_s: float) -> float:
-        """Take a step of the swap and write the samples that are due; return when to call again (s)."""
+        """Take a step of the swap and write what is due, until a write blocks; return when to call again (s)."""
         if not self._writing.acquire(blocking=False):
             return now_s + 0.001  # the application is inside publish(); do not let the other topics wait for it
         try:
             with self._lock:
                 self._flow.step(now_s)
-            self._drain()
+            self._drain(until_s=self._clock() + QUICK_S)
             with self._lock:
                 self._wakeup_s = self._flow.due_s(now_s)
                 return self._wakeup_s
@@ -292,13 +296,6 @@ class AdaptivePublisher:
             **{name: getattr(flow, name) for name in _FLOW_FIELDS},
         )
 
-    def _serialized(self, msg: Any) -> bytes:
-        if isinstance(msg, bytes):
-            return msg
-        if isinstance(msg, self.msg_type):
-            return bytes(serialize_message(msg))
-        raise TypeError(f"Expected {self.msg_type}, got {type(msg)}")
-
     def _warn_of_refusals(self) -> None:
         """Warn as rclpy's default callback does when a reader refuses the offered QoS."""
         if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
@@ -310,21 +307,22 @@ class AdaptivePublisher:
                 f"last incompatible policy: {self._writer.refused_policy}"
             )
 
-    def _drain(self) -> None:
-        """Write all samples that may leave; the caller holds ``_writing``, so that they keep their order."""
-        before_s = self._clock()
+    def _drain(self, *, until_s: float = math.inf) -> None:
+        """Write what may leave, nothing after ``until_s`` (s); the caller holds ``_writing``, for the order."""
+        now_s = before_s = self._clock()
         is_waiting = True
         try:
             with self._lock:
                 self._flow.before_take()
             self._flow.replay()
-            while is_waiting:
+            while is_waiting and now_s <= until_s:
                 with self._lock:
                     sample = self._flow.take()
                 if sample is None:
                     break
                 self._flow.write(sample)
                 is_waiting = self._flow.is_waiting  # a thread that offers a sample later serves it itself
+                now_s = self._clock()
         finally:  # also when a write raised: the samples behind it must still leave
             if is_waiting:
                 self._leave_rest()
@@ -353,9 +351,7 @@ class AdaptivePublisher:
         return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
-        profile = copy(self.qos_profile)  # every other policy is the application's
-        profile.depth = qos.depth
-        profile.deadline = Duration(nanoseconds=qos.deadline_ns)
+        profile = with_qos(self.qos_profile, qos)
         create = partial(
             self._node.create_publisher,
             self.msg_type,
@@ -370,6 +366,7 @@ class AdaptivePublisher:
             event_callbacks=self._event_callbacks,
             is_current=self._is_current,
             disconnected=lambda: self._lost_to(qos),
+            are_reliable=lambda: self._requests.are_reliable(),  # noqa: PLW0108 - made after the first writer
         )
         if self._overrides is not None:
             self.qos_profile = copy(profile)
@@ -384,6 +381,7 @@ class AdaptivePublisher:
         return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
+        self._shared.note_swap(self)
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
@@ -394,7 +392,4 @@ class AdaptivePublisher:
     def _reason(self, result: SwapResult, qos: WriterQos) -> str:
         if result is SwapResult.FAILED:
             return f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
-        if lost := self._lost_to(qos):
-            return f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
-        readers = ", ".join(self._requests.names())
-        return f"not all readers matched in time (in the graph: {readers or 'none'})"
+        return self._requests.objection(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)

@@ -37,7 +37,7 @@ class Rmw:
         """Reason why depth and deadline are never changed; empty if they are."""
         if self.can_swap:
             return ""
-        return f"{self.name} is paced and gated only: QoS swaps were measured on Fast DDS alone"
+        return f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
 
 
 def rmw_of(name: str) -> Rmw:

@@ -158,10 +158,10 @@ def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> 
 
     Fast DDS writes to a blocking socket. When a link stops but keeps its carrier, its queue fills, then the socket's
     buffer, and the next write to a far reader blocks until the link recovers. In `arpd run` that write blocks the tick,
-    and the publishers on this host receive no gate. Measured on such a link with 40 kB/s of probes: the ticks stopped
-    after 3 s and continued with the link. Without waiting, a write took 0.2 ms, and the gate kept arriving through
-    shared memory. (With UDP alone one socket serves near and far readers: the ticks continue, and the gate arrives
-    again with the link.) The dropped samples are best effort, or are repeated.
+    and the publishers on this host receive no price. Measured on such a link with 40 kB/s of probes: the ticks stopped
+    after 3 s and continued with the link. Without waiting, a write took 0.2 ms, and the price kept arriving through
+    shared memory. (With UDP alone one socket serves near and far readers: the ticks continue, and the price
+    arrives again with the link.) The dropped samples are best effort, or are repeated.
 
     Processes that carry data do not use this: a write that blocks tells them that the link is full.
     """

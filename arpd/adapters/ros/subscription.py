@@ -10,7 +10,7 @@ from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -21,6 +21,7 @@ from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_de
 from arpd.adapters.ros.graph import deadline_ns_of, node_name_of
 from arpd.adapters.ros.names import reader_parameter_name
 from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
+from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.adapters.ros.reader import ReaderQos, RosReader, Sample, arguments_of, key_of
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.apply.endpoint.meters import DeadlineCount
@@ -297,8 +298,7 @@ class AdaptiveSubscription:
                 "their parameters would share one name"
             )
         for name, (field, description) in zip(self._parameters, _SETTINGS.values(), strict=True):
-            descriptor = ParameterDescriptor(description=description)
-            self._node.declare_parameter(name, getattr(self._baseline, field), descriptor)
+            OwnParameters.of(self._node).declare(name, getattr(self._baseline, field), description)
         try:
             return self._wanted(self._baseline, [self._node.get_parameter(name) for name in self._parameters])
         except ValueError:
@@ -307,8 +307,7 @@ class AdaptiveSubscription:
 
     def _undeclare(self) -> None:
         for name in self._parameters:
-            if self._node.context.ok() and self._node.has_parameter(name):
-                self._node.undeclare_parameter(name)
+            OwnParameters.of(self._node).undeclare(name)
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:

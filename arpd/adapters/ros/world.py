@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64, UInt8MultiArray
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.adapters.host.interface import InterfaceReader, MemoryReader, read_speed
 from arpd.adapters.host.radio import Radio
@@ -22,8 +22,9 @@ from arpd.adapters.ros.daemons import Daemons
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.graph import Crossing, read_graph
 from arpd.adapters.ros.listeners import Announcements
-from arpd.adapters.ros.names import GATE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
 from arpd.adapters.ros.rmw import Rmw, current_rmw
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
 
     from arpd.model.plan import Transition
+    from arpd.model.price import Price
     from arpd.model.settings import GraphSettings
 
 log = logging.getLogger(__name__)
@@ -53,7 +55,7 @@ _WHY = {
 
 
 class RosControl:
-    """Observes the link, the graph and the endpoints; carries out gate, plan and probes.
+    """Observes the link, the graph and the endpoints; sends the price, and carries out plans and probes.
 
     Parameters
     ----------
@@ -100,7 +102,9 @@ class RosControl:
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._gate_publisher = node.create_publisher(Float64, GATE_TOPIC, newest, event_callbacks=no_publisher_events())
+        self._price_publisher = node.create_publisher(
+            Float64MultiArray, PRICE_TOPIC, newest, event_callbacks=no_publisher_events()
+        )
         self._probe_publisher = node.create_publisher(
             UInt8MultiArray, PROBE_TOPIC, best_effort, event_callbacks=no_publisher_events()
         )
@@ -172,9 +176,9 @@ class RosControl:
 
     # -- act
 
-    def set_gate(self, gate: float) -> None:
-        """Send the gate to every publisher; repeated at every tick, so a lost message matters for one tick only."""
-        self._gate_publisher.publish(Float64(data=gate))
+    def set_price(self, price: Price) -> None:
+        """Send the price to every publisher; best effort, because the caller repeats it."""
+        self._price_publisher.publish(Float64MultiArray(data=encode_price(price)))
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
         """Set the parameters of a plan on its nodes; returns at once."""

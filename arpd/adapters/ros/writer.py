@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
-from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
+from rclpy.qos import QoSPolicyKind, QoSReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+
+    from arpd.model.endpoints import WriterQos
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 _FOREVER = Duration(seconds=-1)  # rclpy's default
@@ -30,6 +35,7 @@ class RosWriter:
         does not notice when there are two
     is_current : returns whether samples leave by the given writer
     disconnected : names the readers that a writer with this QoS would lose
+    are_reliable : returns whether all readers of the topic are reliable
     """
 
     def __init__(
@@ -40,10 +46,12 @@ class RosWriter:
         event_callbacks: PublisherEventCallbacks | None,
         is_current: Callable[[RosWriter], bool],
         disconnected: Callable[[], list[str]],
+        are_reliable: Callable[[], bool],
     ) -> None:
         self._node = node
         self._is_current = is_current
         self._disconnected = disconnected
+        self._are_reliable = are_reliable
         self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
@@ -66,6 +74,11 @@ class RosWriter:
     def wait_for_all_acked(self, timeout: Duration | None) -> bool:
         """Wait until every sample written was acknowledged; None = as long as it takes."""
         return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
+
+    def readers_acknowledge(self) -> bool:
+        """Return whether the readers acknowledge what arrives."""
+        is_reliable = self.publisher.qos_profile.reliability != QoSReliabilityPolicy.BEST_EFFORT
+        return is_reliable and self._are_reliable()
 
     def disconnects_readers(self) -> bool:
         """Return whether readers that the writer in force serves have refused this one."""
@@ -97,6 +110,29 @@ class RosWriter:
                 wrap = self._deadlines.counting if event == "deadline" else passing_on
                 setattr(filtered, event, wrap(callback, if_=lambda _event: self._is_current(self)))
         return filtered
+
+
+def serialized(msg: Any, msg_type: Any) -> bytes:
+    """Return the bytes of a message, or the message itself where it is serialized already.
+
+    Raises
+    ------
+    TypeError
+        If it is neither of the type nor bytes.
+    """
+    if isinstance(msg, bytes):
+        return msg
+    if isinstance(msg, msg_type):
+        return bytes(serialize_message(msg))
+    raise TypeError(f"Expected {msg_type}, got {type(msg)}")
+
+
+def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
+    """Return a profile with another depth and deadline; every other policy is the application's."""
+    changed = copy(profile)
+    changed.depth = qos.depth
+    changed.deadline = Duration(nanoseconds=qos.deadline_ns)
+    return changed
 
 
 def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:

@@ -1,0 +1,34 @@
+"""The price of the link, as `arpd run` sends it."""
+
+import math
+
+from std_msgs.msg import Float64MultiArray
+
+from arpd.adapters.ros.names import PRICE_TOPIC
+from arpd.adapters.ros.price_message import encode_price
+from arpd.model.price import Price
+
+FREE = Price(share_per_weight=math.inf, capacity_bytes_per_second=1e6)
+TERMS = {"weight": 1.0, "wire_bytes": 1000.0, "packets": 1}
+
+
+def costing(rate_hz, **fields):
+    """Return the price at which a publisher of these terms may publish at this rate."""
+    return Price(share_per_weight=rate_hz * 1e-3, capacity_bytes_per_second=1e6, **fields)
+
+
+class PriceSender:
+    """Sends prices on the topic."""
+
+    def __init__(self, node):
+        self._publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
+
+    def __call__(self, price=FREE):
+        self.send(encode_price(price))
+
+    def send(self, numbers):
+        self._publisher.publish(Float64MultiArray(data=numbers))
+
+    @property
+    def listeners(self):
+        return self._publisher.get_subscription_count()
