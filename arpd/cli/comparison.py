@@ -192,8 +192,10 @@ def _overall(summaries: dict[str, Summary]) -> list[str]:
     return aligned(
         [
             (f"from {WARM_UP_S:g} s on", *_WAYS),
-            row("payload delivered, Mbit/s", lambda s: f"{s.goodput_bytes_per_second / _MBIT:.2f}"),
+            row("payload delivered, Mbit/s", lambda s: _mbit(s.goodput_bytes_per_second)),
             row("of the oracle's, %", lambda s: f"{100 * s.goodput_bytes_per_second / best:.1f}" if best else "-"),
+            row("of the link carried, %", lambda s: _percent(s.carried_share)),
+            row("budget, mean, Mbit/s", lambda s: _mbit(s.budget_mean_bytes_per_second)),
             row("longest queue, ms", lambda s: _milliseconds(s.queue_peak_s)),
             row("99 % of queues below, ms", lambda s: _milliseconds(s.queue_p99_s)),
             row("estimate off by, median, %", lambda s: _percent(s.error_median)),
@@ -254,6 +256,10 @@ def _milliseconds(seconds: float | None) -> str:
     if seconds is None:
         return "-"
     return format_number(seconds * 1e3) if math.isfinite(seconds) else "never"
+
+
+def _mbit(bytes_per_second: float | None) -> str:
+    return "-" if bytes_per_second is None else f"{bytes_per_second / _MBIT:.2f}"
 
 
 def _percent(value: float | None) -> str:

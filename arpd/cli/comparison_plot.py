@@ -30,7 +30,7 @@ _MOST_LABELS = 14
 
 
 def draw_comparison(comparison: Comparison, *, title: str, path: Path) -> None:
-    """Draw the course of the link, the gate, the queue and the delivered payload, as a PNG.
+    """Draw the course of the link, the budget, the queue and the delivered payload, as a PNG.
 
     Parameters
     ----------
@@ -45,13 +45,12 @@ def draw_comparison(comparison: Comparison, *, title: str, path: Path) -> None:
     """
     figure = Figure(figsize=(12.0, 10.0), layout="constrained")
     FigureCanvasAgg(figure)  # draws without a display
-    panels = figure.subplots(4, 1, sharex=True, height_ratios=(3.2, 1.0, 2.0, 2.0))
-    rate, gate, queue, goodput = panels
+    panels = figure.subplots(4, 1, sharex=True, height_ratios=(2.5, 2.0, 2.0, 2.0))
+    rate, budget, queue, goodput = panels
     moments = comparison.arpd.moments
     times = [moment.t_s for moment in moments]
     _draw_rate(rate, moments, times)
-    gate.plot(times, [moment.gate for moment in moments], color=_ARPD, linewidth=1.3)
-    gate.set(ylabel="gate", ylim=(0.0, 1.05))
+    _draw_budget(budget, moments, times)
     ways = (
         ("without arpd", comparison.without, _WITHOUT),
         ("oracle", comparison.oracle, _ORACLE),
@@ -72,24 +71,38 @@ def draw_comparison(comparison: Comparison, *, title: str, path: Path) -> None:
         panel.set_axisbelow(True)
         panel.grid(visible=True, color="0.9", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)
-    for panel in (rate, queue, goodput):
+    for panel in panels:
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9, frameon=False)
     figure.savefig(path, format="png", dpi=120)
 
 
 def _draw_rate(axes: Any, moments: Sequence[Moment], times: Sequence[float]) -> None:
-    truth = [moment.truth_bytes_per_second / _MBIT for moment in moments]
-    axes.fill_between(times, truth, step="post", color=_TRUTH, alpha=0.25, linewidth=0)
-    axes.step(times, truth, where="post", color=_TRUTH, linewidth=1.2, label="link")
+    truth = _draw_link(axes, moments, times)
     axes.plot(times, _rates(moments, "estimate_bytes_per_second"), color=_ARPD, linewidth=1.5, label="arpd's estimate")
-    planned = [moment.level_bytes_per_second if moment.generation else None for moment in moments]
-    levels = [math.nan if level is None else level / _MBIT for level in planned]
-    axes.step(times, levels, where="post", color=_LEVEL, linewidth=1.5, linestyle=(0, (4, 2)), label="plan's level")
     axes.set(ylabel="Mbit/s")
     axes.plot([], [], color="0.6", linewidth=0.8, linestyle=":", label="new plan: QoS swaps")
     # A first estimate far above the link, or a spike of a tenth of a second, must not flatten everything else.
     usual = percentile(truth, 0.98) or 0.0
-    axes.set_ylim(0.0, 1.25 * max(usual, *(level / _MBIT for level in planned if level is not None), 1e-3))
+    axes.set_ylim(0.0, 1.25 * max(usual, 1e-3))
+
+
+def _draw_budget(axes: Any, moments: Sequence[Moment], times: Sequence[float]) -> None:
+    truth = _draw_link(axes, moments, times)
+    budgets = _rates(moments, "budget_bytes_per_second")
+    axes.plot(times, budgets, color=_ARPD, linewidth=1.3, label="topics may use")
+    planned = [moment.level_bytes_per_second if moment.generation else None for moment in moments]
+    levels = [math.nan if level is None else level / _MBIT for level in planned]
+    axes.step(times, levels, where="post", color=_LEVEL, linewidth=1.5, linestyle=(0, (4, 2)), label="deadlines' level")
+    axes.set(ylabel="budget (Mbit/s)")
+    axes.set_ylim(0.0, 1.25 * max(percentile(truth, 0.98) or 0.0, 1e-3))
+
+
+def _draw_link(axes: Any, moments: Sequence[Moment], times: Sequence[float]) -> list[float]:
+    """Draw the rate of the link, and return it (Mbit/s)."""
+    truth = [moment.truth_bytes_per_second / _MBIT for moment in moments]
+    axes.fill_between(times, truth, step="post", color=_TRUTH, alpha=0.25, linewidth=0)
+    axes.step(times, truth, where="post", color=_TRUTH, linewidth=1.2, label="link")
+    return truth
 
 
 def _rates(moments: Sequence[Moment], name: str) -> list[float]:

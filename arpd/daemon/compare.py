@@ -44,6 +44,8 @@ class Summary:
     Parameters
     ----------
     goodput_bytes_per_second : payload delivered from the robot (bytes/s)
+    carried_share : wire bytes carried from the robot, resends and probes included, as a share of what the link could
+    budget_mean_bytes_per_second : mean of the total that the topics might use (bytes/s)
     queue_peak_s, queue_p99_s : longest queue on the robot's side and its 99th percentile, sampled at 10 Hz (s)
     error_median, error_p90 : median and 90th percentile of |estimate / rate of the link - 1|
     levels_per_minute : plans made (1/min)
@@ -52,6 +54,8 @@ class Summary:
     """
 
     goodput_bytes_per_second: float
+    carried_share: float
+    budget_mean_bytes_per_second: float | None
     queue_peak_s: float
     queue_p99_s: float
     error_median: float | None
@@ -129,17 +133,20 @@ def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summar
     elapsed_s = last.t_s - first.t_s
     queues = [moment.queue_delay_s for moment in span]
     errors = [error for moment in span if (error := estimate_error(moment)) is not None]
-    carried = sum(moment.truth_bytes_per_second * (after.t_s - moment.t_s) for moment, after in pairwise(span))
+    budgets = [budget for moment in span if (budget := moment.budget_bytes_per_second) is not None]
+    could = sum(moment.truth_bytes_per_second * (after.t_s - moment.t_s) for moment, after in pairwise(span))
     measuring = last.probe_bytes + last.report_bytes - first.probe_bytes - first.report_bytes
     return Summary(
         goodput_bytes_per_second=(last.delivered_bytes - first.delivered_bytes) / elapsed_s,
+        carried_share=(last.carried_bytes - first.carried_bytes) / could if could > 0 else 0.0,
+        budget_mean_bytes_per_second=sum(budgets) / len(budgets) if budgets else None,
         queue_peak_s=max(queues),
         queue_p99_s=percentile(queues, 0.99) or 0.0,
         error_median=percentile(errors, 0.5),
         error_p90=percentile(errors, 0.9),
         levels_per_minute=sum(bool(moment.cause) for moment in span) / (end_s - start_s) * 60.0,
         swaps_per_minute=(last.swaps - first.swaps) / elapsed_s * 60.0,
-        measuring_share=measuring / carried if carried > 0 else 0.0,
+        measuring_share=measuring / could if could > 0 else 0.0,
     )
 
 

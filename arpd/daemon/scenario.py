@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import partial
 from random import Random
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.baselines import Truth
 from arpd.adapters.sim.demo import demo_topics
-from arpd.adapters.sim.link import LinkModel, SimulatedLink
+from arpd.adapters.sim.link import LinkModel, Loopback, SimulatedLink
 from arpd.adapters.sim.robot import SampleSource, SimulatedPublisher
 from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.result import TopicResult
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.schedule import RateSchedule
+    from arpd.adapters.sim.writer import Carrier
     from arpd.daemon.world import CapacityEstimator
     from arpd.model.link import LinkState
     from arpd.model.settings import Settings
@@ -39,6 +41,7 @@ _DRAIN_S = 4.0  # as in the real demo: late samples still count as delivered
 _AGE_S = 0.05
 _SHOW_S = 0.1
 _UNIX_S = 1.7e9
+_TRUTH_S = 0.2  # the bound knows the mean rate of this time ahead; nobody could follow faster changes
 _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
 _ARPD_HEARTBEAT_S = 0.05  # arpd/adapters/ros/fastdds.xml
 _RELAY_HOP_S = 0.0005
@@ -56,11 +59,14 @@ class Moment:
     queue_delay_s : time that a packet sent now would wait on the robot's side (s)
     estimate_bytes_per_second, cross_traffic_bytes_per_second : the estimator's capacity and cross traffic (bytes/s)
     level_bytes_per_second : level of the plan in force (bytes/s)
+    budget_bytes_per_second : total that the topics may use now (bytes/s)
     packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
-    gate, generation : gate in force, generation of the plan
+    gate : part of the traffic above the floors that the price admits, 0..1
+    generation : generation of the plan
     planned, confirmed : publishers in the plan, and those that announce it
     cause : cause of a plan made since the last moment, empty if there is none
     delivered_bytes : payload from the robot that has reached its readers across the link so far (bytes)
+    carried_bytes : everything that the link has carried from the robot so far (wire bytes)
     probe_bytes, report_bytes : probes and reports so far (wire bytes)
     swaps : writer swaps begun so far, all topics together
     """
@@ -71,6 +77,7 @@ class Moment:
     estimate_bytes_per_second: float | None = None
     cross_traffic_bytes_per_second: float | None = None
     level_bytes_per_second: float | None = None
+    budget_bytes_per_second: float | None = None
     packet_overhead_s: float | None = None
     state: LinkState | None = None
     gate: float = 1.0
@@ -79,6 +86,7 @@ class Moment:
     confirmed: int = 0
     cause: str = ""
     delivered_bytes: int = 0
+    carried_bytes: float = 0.0
     probe_bytes: int = 0
     report_bytes: int = 0
     swaps: int = 0
@@ -107,6 +115,9 @@ def run(
     model: LinkModel | None = None,
     foreign: tuple[ForeignFlow, ...] = (),
     topics: tuple[SimTopic, ...] | None = None,
+    down: RateSchedule | None = None,
+    into_peer: tuple[ForeignFlow, ...] = (),
+    has_peer: bool = True,
     make_estimator: EstimatorMaker | None = None,
 ) -> ScenarioResult:
     """Run a robot for ``duration_s`` of virtual time.
@@ -114,12 +125,15 @@ def run(
     Parameters
     ----------
     settings : configuration of arpd; unused without arpd
-    schedule : rate of the link over run time, both directions
+    schedule : rate of the link over run time, from the robot
     seed : of phases, jitter and losses; the same seed gives the same result
     managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
     foreign : cross traffic from the robot
     topics : topics of the robot; the demo robot's by default
+    down : rate of the link over run time, to the robot; as from the robot by default
+    into_peer : other traffic that the peer's interface receives without crossing this link
+    has_peer : whether a peer receives probes and sends reports
     make_estimator : makes an estimator from a function that returns the truth; arpd's own by default
     """
     plant = _Plant(
@@ -129,8 +143,11 @@ def run(
         model=model or LinkModel(),
         foreign=foreign,
         topics=demo_topics() if topics is None else topics,
+        down=down or schedule,
     )
-    return _managed(plant, settings, make_estimator) if managed else _plain(plant)
+    if not managed:
+        return _plain(plant)
+    return _managed(plant, settings, make_estimator, into_peer=into_peer, has_peer=has_peer)
 
 
 class _Plant:
@@ -145,6 +162,7 @@ class _Plant:
         model: LinkModel,
         foreign: tuple[ForeignFlow, ...],
         topics: tuple[SimTopic, ...],
+        down: RateSchedule,
     ) -> None:
         self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
         self._service = Service(schedule, 0.0)
@@ -154,13 +172,13 @@ class _Plant:
         self.end_s = _RUN_STARTS_S + duration_s
         self._seed = seed
         self.up, self.down = (
-            SimulatedLink(
-                self.timeline, schedule, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}")
-            )
-            for name in ("up", "down")
+            SimulatedLink(self.timeline, rates, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}"))
+            for name, rates in (("up", schedule), ("down", down))
         )
+        self._host = Loopback(self.timeline)
         for flow in foreign:
             flow.play(self.timeline, self.up, origin_s=_RUN_STARTS_S)
+        self._received: deque[tuple[float, float]] = deque()  # when (s), bytes
         self.publishers: list[SimulatedPublisher] = []
         self.moments: list[Moment] = []
 
@@ -171,14 +189,13 @@ class _Plant:
     def populate(self, *, managed: bool) -> None:
         """Make a publisher and a source per topic; with arpd, relayed topics have the relay's prefix."""
         for topic in self._topics:
-            sensing = topic.direction is Direction.SENSING
-            there, back = (self.up, self.down) if sensing else (self.down, self.up)
+            there, back = self._ways(topic.direction)
             relayed = managed and bool(topic.prefix)
             publisher = SimulatedPublisher(
                 LinkPath(timeline=self.timeline, there=there, back=back),
                 topic,
                 name=topic.prefix + topic.name if relayed else topic.name,
-                node=RELAY if sensing else PLANNER,
+                node=PLANNER if topic.direction is Direction.ACTUATION else RELAY,
                 heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
                 ingress_s=_RELAY_HOP_S if relayed else 0.0,
             )
@@ -193,16 +210,24 @@ class _Plant:
             )
         self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
 
+    def _ways(self, direction: Direction) -> tuple[Carrier, Carrier]:
+        """Return the ways of samples and of their acknowledgements."""
+        if direction is Direction.LOCAL:
+            return self._host, self._host
+        return (self.up, self.down) if direction is Direction.SENSING else (self.down, self.up)
+
     def truth(self) -> Truth:
-        """Return the true state of the link now."""
+        """Return the true state of the link: the rates of the next 0.2 s, and the queue and the delivery of now."""
         run_s = max(0.0, self.timeline.now_s - _RUN_STARTS_S)
-        rate = self._mean_rate(run_s, TICK_S)
+        rate = self._mean_rate(run_s, _TRUTH_S)
         return Truth(
             capacity_bytes_per_second=rate,
             queue_delay_s=self.up.queue_delay_s,
             cross_traffic_bytes_per_second=sum(
-                flow.rate_bytes_per_second for flow in self._cross_traffic if flow.start_s <= run_s < flow.end_s
-            ),
+                flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._cross_traffic
+            )
+            / _TRUTH_S,
+            delivered_bytes_per_second=self._delivered_bytes_per_second(),
             # Aggregates are full on a busy link.
             packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
             is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
@@ -219,6 +244,15 @@ class _Plant:
     def _mean_rate(self, start_s: float, span_s: float) -> float:
         """Return the mean rate over a span of run time; a recorded one changes within the span (bytes/s)."""
         return (self._service.by(start_s + span_s) - self._service.by(start_s)) / span_s
+
+    def _delivered_bytes_per_second(self) -> float:
+        """Return the rate at which bytes arrived over about the last 0.2 s (bytes/s)."""
+        now_s, received = self.timeline.now_s, self._received
+        received.append((now_s, self.up.received_bytes()))
+        while len(received) > 1 and received[1][0] <= now_s - _TRUTH_S:
+            received.popleft()
+        span_s = now_s - received[0][0]
+        return (received[-1][1] - received[0][1]) / span_s if span_s > 0 else 0.0
 
     def _sample_ages(self) -> None:
         if self.timeline.now_s < self.end_s:
@@ -239,6 +273,7 @@ class _Plant:
                             for publisher in self.publishers
                             if publisher.topic.direction is Direction.SENSING
                         ),
+                        carried_bytes=self.up.received_bytes(),
                         swaps=sum(publisher.swaps for publisher in self.publishers),
                     )
                 )
@@ -250,7 +285,14 @@ def _plain(plant: _Plant) -> ScenarioResult:
     return plant.finish(lambda moment: moment)
 
 
-def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker | None) -> ScenarioResult:
+def _managed(
+    plant: _Plant,
+    settings: Settings,
+    make_estimator: EstimatorMaker | None,
+    *,
+    into_peer: tuple[ForeignFlow, ...],
+    has_peer: bool,
+) -> ScenarioResult:
     plant.populate(managed=True)
     clock = plant.timeline
     ticked_s = clock.now_s
@@ -266,6 +308,8 @@ def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker |
         random=plant.random("world"),
         graph=settings.graph,
         on_report=wake,
+        into_peer=tuple(flow.after(_RUN_STARTS_S) for flow in into_peer),
+        has_peer=has_peer,
     )
     daemon = Daemon(
         world,
@@ -280,8 +324,8 @@ def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker |
     def tick() -> None:
         nonlocal ticked_s
         ticked_s = clock.now_s
-        alarm.set(ticked_s + TICK_S)
         decision = daemon.tick(clock.now_s)
+        alarm.set(ticked_s + daemon.pause_s)
         if decision.level_changed:
             causes.append(decision.reason)
 
@@ -296,6 +340,7 @@ def _managed(plant: _Plant, settings: Settings, make_estimator: EstimatorMaker |
             estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
             cross_traffic_bytes_per_second=snapshot.link.cross_traffic_bytes_per_second,
             level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
+            budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
             packet_overhead_s=snapshot.link.packet_overhead_s,
             state=snapshot.link.state,
             gate=snapshot.decision.gate,

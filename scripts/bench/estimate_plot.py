@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from arpd.daemon.scenario import ScenarioResult
 
 _COLUMNS = 4
-_SHOWN_S = 140.0  # the longest scenarios do not change after this
 _STYLES = {
     "average": ("#d95f02", "average of throughput, 1 s"),
     "maximum": ("#2a8a2a", "maximum of throughput, 8 s"),
@@ -42,7 +41,7 @@ def draw(pictures: Mapping[str, Mapping[str, ScenarioResult]], path: Path) -> No
 def _draw_scenario(name: str, results: Mapping[str, ScenarioResult], axes: Any) -> dict[str, Any]:
     """Draw one panel; return its lines by their names in the legend."""
     handles = {}
-    moments = [moment for moment in next(iter(results.values())).moments if moment.t_s <= _SHOWN_S]
+    moments = next(iter(results.values())).moments
     times = [moment.t_s for moment in moments]
     truth = [moment.truth_bytes_per_second / MBIT for moment in moments]
     axes.fill_between(times, truth, step="post", color="0.75", alpha=0.4, linewidth=0)
@@ -52,7 +51,7 @@ def _draw_scenario(name: str, results: Mapping[str, ScenarioResult], axes: Any) 
     for way, (colour, title) in _STYLES.items():
         if way in results:
             believed = [(m.estimate_bytes_per_second or math.nan) / MBIT for m in results[way].moments]
-            (handles[title],) = axes.plot(times, believed[: len(times)], color=colour, linewidth=1.2)
+            (handles[title],) = axes.plot(times, believed, color=colour, linewidth=1.2)
     axes.set_title(name, fontsize=10, loc="left")
     axes.set_xlim(0.0, times[-1])
     axes.set_ylim(0.0, 1.3 * max(truth))

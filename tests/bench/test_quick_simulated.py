@@ -5,13 +5,24 @@ from tests.bench.quick import played
 
 
 def test_estimate(tmp_path):
-    """One fall, arpd and the oracle: both deliver, and the estimate follows the link."""
-    document, _ = played(tmp_path, "estimate", "--only", "fall 20 to 5", "--seeds", "1")
+    """A walk and two cells of the grid: arpd and the bound deliver, and the fluid controller carries."""
+    document, output = played(tmp_path, "estimate", "--only", "walk,grid", "--seeds", "1", "--grid", "2")
     ((_, ways),) = document["scenarios"].items()
-    assert set(ways) == {"arpd", "oracle"}
-    assert all(every[0]["goodput"] > 0.0 for every in ways.values())
+    assert set(ways) == {"arpd", "bound", "fluid"}
+    assert all(ways[way][0]["goodput"] > 0.0 for way in ("arpd", "bound"))
+    assert all(every[0]["carried"] > 0.0 for every in ways.values())
+    assert ways["bound"][0]["utilisation"] == 1.0
+    assert {"walk, samples lost beyond the bound's: <= 0"} < {target["target"] for target in document["targets"]}
+    assert len(document["grid"]) == 2
+    assert all(cell["cell"] in output for cell in document["grid"])
+
+
+def test_estimate_of_a_fall(tmp_path):
+    """The estimate follows the link."""
+    document, _ = played(tmp_path, "estimate", "--only", "fall 20 to 5", "--way", "arpd", "--seeds", "1")
+    ((name, ways),) = document["scenarios"].items()
+    assert (name, set(ways)) == ("fall 20 to 5", {"arpd"})
     assert ways["arpd"][0]["reaction, estimate"] < 10.0
-    assert document["targets"]
 
 
 def test_exposition(tmp_path):

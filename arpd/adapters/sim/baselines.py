@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.estimate.parameters import EstimatorParameters
+from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import wire_size
 
@@ -33,6 +34,7 @@ class Truth:
     queue_delay_s : time that a packet sent now would wait on the robot's side (s)
     cross_traffic_bytes_per_second : other traffic over the link (bytes/s)
     packet_overhead_s : link time that a packet costs beyond its bytes when the link is busy (s)
+    delivered_bytes_per_second : rate at which the far interface receives (bytes/s)
     is_out : True while nothing arrives
     """
 
@@ -40,6 +42,7 @@ class Truth:
     queue_delay_s: float
     cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
+    delivered_bytes_per_second: float = 0.0
     is_out: bool = False
 
 
@@ -63,7 +66,8 @@ class Oracle:
         """Return the truth as an estimate."""
         truth = self._truth()
         capacity = max(1.0, truth.capacity_bytes_per_second)
-        largest_bytes = max((publisher.payload_bytes for publisher in observation.publishers), default=0.0)
+        crossing = [p.payload_bytes for p in observation.publishers if p.direction is not Direction.LOCAL]
+        largest_bytes = max(crossing, default=0.0)
         burst_s = min(_ARPD.burst_cap_s, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
@@ -71,7 +75,7 @@ class Oracle:
             state=LinkState.OUTAGE if truth.is_out else LinkState.STEADY,
             queue_delay_s=truth.queue_delay_s,
             queue_allowance_s=_ARPD.queue_low_s + burst_s,
-            delivery_rate_bytes_per_second=0.0,
+            delivery_rate_bytes_per_second=truth.delivered_bytes_per_second,
             age_s=0.0,
             evidence="the truth",
             cross_traffic_bytes_per_second=truth.cross_traffic_bytes_per_second,

@@ -1,4 +1,4 @@
-"""A link in virtual time: a FIFO bottleneck with tail drop, propagation delay and loss."""
+"""A link in virtual time: a FIFO bottleneck with tail drop, propagation delay and loss; and the way within a host."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.loss import GilbertElliott, LossStep
     from arpd.adapters.sim.schedule import RateSchedule
 
-__all__ = ["Alarm", "LinkModel", "SimulatedLink", "Timeline"]
+__all__ = ["Alarm", "LinkModel", "Loopback", "SimulatedLink", "Timeline"]
 
 _MTU_FRAME_BYTES = 1514
+_ON_HOST_S = 0.001
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -163,3 +164,16 @@ class SimulatedLink:
     def received_packets(self) -> int:
         """Packets that have reached the far interface."""
         return self._bottleneck.received()[1]
+
+
+class Loopback:
+    """The way between two processes of one host; nothing waits, and nothing is lost."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+
+    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:  # noqa: ARG002 - as a link
+        """Deliver a datagram after a millisecond; return when (s)."""
+        arrival_s = self._timeline.now_s + _ON_HOST_S
+        self._timeline.at(arrival_s, deliver)
+        return arrival_s

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
     from arpd.model.settings import Settings
 
 RCLPY_DEPTH = 10  # the depth in every rclpy tutorial
@@ -35,7 +36,7 @@ class SimTopic:
     name : the application's name for it
     payload_bytes : serialized size of a sample (bytes)
     rate_hz : rate at which the application publishes (Hz)
-    direction : sensing or actuation
+    direction : sensing, actuation, or local: its only reader is on the robot
     prefix : the relay carries it as ``prefix + name``; empty if its own publisher is adaptive
     """
 
@@ -107,7 +108,7 @@ class SimulatedPublisher:
             source_rate_hz=0.0,
             depth=RCLPY_DEPTH,
             baseline_depth=RCLPY_DEPTH,
-            remote_readers=1,
+            remote_readers=int(topic.direction is not Direction.LOCAL),
         )
 
     def publish(self) -> None:
@@ -120,9 +121,9 @@ class SimulatedPublisher:
         self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self._service()
 
-    def set_gate(self, gate: float | None) -> None:
-        """Scale the paced rate, not below its floor; None = no daemon is heard, so the gate is open."""
-        self._flow.set_gate(gate)
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link; None = no daemon is heard."""
+        self._flow.set_price(price)
         self._service()
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from arpd.adapters.sim.foreign import PACKET_BYTES
 from arpd.adapters.sim.timeline import Alarm
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
@@ -19,11 +20,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from random import Random
 
+    from arpd.adapters.sim.foreign import ForeignFlow
     from arpd.adapters.sim.link import SimulatedLink
     from arpd.adapters.sim.robot import SimulatedPublisher
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import Transition
+    from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
 
@@ -31,12 +34,12 @@ RELAY, PLANNER = "/arpd_relay", "/planner"
 _ON_HOST_S = 0.001
 _ANNOUNCE_S = 1.0
 _STALE_S = 3.5  # as in arpd.adapters.ros.world
-_GATE_LEASE_S = 5.0  # as in arpd.adapters.ros.node_publishers
+_SILENT_S = 5.0  # as in arpd.adapters.ros.node_publishers
 _BACKOFF_S = (1.5, 12.0)  # first and longest, as in arpd.adapters.ros.parameters
 _PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this, because nothing may depend on equal clocks
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
-_REPORT_BYTES, _GATE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 150, 900, 700  # on the wire
+_REPORT_BYTES, _PRICE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 210, 900, 700  # on the wire
 
 
 @dataclass(slots=True)
@@ -48,7 +51,8 @@ class _Node:
     is_remote: bool
     generation: int = 0
     lease_s: float = 0.0
-    gate_at_s: float = -1e9
+    price: Price | None = None
+    price_at_s: float = -1e9
     asked_generation: int = -1
     asked_at_s: float = -1e9
     backoff_s: float = _BACKOFF_S[0]
@@ -77,6 +81,8 @@ class SimulatedWorld:
     random : source of phases and jitter
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
+    into_peer : other traffic that the peer's interface receives
+    has_peer : whether a peer receives probes and sends reports
     """
 
     def __init__(
@@ -89,11 +95,15 @@ class SimulatedWorld:
         random: Random,
         graph: GraphSettings,
         on_report: Callable[[], None],
+        into_peer: Sequence[ForeignFlow] = (),
+        has_peer: bool = True,
     ) -> None:
         self._timeline = timeline
         self._up, self._down = up, down
         self._graph = graph
         self._on_report_arrived = on_report
+        self._into_peer = into_peer
+        self._has_peer = has_peer
         self._random = random
         self._reports: list[PeerReport] = []
         self._results: Counter[str] = Counter()
@@ -101,12 +111,11 @@ class SimulatedWorld:
         self._probe_bytes = 0
         self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
         self._report_bytes = 0
-        by_direction = {
-            direction: [p for p in publishers if p.topic.direction is direction]
-            for direction in (Direction.SENSING, Direction.ACTUATION)
-        }
+        by_direction = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         self._nodes = {
-            RELAY: _Node(name=RELAY, publishers=by_direction[Direction.SENSING], is_remote=False),
+            RELAY: _Node(
+                name=RELAY, publishers=by_direction[Direction.SENSING] + by_direction[Direction.LOCAL], is_remote=False
+            ),
             PLANNER: _Node(name=PLANNER, publishers=by_direction[Direction.ACTUATION], is_remote=True),
         }
         self._counts = {direction: len(publishers) for direction, publishers in by_direction.items()}
@@ -114,7 +123,8 @@ class SimulatedWorld:
             first_s = self._timeline.now_s + self._random.random()
             self._timeline.every(_ANNOUNCE_S, partial(self._announce, node), first_s=first_s)
         self._report_alarm = Alarm(self._timeline, self._look)
-        self._report_alarm.set(self._peer.schedule.due_s)
+        if has_peer:
+            self._report_alarm.set(self._peer.schedule.due_s)
 
     # -- observe
 
@@ -137,6 +147,7 @@ class SimulatedWorld:
             actuation_topics=(
                 self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
             ),
+            peers=None if self._has_peer else 0,
         )
 
     def _counters(self) -> LinkCounters:
@@ -154,10 +165,10 @@ class SimulatedWorld:
 
     # -- act
 
-    def set_gate(self, gate: float) -> None:
-        """Send the gate to every publisher; best effort, as on the real topic."""
+    def set_price(self, price: Price) -> None:
+        """Send the price to every publisher; best effort, as on the real topic."""
         for node in self._nodes.values():
-            self._reach(node, _GATE_BYTES, partial(self._on_gate, node, gate))
+            self._reach(node, _PRICE_BYTES, partial(self._on_price, node, price))
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
         """Send new transitions at once, and unconfirmed ones again after a growing back-off."""
@@ -177,7 +188,7 @@ class SimulatedWorld:
         self._probe_bytes += request.packets * wire_bytes
         for index in range(request.packets):
             sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
-            arrive = partial(self._on_probe, request, index, sent_s)
+            arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else _nobody
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
 
     def reconfigure(self, graph: GraphSettings) -> None:
@@ -205,10 +216,10 @@ class SimulatedWorld:
         else:
             self._timeline.at(self._timeline.now_s + _ON_HOST_S, deliver)
 
-    def _on_gate(self, node: _Node, gate: float) -> None:
-        node.gate_at_s = self._timeline.now_s
+    def _on_price(self, node: _Node, price: Price) -> None:
+        node.price, node.price_at_s = price, self._timeline.now_s
         for publisher in node.publishers:
-            publisher.set_gate(gate)
+            publisher.set_price(price)
 
     def _on_parameters(self, node: _Node, transition: Transition) -> None:
         if transition.generation < node.generation:
@@ -222,9 +233,9 @@ class SimulatedWorld:
 
     def _announce(self, node: _Node) -> None:
         now_s = self._timeline.now_s
-        if now_s - node.gate_at_s > _GATE_LEASE_S:
+        if node.price is not None and now_s - node.price_at_s > _SILENT_S:
             for publisher in node.publishers:
-                publisher.set_gate(None)
+                publisher.set_price(replace(node.price, is_stale=True))
         states = tuple(
             replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
         )
@@ -258,7 +269,7 @@ class SimulatedWorld:
     def _look(self) -> None:
         """Send a report if one is due, as `arpd.adapters.ros.peer` does."""
         schedule = self._peer.schedule
-        schedule.note_traffic(self._up.received_bytes() - self._peer.rx_bytes)
+        schedule.note_traffic(self._received_by_peer()[0] - self._peer.rx_bytes)
         if self._timeline.now_s < schedule.due_s:
             self._report_alarm.set(schedule.due_s)
             return
@@ -266,26 +277,36 @@ class SimulatedWorld:
         self._report_alarm.set(schedule.look_s)
 
     def _report(self) -> None:
-        peer, up = self._peer, self._up
-        rx_bytes = int(up.received_bytes())
+        peer = self._peer
+        rx_bytes, rx_packets = self._received_by_peer()
         delays_s, trains = peer.receiver.take()
         report = PeerReport(
             peer="ceddp",
             received_at_s=0.0,
             interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
             rx_bytes=rx_bytes - peer.rx_bytes,
-            rx_packets=up.received_packets - peer.rx_packets,
+            rx_packets=rx_packets - peer.rx_packets,
             delays_s=delays_s,
             trains=trains,
             last_probe=peer.receiver.last_probe,
             probe_packets=peer.receiver.packets_before,
         )
-        peer.rx_bytes, peer.rx_packets = rx_bytes, up.received_packets
+        peer.rx_bytes, peer.rx_packets = rx_bytes, rx_packets
         peer.schedule.note_sent(self._timeline.now_s)
         self._report_bytes += _REPORT_BYTES
         self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
+
+    def _received_by_peer(self) -> tuple[int, int]:
+        """Return the bytes and packets that the peer's interface counts."""
+        other = sum(flow.offered_bytes(self._timeline.now_s) for flow in self._into_peer)
+        up = self._up
+        return int(up.received_bytes() + other), up.received_packets + int(other / PACKET_BYTES)
 
     def _on_report(self, report: PeerReport, sent_s: float) -> None:
         now_s = self._timeline.now_s
         self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
         self._on_report_arrived()
+
+
+def _nobody() -> None:
+    """Receive a probe that no peer waits for."""

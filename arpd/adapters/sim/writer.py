@@ -6,13 +6,14 @@ import math
 import struct
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.adapters.sim.arrivals import Arrivals
-    from arpd.adapters.sim.link import SimulatedLink
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.endpoints import WriterQos
 
@@ -23,13 +24,20 @@ _RESEND_S = 0.1
 _MOST_ASKED = 256  # most numbers in one ACKNACK (RTPS 2.3, §9.4.2.6)
 
 
+class Carrier(Protocol):
+    """One direction of a link, or the way within a host."""
+
+    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
+        """Put one datagram on the way; see `arpd.adapters.sim.link.SimulatedLink.send`."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkPath:
-    """The link from a writer to its reader, and the link back for acknowledgements."""
+    """The way from a writer to its reader, and the way back for acknowledgements."""
 
     timeline: Timeline
-    there: SimulatedLink
-    back: SimulatedLink
+    there: Carrier
+    back: Carrier
 
 
 class _Reader:
@@ -127,6 +135,10 @@ class SimulatedWriter:
     def matched(self) -> int:
         """Return 1, at once, because a new writer's endpoint data arrives before its samples."""
         return 1
+
+    def readers_acknowledge(self) -> bool:
+        """Return True, because the simulated reader is reliable."""
+        return True
 
     def disconnects_readers(self) -> bool:
         """Return False, because no simulated reader requests a deadline."""

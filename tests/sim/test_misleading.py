@@ -1,0 +1,74 @@
+"""What misled the estimate or the queue control of earlier versions, each in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from arpd.adapters.sim.foreign import ForeignFlow
+from arpd.adapters.sim.robot import SimTopic
+from arpd.model.endpoints import Direction
+from tests.sim.test_price import MBIT, QUEUE, ROBOT, at, goodput, play, queues
+
+FALLS_S, LASTS_S = 13.0, 28.0
+MAPS = SimTopic(name="/map", payload_bytes=2_000_000, rate_hz=2.0, direction=Direction.LOCAL)
+DOWNLOAD = ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
+
+
+@cache
+def falling(before, after, **options):
+    return play(at((0, before), (FALLS_S, after)), LASTS_S, **options)
+
+
+def estimates(played, start_s, end_s):
+    """Return what the estimator stated at every tick of a span (Mbit/s)."""
+    return [tick.snapshot.link.capacity_bytes_per_second / MBIT for tick in played.between(start_s, end_s)]
+
+
+@pytest.mark.parametrize(("before", "after"), [(20, 14), (20, 11), (20, 10), (20, 8), (5, 3.5)])
+def test_a_fall_to_a_part_is_noticed(before, after):
+    """After 3 s a fall to 0.4 to 0.7 is known within 15 % nearly all the time, and no queue stands."""
+    played = falling(before, after)
+    stated = estimates(played, FALLS_S + 3.0, LASTS_S)
+    assert sum(abs(each / after - 1.0) < 0.15 for each in stated) > 0.8 * len(stated)
+    waits = queues(played, FALLS_S + 3.0, LASTS_S)
+    assert waits[len(waits) // 2] < 0.06
+
+
+def test_what_nobody_remote_reads_is_no_excuse_for_a_queue():
+    """Maps of 2 MB for a reader on the robot change neither the estimate nor the queue of a fall by much."""
+    alone, beside = falling(20, 5), falling(20, 5, topics=(*ROBOT, MAPS))
+    peaks = [queues(played, FALLS_S, LASTS_S)[-1] for played in (alone, beside)]
+    assert peaks[1] < peaks[0] + 0.15
+    assert max(estimates(beside, FALLS_S + 3.0, LASTS_S)) < 1.2 * 5.0
+
+
+def test_a_download_into_the_peer_is_no_capacity():
+    """While the peer downloads 40 Mbit/s elsewhere, a link of 5 is not taken for more, and no plan goes up."""
+    played = falling(20, 5, into_peer=(DOWNLOAD,))
+    assert max(estimates(played, FALLS_S + 3.0, LASTS_S)) < 1.25 * 5.0
+    assert "up" not in played.plans(FALLS_S, LASTS_S)
+    waits = queues(played, FALLS_S + 3.0, LASTS_S)
+    assert waits[len(waits) // 2] < 0.15
+
+
+def test_one_drop_without_a_peer_starves_nobody():
+    """Without a peer, a packet that an idle interface drops every two seconds slows no topic."""
+
+    def see(t_s, seen):
+        return replace(seen, counters=replace(seen.counters, tx_dropped=int(max(0.0, t_s) / 2.0)))
+
+    light = tuple(topic for topic in ROBOT if topic.name not in {"/camera", "/points"})  # 1.3 of 20 Mbit/s
+    played = play(at((0, 20)), 40.0, topics=light, has_peer=False, see=see, model=QUEUE)
+    assert {tick.decision.gate for tick in played.between(5.0, 40.0)} == {1.0}
+    assert all(topic.withheld_ratio < 0.05 for topic in played.result.topics)
+
+
+def test_without_a_peer_the_interface_alone_shows_a_fall():
+    """Without a peer, the queue of the interface shows a fall; it drains, and the link stays in use."""
+    played = falling(20, 5, has_peer=False)
+    waits = queues(played, FALLS_S + 5.0, LASTS_S)
+    assert waits[len(waits) // 2] < 0.2
+    assert goodput(played, FALLS_S + 5.0, LASTS_S) > 0.5 * 5.0 * MBIT

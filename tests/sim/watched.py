@@ -1,0 +1,113 @@
+"""A run in virtual time with a test beside the daemon: it sees every tick, and may act and change what is seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from unittest import mock
+
+from arpd.adapters.sim.world import SimulatedWorld
+from arpd.daemon import scenario
+from arpd.daemon.tick import Daemon
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from arpd.adapters.sim.schedule import RateSchedule
+    from arpd.daemon.scenario import ScenarioResult
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.observation import Observation
+    from arpd.model.plan import Decision
+    from arpd.model.settings import Settings
+    from arpd.report.snapshot import Snapshot
+
+STARTS_S = 1000.0  # of the sensors, on the clock of the daemon
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tick:
+    """Run time and snapshot of one tick."""
+
+    t_s: float
+    snapshot: Snapshot
+
+    @property
+    def decision(self) -> Decision:
+        return self.snapshot.decision
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Watched:
+    """A run, its daemon and every tick."""
+
+    result: ScenarioResult
+    daemon: Daemon
+    ticks: tuple[Tick, ...]
+
+    def between(self, start_s: float, end_s: float) -> list[Tick]:
+        return [tick for tick in self.ticks if start_s <= tick.t_s < end_s]
+
+    def plans(self, start_s: float, end_s: float) -> list[str]:
+        """Return the causes of the plans made in a span."""
+        return [tick.decision.reason for tick in self.between(start_s, end_s) if tick.decision.level_changed]
+
+    def sent_hz(self, topic: str, start_s: float, end_s: float) -> float:
+        """Return the rate at which samples left in a span, by the first and the last announcement in it (Hz)."""
+        seen = [(tick.t_s - p.age_s, p) for tick in self.between(start_s, end_s) if (p := _of(tick, topic)) is not None]
+        (first_s, first), (last_s, last) = seen[0], seen[-1]
+        return (last.published - first.published) / (last_s - first_s)
+
+
+def watch(
+    settings: Settings,
+    schedule: RateSchedule,
+    duration_s: float,
+    *,
+    do: Mapping[float, Callable[[Daemon], object]] | None = None,
+    see: Callable[[float, Observation], Observation] | None = None,
+    mute_s: float = math.inf,
+    seed: int = 1,
+    **options: object,
+) -> Watched:
+    """Run a robot under arpd.
+
+    Parameters
+    ----------
+    do : run time (s) → called with the daemon at that time
+    see : changes the daemon's observation, given the run time (s)
+    mute_s : run time from which on nothing of the daemon reaches anybody, as if it were dead (s)
+    options : further ones of `arpd.daemon.scenario.run`
+    """
+    orders = sorted((do or {}).items())
+    daemons: list[Daemon] = []
+    ticks: list[Tick] = []
+
+    class Beside(Daemon):
+        def __init__(self, *arguments, **more):
+            super().__init__(*arguments, **more)
+            daemons.append(self)
+
+        def tick(self, now_s):
+            while orders and now_s >= STARTS_S + orders[0][0]:
+                orders.pop(0)[1](self)
+            decision = super().tick(now_s)
+            ticks.append(Tick(t_s=now_s - STARTS_S, snapshot=self.snapshot))
+            return decision
+
+    class Seen(SimulatedWorld):
+        def observe(self, now_s):
+            observation = super().observe(now_s)
+            return observation if see is None else see(now_s - STARTS_S, observation)
+
+        def _reach(self, node, wire_bytes, deliver):
+            if self._timeline.now_s < STARTS_S + mute_s:
+                super()._reach(node, wire_bytes, deliver)
+
+    with mock.patch.object(scenario, "Daemon", Beside), mock.patch.object(scenario, "SimulatedWorld", Seen):
+        result = scenario.run(settings, schedule, duration_s, seed=seed, managed=True, **options)
+    return Watched(result=result, daemon=daemons[0], ticks=tuple(ticks))
+
+
+def _of(tick: Tick, topic: str) -> PublisherState | None:
+    return next((p for p in tick.snapshot.observation.publishers if p.topic == topic), None)
