@@ -35,7 +35,7 @@ from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
 from scripts.bench.adapt_watch import Processors, Reassembly
 from scripts.bench.record import conditions, keep, options_of, read
 from scripts.netns.simlink import SimLink
-from scripts.robot.oracle import write_truth
+from scripts.robot.oracle import write_course
 from scripts.robot.run import robot, run
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
     folder.mkdir(parents=True)
     truth = folder / "truth.json"
     start_rate = link.rates.rate_at(0.0)
-    write_truth(truth, capacity_bytes_per_second=start_rate, loss=link.loss_at(0.0))
+    write_course(truth, link.rates, link.losses)
     processors = Processors()
 
     def on_tick(_elapsed_s: float) -> None:
@@ -68,7 +68,8 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
             link.duration_s,
             on_tick=on_tick,
             loss_at=link.loss_at,
-            on_change=lambda rate, loss: write_truth(truth, capacity_bytes_per_second=rate, loss=loss),
+            # Called for the first time when the run begins.
+            on_change=lambda _rate, _loss: write_course(truth, link.rates, link.losses, started_s=side.started_s),
         )
         results = [read(path) for path in (folder / "planner.json", folder / "base_driver.json")]
         final, fragments = side.final, reassembly.figures()
@@ -155,7 +156,7 @@ def renewed(old: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
     replaced = {(run["link"], run["side"]) for run in fresh["runs"]}
     kept = [run for run in old["runs"] if (run["link"], run["side"]) not in replaced]
     apart = {"sides": list(fresh["sides"]), "conditions": fresh["conditions"]}
-    return {**old, "runs": [*kept, *fresh["runs"]], "apart": apart}
+    return {**old, "sides": {**old["sides"], **fresh["sides"]}, "runs": [*kept, *fresh["runs"]], "apart": apart}
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC
+from scripts.robot.sensors import SENSORS
 from scripts.robot.stamped import AGE_PERIOD_S
 
 if TYPE_CHECKING:
@@ -17,6 +18,13 @@ if TYPE_CHECKING:
 
 LATE_S = 0.1  # a command later than this is late
 TIMELINE_S = 0.5
+_LARGE = ("/scan/front", "/scan/rear", "/camera/image/compressed", "/points")  # samples of several packets
+#: Topics by class.
+CLASSES = {
+    "commands": (COMMAND_TOPIC,),
+    "small": tuple(topic for topic in SENSORS if topic not in _LARGE),
+    "large": _LARGE,
+}
 
 
 def pooled(samples: Sequence[tuple[Sequence[float], int]], q: float) -> float | None:
@@ -53,6 +61,10 @@ def document(
     """
     return {
         "all": _all(topics, samples, duration_s),
+        "classes": {
+            name: _shared([topic for topic in topics if topic.topic in members], samples, duration_s)
+            for name, members in CLASSES.items()
+        },
         "topics": {topic.topic: _topic(topic, samples, duration_s) for topic in topics},
         "ages_over_time_s": over_time([samples[topic.topic]["ages_s"] for topic in topics]),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.adapt_figures import TIMELINE_S
+from scripts.bench.adapt_sides import label
 from scripts.bench.adapt_targets import figures_of
 from scripts.bench.picture import picture
 
@@ -43,7 +44,7 @@ def draw(document: Mapping[str, Any], path: Path) -> None:
         rows[0][2].set_title("p99 (s)   ● latency   ◇ age")
         for axes in rows[-1][:2]:
             axes.set_xlabel("s")
-        handles = [Line2D([], [], label=side, **_STYLES[side]) for side in sides]
+        handles = [Line2D([], [], label=label(side), **_STYLES[side]) for side in sides]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(sides), frameon=False)
 
 
@@ -80,6 +81,6 @@ def _draw_p99(figures: Mapping[str, Mapping[str, float]], axes: Any) -> None:
     axes.set_xscale("log")
     axes.set_xlim(_LEAST_S, _NEVER_S)
     axes.set_xticks([0.01, 0.1, 1, 10, _NEVER_S], ["0.01", "0.1", "1", "10", "never"])
-    axes.set_yticks(range(len(figures)), list(figures))
+    axes.set_yticks(range(len(figures)), list(map(label, figures)))
     axes.invert_yaxis()
     axes.grid(visible=True, axis="x", color="0.9")

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.adapt_sides import ARPD, DEFAULTS, ORACLE, PAPER
-from scripts.bench.adapt_targets import SUFFICES, TARGETS, figures_of, judge, seconds, topics_of
+from scripts.bench.adapt_figures import CLASSES
+from scripts.bench.adapt_sides import ARPD, DEFAULTS, ORACLE, PAPER, label
+from scripts.bench.adapt_targets import (
+    ALWAYS,
+    SUFFICES,
+    TARGETS,
+    figures_of,
+    judge,
+    missing_of,
+    ranges_of,
+    seconds,
+    topics_of,
+)
 from scripts.bench.record import described
 from scripts.bench.report import markdown_table, percent
 
@@ -44,7 +56,7 @@ _COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("sources %", "cpu_sources", percent),
     ("machine %", "cpu_machine", percent),
 )
-_LETTERS = dict(zip(TARGETS, "ABCDEFGH", strict=True))
+_LETTERS = dict(zip(TARGETS, "ABCDEFGHIJ", strict=True))
 _STARVED = 0.9  # of the machine: above this, the planner waits longer than the 50 ms of /imu's history
 _LEGEND = (
     "A sample counts as lost if it has not arrived four seconds after the end, and a lost sample never arrives: with "
@@ -54,6 +66,11 @@ _LEGEND = (
     "processor was busy. Late commands took over 100 ms or were lost. Unassembled: datagrams with fragments that the "
     "receiving kernel missed; while they fill its memory for fragments, no large sample arrives. CPU in per cent of a "
     "core; machine: of all its cores."
+)
+_BOUND_LEGEND = (
+    "arpd beside the bound, with the range over the rounds. Times: of the p99 latency, for all topics and for each "
+    "class; large: samples of several packets; where either side loses more than 1 %, of what came. Swaps: after the "
+    f"first plan. Never came: samples of {' and of '.join(ALWAYS)} that were lost + withheld, in the worst round."
 )
 
 
@@ -67,14 +84,14 @@ def table(document: Mapping[str, Any]) -> str:
         name = link["name"]
         sides = [side for side in document["sides"] if (name, side) in figures]
         lines += [f"{name}: {link['what']}", f"{'':<15}" + "".join(map(str.rjust, heads, widths))]
-        lines += [f"{side:<15}" + "".join(map(str.rjust, _cells(figures[name, side]), widths)) for side in sides]
-        lines += ["", f"{'p99 latency / age':<26}" + "".join(f"{side:>20}" for side in sides)]
+        lines += [f"{label(side):<15}" + "".join(map(str.rjust, _cells(figures[name, side]), widths)) for side in sides]
+        lines += ["", f"{'p99 latency / age':<26}" + "".join(f"{label(side):>20}" for side in sides)]
         for topic, by_side in topics_of(document, name).items():
             lines.append(f"{topic:<26}" + "".join(f"{_p99s(by_side[side]):>20}" for side in sides))
         lines.append("")
     verdicts = judge(document)
     lines += [f"{'met' if one.is_met else _missed(one)}: {one.link}, {one.target}: {one.why}" for one in verdicts]
-    return "\n".join([*lines, "", _spread(document)])
+    return "\n".join([*lines, "", *_beside_bound(document), "", _spread(document)])
 
 
 def markdown(document: Mapping[str, Any]) -> str:
@@ -85,12 +102,14 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         *_crossed(document, list(document["sides"])),
         "",
-        *(f"- **{name}**: {what}" for name, what in document["sides"].items()),
+        *(f"- **{label(side)}**: {what}" for side, what in document["sides"].items()),
         *(f"- `{link['name']}`: {link['what']}" for link in document["links"]),
         "",
         _spread(document) + f" ({described(dict(document))}).{_apart(document)}",
         "",
-        f"Targets: {sum(one.is_met for one in verdicts)} of {len(verdicts)} met (–: by no side, not even the oracle).",
+        *_beside_bound(document),
+        "",
+        f"Targets: {sum(one.is_met for one in verdicts)} of {len(verdicts)} met (–: by no side, not even the bound).",
         "",
         *_target_table(verdicts),
         "",
@@ -125,13 +144,59 @@ def _crossed(document: Mapping[str, Any], sides: list[str]) -> list[str]:
         return f"**{shown}**" if side == ARPD and shown else shown
 
     rows = [[link["name"], *(cell(link["name"], side) for side in sides)] for link in document["links"]]
-    return markdown_table("lr", ["p99 latency / p99 age", *sides], rows)
+    return markdown_table("lr", ["p99 latency / p99 age", *map(label, sides)], rows)
+
+
+def _beside_bound(document: Mapping[str, Any]) -> list[str]:
+    """Return arpd beside the bound on every link, with the range over the rounds."""
+    figures = figures_of(document)
+    latencies, goodputs = (ranges_of(document, name) for name in ("latency_p99_s", "goodput_bytes_per_second"))
+    rows = []
+    for link in (link["name"] for link in document["links"]):
+        ours, bound = (link, ARPD), (link, ORACLE)
+        if ours not in figures or bound not in figures:
+            continue
+        goodput = "goodput_bytes_per_second"
+        rows.append(
+            [
+                link,
+                *(_ranged(figures[side]["latency_p99_s"], latencies[side], seconds) for side in (ours, bound)),
+                *(_times(each, figures[ours], figures[bound]) for each in ("", *(f"{each}/" for each in CLASSES))),
+                *(_ranged(figures[side][goodput], goodputs[side], _mbit) for side in (ours, bound)),
+                percent(figures[ours][goodput] / figures[bound][goodput]),
+                *(f"{figures[side]['swaps_per_minute']:.1f}" for side in (ours, bound)),
+                *(_missing(document, *side) for side in (ours, bound)),
+            ]
+        )
+    if not rows:
+        return []
+    head = [
+        *("p99 latency", "bound's", "times", *(f"{each}, times" for each in CLASSES)),
+        *("Mbit/s", "bound's", "%", "swaps/min", "bound's", "never came", "bound's"),
+    ]
+    return [_BOUND_LEGEND, "", *markdown_table("lr", ["", *head], rows)]
+
+
+def _ranged(middle: float, span: tuple[float, float], show: Callable[[float], str]) -> str:
+    least, most = map(show, span)
+    return show(middle) if least == most else f"{show(middle)} ({least}–{most})"
+
+
+def _times(whose: str, ours: Mapping[str, float], bound: Mapping[str, float]) -> str:
+    """Return arpd's p99 latency over the bound's; of what came, where either loses too much."""
+    pairs = [(ours.get(whose + name), bound.get(whose + name)) for name in ("latency_p99_s", "survivors_p99_s")]
+    ratios = [mine / least for mine, least in pairs if mine and least and math.isfinite(mine + least)]
+    return f"{ratios[0]:.2f}" if ratios else ""
+
+
+def _missing(document: Mapping[str, Any], link: str, side: str) -> str:
+    return ", ".join(f"{lost} + {withheld}" for lost, withheld in missing_of(document, link, side).values())
 
 
 def _target_table(verdicts: list[Verdict]) -> list[str]:
     marks = {(one.link, one.target): _mark(one) for one in verdicts}
     links = dict.fromkeys(one.link for one in verdicts)
-    rows = [[link, *(marks[link, target] for target in TARGETS)] for link in links]
+    rows = [[link, *(marks.get((link, target), "") for target in TARGETS)] for link in links]
     return markdown_table("lc", ["", *_LETTERS.values()], rows)
 
 
@@ -149,7 +214,7 @@ def _shortfalls(verdicts: list[Verdict]) -> list[str]:
 def _details(document: Mapping[str, Any]) -> list[str]:
     figures = figures_of(document)
     keys = [(link["name"], side) for link in document["links"] for side in document["sides"]]
-    rows = [[*key, *_cells(figures[key])] for key in keys if key in figures]
+    rows = [[key[0], label(key[1]), *_cells(figures[key])] for key in keys if key in figures]
     return markdown_table("llr", ["link", "side", *(head for head, _, _ in _COLUMNS)], rows)
 
 
@@ -192,7 +257,7 @@ def _apart(document: Mapping[str, Any]) -> str:
     """Return the sides that were measured again after the others, and when."""
     if not (apart := document.get("apart")):
         return ""
-    return f" Measured again after the others: {', '.join(apart['sides'])} ({described(apart)})."
+    return f" Measured again after the others: {', '.join(map(label, apart['sides']))} ({described(apart)})."
 
 
 def _slowest(document: Mapping[str, Any]) -> str:

@@ -28,9 +28,14 @@ SIDES = {
     "paper": "the paper's optimum, computed once for the rate at the start",
     "throttle": "every topic throttled by hand, by what `arpd solve` gives for the link's mean rate",
     "arpd": "arpd, with its Fast DDS profile (heartbeats every 50 ms; the sides above have the default, 3 s)",
-    "oracle": "arpd, told the truth about the link at once",
+    "oracle": "arpd, told the mean of the link's next 0.2 s at every tick; price, pacing and governor are the same",
 }
 DEFAULTS, PAPER, ARPD, ORACLE = "defaults", "paper", "arpd", "oracle"
+
+
+def label(side: str) -> str:
+    """Return the name of a side for people: the oracle is the bound."""
+    return "bound" if side == ORACLE else side
 
 
 def manner(side: str, link: Link, truth: Path) -> Manner:
@@ -40,7 +45,7 @@ def manner(side: str, link: Link, truth: Path) -> Manner:
     ----------
     side : one of SIDES
     link : its course; "paper" and "throttle" use it beforehand
-    truth : file that tells the oracle the state of the link
+    truth : file that tells the oracle the course of the link
     """
     if side == "paper":
         return papers_optimum(link.rates.rate_at(0.0))

@@ -6,6 +6,7 @@ import math
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from scripts.bench.estimate_grid import SHOWN
 from scripts.bench.estimate_report import TARGETS, Target
 from scripts.bench.record import described
 from scripts.bench.report import markdown_table
@@ -16,20 +17,20 @@ if TYPE_CHECKING:
 #: Figure of a target on the real link: scenarios of `link.py` (none = all), and the figure's name there.
 _REAL = {
     "reaction of the estimate to 20→5": (("20→5",), "reaction_s"),
-    "reaction of the gate to 20→5": (("20→5",), "gate_half_s"),
+    "reaction of the budget to 20→5": (("20→5",), "budget_s"),
     "queue peak, 20→5": (("20→5",), "peak_queue_s"),
     "rise 5→20 to 80 %, estimate": (("5→20",), "rise_s"),
     "steady error, p90": (("steady 20", "steady 5"), "error_p90"),
     "levels per minute, steady": (("steady 20", "steady 5"), "levels_per_minute"),
     "probes and reports, any scenario": ((), "measuring"),
-    "outage, gate closed within": (("outage",), "gate_closed_s"),
+    "outage, budget closed within": (("outage",), "closed_s"),
     "outage, recovery to 80 %": (("outage",), "recovery_s"),
 }
 _WAYS = {"arpd": "arpd", "average": "the average of the throughput", "maximum": "its maximum over 8 s"}
 
 
 def markdown(estimate: dict[str, Any], link: dict[str, Any]) -> str:
-    """Return a row per target, the missed targets, and the results of estimates from throughput alone."""
+    """Return a row per target, the missed targets, the estimates from throughput alone, and the grid's worst cells."""
     measured = {entry["target"]: entry for entry in estimate["targets"]}
     targets = [target for target in TARGETS if target.title in measured]
     rounds = max((run["round"] for run in link["runs"]), default=0)
@@ -47,7 +48,7 @@ def markdown(estimate: dict[str, Any], link: dict[str, Any]) -> str:
     )
     lines = [head, "", *markdown_table("llr", ["", "target", "simulated", "real link"], rows), ""]
     lines += [_on_targets(missed, len(targets), measured), _on_throughput(estimate["scenarios"])]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_on_grid(estimate.get("grid", []))])
 
 
 def _parts(target: Target) -> tuple[str, str]:
@@ -97,18 +98,42 @@ def _on_targets(missed: Sequence[Target], count: int, measured: dict[str, dict[s
 
 
 def _on_throughput(scenarios: dict[str, dict[str, list[dict[str, float | None]]]]) -> str:
-    """Compare with estimates from throughput alone, over all scenarios."""
+    """Compare with estimates from throughput alone, over the scenarios that they play."""
     compared = []
+    common = {name: ways for name, ways in scenarios.items() if _WAYS.keys() <= ways.keys()}
+    if not common:
+        return ""
     for way, words in _WAYS.items():
-        if played := [ways[way] for ways in scenarios.values() if way in ways]:
-            goodput = f"{100 * _over(played, 'utilisation', median):.0f} % of the oracle's goodput"
-            queue_s = _over(played, "queue peak", max)
-            queues = f"queues of up to {queue_s:.1f} s" if math.isfinite(queue_s) else "endless queues"
-            compared.append(f"{words} {goodput} with {queues}")
+        played = [ways[way] for ways in common.values()]
+        goodput = f"{100 * _over(played, 'utilisation', median):.0f} % of the bound's goodput"
+        queue_s = _over(played, "queue peak", max)
+        queues = f"queues of up to {queue_s:.1f} s" if math.isfinite(queue_s) else "endless queues"
+        compared.append(f"{words} {goodput} with {queues}")
     return (
-        f"Medians of the seeds over all {len(scenarios)} scenarios: {'; '.join(compared)} "
+        f"Medians of the seeds over {len(common)} scenarios ({', '.join(common)}): {'; '.join(compared)} "
         "(scripts/bench/results/estimate.png)."
     )
+
+
+def _on_grid(judged: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the worst cells of the grid, which are the first."""
+    if not judged:
+        return []
+    ratios = [each["ratio"] for each in judged]
+    rows = [
+        [
+            each["cell"],
+            f"{each['ratio']:.1f}",
+            *(f"{1e3 * each[f'arpd_{name}']:.0f} / {1e3 * each[f'bound_{name}']:.0f} ms" for name in ("p50", "p99")),
+            " / ".join(f"{each[f'{side}_goodput'] * 8e-6:.1f}" for side in ("arpd", "bound")) + " Mbit/s",
+        ]
+        for each in judged[:SHOWN]
+    ]
+    head = (
+        f"A grid of links and disturbances, {len(judged)} cells at random: queue or goodput is {median(ratios):.2f} "
+        "times as bad as the bound's in the median (`scripts/bench/estimate_grid.py`). The worst cells, arpd / bound:"
+    )
+    return ["", head, "", *markdown_table("lrrrr", ["", "ratio", "queue p50", "queue p99", "goodput"], rows)]
 
 
 def _over(

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from arpd.model.plan import Transition
+    from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
     from arpd.report.snapshot import Snapshot
@@ -41,7 +42,7 @@ _TOPICS_PER_NODE = 10
 _CAPACITY = 2.5e6  # bytes/s
 _MANY = MappingProxyType({"matching": 40.5, "watching": 2.25, "holding": 0.125, "proving": 1.5, "draining": 9.75})
 _RESULTS = MappingProxyType({"ok": 11, "reorder_possible": 1, "unmatched": 2})
-_DROPS = MappingProxyType({"rate": 170_000, "gate": 1_234})
+_DROPS = MappingProxyType({"rate": 170_000, "price": 1_234})
 
 
 class Crowd:
@@ -128,8 +129,8 @@ class Crowd:
         if asked:
             self._publishers = [replace(each, **asked.get((each.node, each.topic), {})) for each in self._publishers]
 
-    def set_gate(self, gate: float) -> None:
-        """Ignore the gate."""
+    def set_price(self, price: Price) -> None:
+        """Ignore the price."""
 
     def probe(self, request: ProbeRequest) -> None:
         """Send nothing."""

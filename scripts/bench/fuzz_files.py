@@ -59,7 +59,7 @@ def status_file() -> Fuzzable:
     def feed(data: bytes) -> None:
         path.write_bytes(data)
         try:
-            publishers = read_status(path)
+            publishers = read_status(path).publishers
         except ArpdError as error:
             insist("\n" not in str(error), f"one line: {error}")
             return

@@ -66,8 +66,9 @@ class Belief:
 
     Parameters
     ----------
-    estimate_bytes_per_second, foreign_bytes_per_second, level_bytes_per_second : capacity, cross traffic, and the
-        capacity of the plan in force (bytes/s)
+    estimate_bytes_per_second, foreign_bytes_per_second : capacity and cross traffic (bytes/s)
+    budget_bytes_per_second : total that the topics may use now (bytes/s)
+    level_bytes_per_second : capacity of the plan in force (bytes/s)
     kind, state : of the estimate
     queue_delay_s : as the daemon measures it (s); None in a simulation
     levels_by_cause, swaps : plans and QoS swaps so far
@@ -76,11 +77,11 @@ class Belief:
 
     estimate_bytes_per_second: float
     foreign_bytes_per_second: float
+    budget_bytes_per_second: float
     level_bytes_per_second: float
     kind: str
     state: str
     queue_delay_s: float | None
-    gate: float
     generation: int
     levels_by_cause: dict[str, int]
     swaps: int
@@ -97,7 +98,7 @@ class Instant:
     t_s : time since the sources began to publish (s)
     truth_bytes_per_second : rate of the link, 0 during an outage (bytes/s)
     queue_delay_s : longest queue of this tenth at the robot's end, from its bytes and the rate (s)
-    carried_bytes : bytes that have left the robot since the start; None in a simulation
+    carried_bytes : bytes that have left the robot since the start; in a simulation, that have arrived
     belief : None without arpd, or while it does not answer
     """
 
@@ -152,15 +153,16 @@ def virtual_course(moments: Sequence[Moment], scenario: Scenario) -> tuple[Insta
         belief = None
         if moment.estimate_bytes_per_second is not None:
             assert moment.cross_traffic_bytes_per_second is not None
+            assert moment.budget_bytes_per_second is not None
             assert moment.level_bytes_per_second is not None
             belief = Belief(
                 estimate_bytes_per_second=moment.estimate_bytes_per_second,
                 foreign_bytes_per_second=moment.cross_traffic_bytes_per_second,
+                budget_bytes_per_second=moment.budget_bytes_per_second,
                 level_bytes_per_second=moment.level_bytes_per_second,
                 kind="",
                 state=str(moment.state),
                 queue_delay_s=None,
-                gate=moment.gate,
                 generation=moment.generation,
                 levels_by_cause=levels,
                 swaps=moment.swaps,
@@ -172,6 +174,7 @@ def virtual_course(moments: Sequence[Moment], scenario: Scenario) -> tuple[Insta
                 t_s=moment.t_s,
                 truth_bytes_per_second=moment.truth_bytes_per_second,
                 queue_delay_s=moment.queue_delay_s,
+                carried_bytes=round(moment.carried_bytes),
                 belief=belief,
             )
         )

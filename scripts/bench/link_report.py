@@ -49,18 +49,18 @@ def table(scenarios: Sequence[Scenario], runs: Sequence[Run]) -> str:
 
 
 def draw(scenarios: Sequence[Scenario], runs: Sequence[Run], path: Path) -> None:
-    """Draw estimate, queue and gate of every run over time."""
+    """Draw estimate, queue and budget of every run over time."""
     size = (1 + 4.2 * len(scenarios), 8)
     legend = "black: the link   blue: with arpd, real   orange: with arpd, virtual\ngrey: without arpd (light: virtual)"
     with picture(path, 3, len(scenarios), dpi=100, figsize=size, sharex="col", squeeze=False) as (figure, rows):
         for column, scenario in enumerate(scenarios):
             _draw_scenario(scenario, runs, *(row[column] for row in rows))
-        for row, label in zip(rows, ("Mbit/s", "queue at the robot (ms)", "gate"), strict=True):
+        for row, label in zip(rows, ("estimate (Mbit/s)", "queue at the robot (ms)", "budget (Mbit/s)"), strict=True):
             row[0].set_ylabel(label)
         figure.suptitle(legend, fontsize=10)
 
 
-def _draw_scenario(scenario: Scenario, runs: Sequence[Run], rate: Any, queue: Any, gate: Any) -> None:
+def _draw_scenario(scenario: Scenario, runs: Sequence[Run], rate: Any, queue: Any, budget: Any) -> None:
     rate.set_title(scenario.name)
     for run in _of(runs, scenario, is_managed=False):
         queue.plot(*_queue_of(run), color="0.6" if run.side == "real" else "0.8", linewidth=0.8)
@@ -70,17 +70,18 @@ def _draw_scenario(scenario: Scenario, runs: Sequence[Run], rate: Any, queue: An
         believing = _believing(run)
         times = [t_s for t_s, _ in believing]
         rate.plot(times, [belief.estimate_bytes_per_second / MBIT for _, belief in believing], **style)
-        gate.plot(times, [belief.gate for _, belief in believing], **style)
+        budget.plot(times, [belief.budget_bytes_per_second / MBIT for _, belief in believing], **style)
         queue.plot(*_queue_of(run), **style)
     if managed:
         times = [instant.t_s for instant in managed[0].course]
         truth = [instant.truth_bytes_per_second / MBIT for instant in managed[0].course]
-        rate.step(times, truth, color="black", linewidth=1.2)
+        for axes in (rate, budget):
+            axes.step(times, truth, color="black", linewidth=1.2)
     rate.set_ylim(0, 32)
+    budget.set_ylim(0, 32)
     queue.set_yscale("log")
     queue.set_ylim(1, 2000)
-    gate.set_ylim(0, 1.05)
-    gate.set_xlabel("s")
+    budget.set_xlabel("s")
 
 
 def _queue_of(run: Run) -> tuple[list[float], list[float]]:
@@ -115,8 +116,8 @@ def as_document(done: Run) -> dict[str, Any]:
         **{
             name: _changes([(t_s, getattr(belief, name)) for t_s, belief in believing])
             for name in (
-                *("estimate_bytes_per_second", "foreign_bytes_per_second", "level_bytes_per_second", "kind", "state"),
-                *("gate", "generation", "levels_by_cause", "swaps"),
+                *("estimate_bytes_per_second", "foreign_bytes_per_second", "budget_bytes_per_second"),
+                *("level_bytes_per_second", "kind", "state", "generation", "levels_by_cause", "swaps"),
             )
         },
     }

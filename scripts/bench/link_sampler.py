@@ -118,11 +118,11 @@ def believed(document: dict[str, Any], *, report_wire_bytes: int) -> Belief:
     return Belief(
         estimate_bytes_per_second=link["capacity_bytes_per_second"],
         foreign_bytes_per_second=link["foreign_bytes_per_second"],
+        budget_bytes_per_second=document["allocation"]["capacity_bytes_per_second"],
         level_bytes_per_second=document["level_bytes_per_second"],
         kind=link["kind"],
         state=link["state"],
         queue_delay_s=link["queue_delay_seconds"],
-        gate=document["gate"],
         generation=document["plan"]["generation"],
         levels_by_cause=totals["levels"],
         swaps=sum(

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.names import GATE_TOPIC
+from arpd.adapters.ros.names import PRICE_TOPIC
+from arpd.adapters.ros.price_message import decode_price
 from arpd.adapters.ros.runtime import spinning
 from scripts.bench.child import answer, commands, sample_of
 from scripts.bench.node import plain_node, raw_readers
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _DEPTH = 10  # what every rclpy tutorial passes
-_MOST_GATES = 5000
+_MOST_PRICES = 5000
 
 
 class Sources:
@@ -72,29 +73,31 @@ class Sources:
         return self._due[0][0] - now_s
 
 
-class GateWatch:
-    """Subscribes to the gate until `end`; DDS notes the time of each message, so they may be taken late."""
+class PriceWatch:
+    """Subscribes to the price until `end`; DDS notes the time of each message, so they may be taken late."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        qos = QoSProfile(depth=_MOST_GATES, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._subscription = node.create_subscription(Float64, GATE_TOPIC, lambda _gate: None, qos)
+        qos = QoSProfile(depth=_MOST_PRICES, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        self._subscription = node.create_subscription(Float64MultiArray, PRICE_TOPIC, lambda _price: None, qos)
 
     def end(self) -> list[tuple[float, float]]:
-        """Return the time (Unix time, s) and the value of each gate."""
-        gates = []
+        """Return the time (Unix time, s) of each price, and the bytes per second that weight 1 may send under it."""
+        prices = []
         handle = self._subscription.handle
         with handle:
-            while (taken := handle.take_message(Float64, False)) is not None:  # noqa: FBT003 - rclpy's own signature
-                gates.append((taken[1]["received_timestamp"] * 1e-9, taken[0].data))
+            while (taken := handle.take_message(Float64MultiArray, False)) is not None:  # noqa: FBT003 - rclpy's signature
+                price = decode_price(taken[0].data)
+                admitted = price.share_per_weight * price.capacity_bytes_per_second
+                prices.append((taken[1]["received_timestamp"] * 1e-9, admitted))
         self._node.destroy_subscription(self._subscription)
-        return gates
+        return prices
 
 
 def work(sources: Sources, node: Any) -> None:
     """Obey the parent until it is gone."""
     orders = commands()
-    watch: GateWatch | None = None
+    watch: PriceWatch | None = None
     answer(open=True)
     while True:
         try:
@@ -111,10 +114,10 @@ def work(sources: Sources, node: Any) -> None:
                 sources.end()
                 answer(**sources.account())
             case {"watch": True}:
-                watch = GateWatch(node)
+                watch = PriceWatch(node)
                 answer(watching=True)
             case {"watch": False} if watch is not None:
-                answer(gates=watch.end())
+                answer(prices=watch.end())
                 watch = None
             case _:
                 answer(**sources.account())

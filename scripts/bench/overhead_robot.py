@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -176,11 +177,11 @@ class Robot:
         return self.meter.read({name: (host, process.pid) for name, (host, process) in self.processes.items()})
 
     def react(self, rate: float, quiet_s: float) -> dict[str, Any]:
-        """Change the link, and note when gate, plan and publishers follow."""
+        """Change the link, and note when price, plan and publishers follow."""
         if rate < self.link.rate_bytes_per_second:
             time.sleep(max(0.0, self.rose_s + _CALM_S - time.monotonic()))
         self.source.ask(watch=True)
-        time.sleep(2.0)  # so that it is matched and has received the gate
+        time.sleep(2.0)  # so that it is matched and has received the price
         before = self.link.rate_bytes_per_second
         at_s = time.time()
         self.link.set_rate(rate)
@@ -194,8 +195,8 @@ class Robot:
             if _is_over(list(events.values()), status, quiet_s):
                 break
         self.rose_s = time.monotonic() if rate > before else self.rose_s
-        gates = self.source.ask(watch=False)["gates"]
-        return {"from_bytes_per_second": before, "to_bytes_per_second": rate, **_reaction(at_s, gates, events)}
+        prices = self.source.ask(watch=False)["prices"]
+        return {"from_bytes_per_second": before, "to_bytes_per_second": rate, **_reaction(at_s, prices, events)}
 
 
 def _is_over(events: list[dict[str, Any]], status: dict[str, Any], quiet_s: float) -> bool:
@@ -206,14 +207,14 @@ def _is_over(events: list[dict[str, Any]], status: dict[str, Any], quiet_s: floa
     return is_planned and is_quiet and plan["confirmed"] == plan["publishers"]
 
 
-def _reaction(at_s: float, gates: list[tuple[float, float]], events: dict[int, dict[str, Any]]) -> dict[str, Any]:
-    """Return the delays of gate, plan and confirmation (s); None = never."""
-    usual = median([gate for when_s, gate in gates if when_s <= at_s] or [1.0])
-    closed = [when_s for when_s, gate in gates if when_s > at_s and gate < 0.9 * usual]
+def _reaction(at_s: float, prices: list[tuple[float, float]], events: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    """Return the delays of price, plan and confirmation (s); None = never."""
+    usual = median([admitted for when_s, admitted in prices if when_s <= at_s] or [math.inf])
+    lower = [when_s for when_s, admitted in prices if when_s > at_s and admitted < 0.9 * usual]
     planned = [event["unix_time_seconds"] for event in events.values() if event["event"] == "plan"]
     confirmed = [event["unix_time_seconds"] for event in events.values() if event["event"] == "confirmed"]
     return {
-        "gate_s": min(closed) - at_s if closed else None,
+        "gate_s": min(lower) - at_s if lower else None,  # the key of results/overhead.json, from before the price
         "plan_s": min(planned) - at_s if planned else None,
         "plans": len(planned),
         "confirmed_s": max(confirmed) - at_s if confirmed and max(confirmed) > max(planned, default=0.0) else None,

@@ -57,7 +57,7 @@ BENCHMARKS = (
     Benchmark(name="fuzz", lasts_s=760, quick_s=60),
     Benchmark(name="reliability", lasts_s=920, quick_s=280),
     Benchmark(name="exposition", lasts_s=330, quick_s=30),
-    Benchmark(name="paper", lasts_s=1800, quick_s=30),
+    Benchmark(name="paper", lasts_s=2000, quick_s=70),
     Benchmark(name="adapt", lasts_s=2100, quick_s=60),
     Benchmark(name="overhead", lasts_s=720, quick_s=50),
 )

@@ -83,11 +83,11 @@ def final_table(pairs: Sequence[Pair]) -> Table:
 def live_view(
     *, elapsed_s: float, duration_s: float, truth: float, side: str, status: dict[str, Any] | None, arrivals: Any
 ) -> Group:
-    """Return the current state: the link, the estimate, the gate, every topic."""
+    """Return the current state: the link, the estimate, the budget, every topic."""
     head = Text(f"{side}  {elapsed_s:4.0f} / {duration_s:.0f} s   link carries {truth * 8e-6:.1f} Mbit/s")
     table = Table(pad_edge=False)
     table.add_column("topic", no_wrap=True)
-    columns = ("planned Hz", "floor", "depth", "deadline ms", "Rmax Hz", "arrived Hz", "worst ms", "withheld", "swaps")
+    columns = ("allowed Hz", "floor", "ceiling", "depth", "deadline ms", "arrived Hz", "worst ms", "withheld", "swaps")
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     if status is None:
@@ -97,18 +97,19 @@ def live_view(
     link, plan = status["link"], status["plan"]
     head.append(
         f"\nestimate {link['capacity_bytes_per_second'] * 8e-6:.1f} Mbit/s ({link['kind']}, {link['state']})   "
-        f"queue {link['queue_delay_seconds'] * 1e3:.0f} ms   gate {status['gate']:.2f}   plan {plan['generation']}"
+        f"queue {link['queue_delay_seconds'] * 1e3:.0f} ms   "
+        f"budget {status['allocation']['capacity_bytes_per_second'] * 8e-6:.1f} Mbit/s   plan {plan['generation']}"
     )
     for topic in status["topics"]:
         now = arrivals.get(topic["topic"].removeprefix("/link"), {})
         planned = topic["planned"] or {}
         table.add_row(
             topic["topic"],
-            _cell(planned.get("rate_hz")),
+            _cell(topic["confirmed"]["paced_rate_hz"]),
             _cell(planned.get("min_rate_hz")),
+            _cell(planned.get("rate_hz")),
             _cell(topic["confirmed"]["depth"]),
             _cell(topic["confirmed"]["deadline_ns"], scale=1e-6),
-            _cell(topic["max_rate_hz"]),
             _cell(now.get("rate_hz")),
             _cell(now.get("worst_s"), scale=1e3),
             _cell(topic["withheld"]),

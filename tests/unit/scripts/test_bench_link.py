@@ -23,9 +23,9 @@ OUTAGE = Scenario(name="outage", schedule="0:20mbit", duration_s=35.0, outages=(
 def belief(**changes):
     values: dict[str, Any] = dict.fromkeys(Belief.__slots__, 0.0) | {
         "estimate_bytes_per_second": 20 * MBIT,
+        "budget_bytes_per_second": 17 * MBIT,
         "kind": "peer",
         "state": "steady",
-        "gate": 1.0,
         "generation": 1,
         "levels_by_cause": {"start": 1},
         "swaps": 12,
@@ -60,7 +60,7 @@ def test_readings_at_their_own_moments_come_to_one_grid():
             (100.15, 500.0, 50, 110),
         )
     ]
-    course = make_course(buckets, [(100.05, belief(gate=0.7))], started_s=100.0, duration_s=0.8)
+    course = make_course(buckets, [(100.05, belief(swaps=7))], started_s=100.0, duration_s=0.8)
     assert [instant.t_s for instant in course] == pytest.approx([0.1 * k for k in range(1, 9)])
     assert [instant.queue_delay_s for instant in course[:3]] == pytest.approx([0.3, 0.1, 0.1])
     assert [instant.truth_bytes_per_second for instant in course[:2]] == [1000.0, 500.0]
@@ -75,7 +75,7 @@ def test_a_status_document_becomes_a_belief(sample_snapshot):
     others = sum(sum(topic["swaps"].values()) for topic in document["topics"][1:])
     found = believed(document, report_wire_bytes=200)
     assert found.estimate_bytes_per_second == document["link"]["capacity_bytes_per_second"]
-    assert found.gate == document["gate"]
+    assert found.budget_bytes_per_second == document["allocation"]["capacity_bytes_per_second"]
     assert found.swaps == 3 + others
     assert found.report_bytes == 200 * sample_snapshot.totals.reports
 
@@ -94,15 +94,19 @@ def test_the_steady_error_leaves_out_the_start_and_the_reaction():
 
 
 def test_the_reaction_to_a_drop_is_when_the_estimate_is_near_and_stays():
-    """An estimate that passes the truth is no reaction; the gate reacts when it is first below one half."""
+    """An estimate or a budget that passes the truth is no reaction; both must stay for a second."""
 
     def believe(t):
         near = 12.5 <= t < 12.8 or t >= 13.2
-        return belief(estimate_bytes_per_second=(6.0 if near else 20.0) * MBIT, gate=0.3 if 12.35 < t < 12.6 else 1.0)
+        fits = 12.15 < t < 12.25 or t > 12.35
+        return belief(
+            estimate_bytes_per_second=(5.5 if near else 20.0) * MBIT,
+            budget_bytes_per_second=(4.0 if fits else 9.0) * MBIT,
+        )
 
     found = figures(course_of(DROP, believe, queue_s=lambda t: 0.4 if 12.2 < t < 12.6 else 0.02), DROP)
     assert found["reaction_s"] == pytest.approx(1.2)
-    assert found["gate_half_s"] == pytest.approx(0.4)
+    assert found["budget_s"] == pytest.approx(0.4)
     assert found["peak_queue_s"] == 0.4
     assert "rise_s" not in found
 
@@ -124,11 +128,11 @@ def test_the_rise_is_when_80_per_cent_are_known():
 
 
 def test_an_outage_has_three_times():
-    """They end when the gate is closed, when the estimate is back, and when the traffic is back."""
+    """They end when the budget is a tenth of what it was, when the estimate is back, and when the traffic is back."""
 
     def believe(t):
         return belief(
-            gate=0.01 if 12.4 <= t < 17.3 else 1.0,
+            budget_bytes_per_second=(1.6 if 12.4 <= t < 17.3 else 17.0) * MBIT,
             estimate_bytes_per_second=(12.0 if 17.0 <= t < 19.0 else 20.0) * MBIT,
         )
 
@@ -136,7 +140,7 @@ def test_an_outage_has_three_times():
         return round(MBIT * 10 * (min(t, 12.0) + max(0.0, t - 18.0)))
 
     found = figures(course_of(OUTAGE, believe, sent=sent), OUTAGE)
-    assert found["gate_closed_s"] == pytest.approx(0.4)
+    assert found["closed_s"] == pytest.approx(0.4)
     assert found["recovery_s"] == pytest.approx(2.0)
     assert found["traffic_back_s"] == pytest.approx(1.8)
 
