@@ -107,7 +107,7 @@ def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, le
     courses: list[tuple[str, str, tuple[str, ...], Callable[[Iterable[float]], float], Callable[[float], str]]] = [
         ("link", capacity, ("link", "capacity_bytes_per_second"), _mean, format_rate),
         ("queue", ", ".join(delay), ("link", "queue_delay_seconds"), max, format_duration),
-        ("gate", format_share(number(status, "gate")), ("gate",), min, format_share),
+        ("admitted", format_share(number(status, "gate")), ("gate",), min, format_share),
     ]
     lines = []
     for label, now, keys, worst, show in courses:
@@ -122,7 +122,8 @@ def _link(status: dict[str, Any], history: dict[str, Any] | None, width: int, le
             line.append(sparkline(samples, columns, pick=worst, highest=1.0 if worst is min else None, levels=levels))
             line.append(f" {'≥' if worst is min else '≤'} {show(extreme(known))}", style="dim")
         lines.append(line)
-    traffic = f"delivering {format_rate(number(link, 'delivery_rate_bytes_per_second'))}"
+    delivered, usable = number(link, "delivery_rate_bytes_per_second"), ("allocation", "capacity_bytes_per_second")
+    traffic = f"delivering {format_rate(delivered)}, budget {format_rate(number(status, *usable))}"
     if cross_traffic:
         left = format_rate(number(link, "available_bytes_per_second"))
         traffic += f", {format_rate(cross_traffic)} of cross traffic, {left} left"

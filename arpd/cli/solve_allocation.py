@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.config.yaml_source import Fault, Place, config_error
 from arpd.cli.plot import drawing, refuse_all_but_png, writing
-from arpd.cli.status_file import read_status
+from arpd.cli.status_file import SavedStatus, read_status
 from arpd.govern.what_if import OfflinePlanner, spread
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.quantities import parse_rate, printable
@@ -42,11 +42,13 @@ class _Offered:
     ----------
     traffic : one entry per topic, measured where the status file has it, else from the configuration
     publishers : those of the status file
+    crossing : topics that cross the link: pinned counts, else those of the status file
     left_out : topics with a name, but without payload and rate
     """
 
     traffic: tuple[Traffic, ...]
     publishers: tuple[PublisherState, ...]
+    crossing: int
     left_out: tuple[str, ...]
 
 
@@ -58,7 +60,9 @@ def solve_allocation(options: argparse.Namespace) -> int:
     offered = _offered(settings, options)
     backend = Backend(options.backend) if options.backend else settings.program.backend
     try:
-        planner = OfflinePlanner(settings, offered.traffic, publishers=offered.publishers, backend=backend)
+        planner = OfflinePlanner(
+            settings, offered.traffic, publishers=offered.publishers, crossing=offered.crossing, backend=backend
+        )
     except ImportError as error:
         raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
     plans = [planner.plan(capacity) for capacity in capacities]
@@ -114,15 +118,21 @@ def _rate(option: str, text: str) -> float:
 
 
 def _offered(settings: Settings, options: argparse.Namespace) -> _Offered:
-    publishers = () if options.status is None else read_status(options.status)
+    status = SavedStatus() if options.status is None else read_status(options.status)
+    publishers, graph = status.publishers, settings.graph
     # A measurement replaces an assumption; the planner sorts both.
     traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
     if not traffic:
         raise _nothing_to_plan(options.config, options.status)
     relayed = (settings.relay.prefix + name for name in settings.relay.topics)
     named = {*settings.topics, *relayed, *(publisher.topic for publisher in publishers)}
+    sensing = status.sensing_topics if graph.sensing_topics is None else graph.sensing_topics
+    actuation = status.actuation_topics if graph.actuation_topics is None else graph.actuation_topics
     return _Offered(
-        traffic=tuple(traffic.values()), publishers=publishers, left_out=tuple(sorted(named - traffic.keys()))
+        traffic=tuple(traffic.values()),
+        publishers=publishers,
+        crossing=sensing + actuation,
+        left_out=tuple(sorted(named - traffic.keys())),
     )
 
 
@@ -163,6 +173,8 @@ def _document(plan: OfflinePlan, settings: Settings, left_out: Sequence[str]) ->
         "binding": str(allocation.binding),
         "degradation": allocation.degradation,
         "backend": str(allocation.backend),
+        "policy": str(settings.program.policy),
+        "uniform": allocation.uniform and asdict(allocation.uniform),
         "share": plan.link_share,
         "memory_bytes": plan.memory_bytes,
         "memory_budget_bytes": settings.program.memory_budget_bytes,

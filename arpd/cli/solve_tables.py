@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from arpd.govern.what_if import OfflinePlan, PlannedTopic
+    from arpd.model.allocation import Uniform
     from arpd.model.settings import Settings
 
 _COLUMNS = 8  # capacities side by side in as wide a line
@@ -36,6 +37,7 @@ def topic_table(plan: OfflinePlan, settings: Settings) -> str:
         f"link     {_link(format_rate(plan.capacity_bytes_per_second), settings, len(rows))}",
         f"program  {allocation.status}, bound by {_word(allocation.binding)}, solved by {allocation.backend}",
         *([f"         gave way: {allocation.degradation}"] if allocation.degradation else []),
+        *([f"uniform  {_uniform(allocation.uniform)}"] if allocation.uniform else []),
         f"memory   {used} of {budget} when every history is full",
     ]
     titles = (
@@ -68,6 +70,12 @@ def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
 def _link(capacity: str, settings: Settings, topics: int) -> str:
     planned = format_share(settings.link.headroom)
     return f"{capacity}, of which {planned} may be planned for {count(topics, 'topic')}"
+
+
+def _uniform(uniform: Uniform) -> str:
+    """Say what Eq. (4) gives each topic."""
+    share = f"{count(uniform.topics, 'topic')} on the link, Rmax {_four(uniform.max_rate_hz)} Hz"
+    return f"{share}: R {_four(uniform.rate_hz)} Hz and D {uniform.depth} for each"
 
 
 def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:

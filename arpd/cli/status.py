@@ -28,9 +28,9 @@ def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "status",
         help="show what the daemon sees and does",
         description="""\
-Ask a running daemon for its last tick: whether all is well, the link, the gate, the plan in force, the rate, DEPTH and
-DEADLINE that each publisher announces (`now→planned` where the two differ), its dropped messages, and the last lines of
-the decision log. `arpd top` shows the same live.""",
+Ask a running daemon for its last tick: whether all is well, the link, the budget of the topics, the plan in force, the
+rate that each publisher is allowed, the DEPTH and DEADLINE that it announces (`now→planned` where the two differ), its
+dropped messages, and the last lines of the decision log. `arpd top` shows the same live.""",
         epilog="""\
 examples:
   arpd status
@@ -127,10 +127,11 @@ def _facts(status: dict[str, Any], *, is_airy: bool) -> list[str]:
     plan, allocation = status.get("plan"), status.get("allocation")
     solved = f"{text(allocation, 'status')}, bound by {text(allocation, 'binding').replace('_', ' ')}"
     backend = f"solved by {text(allocation, 'backend')} in {format_duration(number(allocation, 'solve_seconds'))}"
-    force = f"plan {count(plan, 'generation')} for {format_rate(number(status, 'level_bytes_per_second'))}"
+    force = f"{count(plan, 'generation')} for {format_rate(number(status, 'level_bytes_per_second'))}"
     facts = [
         *_link(status),
-        ("gate", f"{format_share(number(status, 'gate'))}, {force}: {who_confirmed(status)}"),
+        ("budget", _budget(status)),
+        ("plan", f"{force}: {who_confirmed(status)}"),
         ("", text(plan, "reason")),
         *(("", f"refused: {refusal}") for refusal in texts(plan, "refusals")),
         ("program", f"{solved}, {backend}"),
@@ -161,6 +162,12 @@ def _link(status: dict[str, Any]) -> list[tuple[str, str]]:
         ("", text(link, "evidence")),
         ("", of_others if cross_traffic else ""),
     ]
+
+
+def _budget(status: dict[str, Any]) -> str:
+    """Say what the topics may use now, and the part of their traffic above the floors that it admits."""
+    usable = format_rate(number(status, "allocation", "capacity_bytes_per_second"))
+    return f"{usable}, admits {format_share(number(status, 'gate'))} above the floors"
 
 
 def _dropped(status: dict[str, Any]) -> str:

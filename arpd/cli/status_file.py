@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import Direction, PublisherState
@@ -17,8 +18,23 @@ _HIGHEST = 1e12  # above any real payload (bytes), rate (Hz) or period (ns); kee
 _DIRECTIONS = tuple(str(direction) for direction in Direction)
 
 
-def read_status(path: Path) -> tuple[PublisherState, ...]:
-    """Return the publishers of a status document with what the daemon measured; other fields are neutral.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SavedStatus:
+    """Content of a status document that a plan needs.
+
+    Parameters
+    ----------
+    publishers : with what the daemon measured; other fields are neutral
+    sensing_topics, actuation_topics : topics that cross the link, managed or not
+    """
+
+    publishers: tuple[PublisherState, ...] = ()
+    sensing_topics: int = 0
+    actuation_topics: int = 0
+
+
+def read_status(path: Path) -> SavedStatus:
+    """Return what the daemon had measured.
 
     Raises
     ------
@@ -38,7 +54,20 @@ def read_status(path: Path) -> tuple[PublisherState, ...]:
         raise _refused(path, "was saved before the daemon was ready")
     if not isinstance(rows, list):
         raise _refused(path, "topics: is not a list")
-    return tuple(_publisher(row, f"topics[{index}]", path) for index, row in enumerate(rows))
+    return SavedStatus(
+        publishers=tuple(_publisher(row, f"topics[{index}]", path) for index, row in enumerate(rows)),
+        sensing_topics=_crossing(document, "sensing_topics", path),
+        actuation_topics=_crossing(document, "actuation_topics", path),
+    )
+
+
+def _crossing(document: dict[str, Any], key: str, path: Path) -> int:
+    """Return a count of the graph; 0 from a daemon that did not say it."""
+    graph = document.get("graph", {})
+    count = graph.get(key, 0) if isinstance(graph, dict) else graph
+    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= _HIGHEST:
+        raise _refused(path, f"graph.{key}: {_shown(count)} is not a number of topics")
+    return count
 
 
 def _text(path: Path) -> bytes:

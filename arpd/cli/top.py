@@ -32,9 +32,9 @@ def add_top(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "top",
         help="watch what the daemon sees and does, live",
         description="""\
-Show a running daemon live: whether the link is the limit and whether arpd copes, capacity, queue and gate with their
-last ten minutes, the plan and its reason, the topics (first refusals, then those that give up most), and the last lines
-of the decision log. Topics that do not fit the terminal are counted.
+Show a running daemon live: whether the link is the limit and whether arpd copes, capacity, queue and the part of the
+traffic that is admitted with their last ten minutes, the plan and its reason, the topics (first refusals, then those
+that give up most), and the last lines of the decision log. Topics that do not fit the terminal are counted.
 q or Ctrl-C ends it. It waits for a daemon that goes away.""",
         epilog="""\
 examples:

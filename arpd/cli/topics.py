@@ -16,11 +16,11 @@ _LONGEST_NAME = 250
 
 
 def topic_table(topics: Sequence[dict[str, Any]], *, width: int) -> list[str]:
-    """Return a heading and a line per topic, none wider than ``width``; ``now→planned`` where the two differ."""
+    """Return a heading and a line per topic, none wider than ``width``; QoS as ``now→planned`` where the two differ."""
     columns: list[tuple[str, int, Callable[[dict[str, Any]], str]]] = [
         ("TOPIC", 0, lambda topic: text(topic, "topic", longest=_LONGEST_NAME)),
         ("NODE", 1, lambda topic: text(topic, "node", longest=_LONGEST_NAME)),
-        ("PLAN Hz", 0, lambda topic: _moving(topic, "rate_hz", format_number, missing="unpaced")),
+        ("ALLOWED", 0, _allowed),
         ("SENT", 0, lambda topic: format_number(number(topic, "published_rate_hz"))),
         ("SOURCE", 3, lambda topic: format_number(number(topic, "source_rate_hz"))),
         ("DEPTH", 4, lambda topic: _moving(topic, "depth", format_number, missing="-")),
@@ -76,6 +76,13 @@ def _unknown(topics: Sequence[dict[str, Any]]) -> set[str]:
     if not any(_causes(topic) for topic in topics):
         nothing.add("CAUSES")
     return nothing
+
+
+def _allowed(topic: dict[str, Any]) -> str:
+    """Show the rate that the publisher may send at; an older daemon knows no other one than that of the plan."""
+    key = "paced_rate_hz" if find(topic, "confirmed", "paced_rate_hz") is not None else "rate_hz"
+    rate_hz = number(topic, "confirmed", key)
+    return "unpaced" if rate_hz is None else format_number(rate_hz)
 
 
 def _moving(topic: dict[str, Any], key: str, show: Callable[[float | None], str], *, missing: str) -> str:

@@ -11,6 +11,7 @@ from arpd.report.events import Event, EventKind, Said, Severity
 from arpd.report.log_endpoints import EndpointLog
 from arpd.report.log_link import InterfaceLog, LeaderLog, LinkLog, PeerLog
 from arpd.report.log_plan import FittingLog, PlanLog, WaitingLog
+from arpd.report.log_rates import RatesLog
 from arpd.report.situation import reload_refused
 from arpd.report.snapshot import Totals
 from arpd.report.wording import count, one_line
@@ -37,6 +38,7 @@ class DecisionLog:
         self._told = 0
         self._leader, self._interface, self._link, self._peers = LeaderLog(), InterfaceLog(), LinkLog(), PeerLog()
         self._plan, self._waiting, self._fitting = PlanLog(), WaitingLog(), FittingLog()
+        self._rates = RatesLog()
         self._endpoints = EndpointLog()
         self._kept: tuple[Event, ...] = ()
         self._counted: Mapping[str, int] = MappingProxyType(dict(self._counts))
@@ -84,6 +86,7 @@ class DecisionLog:
         yield from self._plan.follow(snapshot)
         yield from self._waiting.follow(snapshot, made_s=self._plan.made_s)
         yield from self._fitting.follow(snapshot)
+        yield from self._rates.follow(snapshot)
 
     def _left_out(self, now_s: float) -> Iterator[Said]:
         for kind in sorted(self._flooding):

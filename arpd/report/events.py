@@ -30,7 +30,8 @@ class EventKind(StrEnum):
     PEER_LOST = "peer_lost"
     PLAN = "plan"  # a new plan
     CONFIRMED = "confirmed"  # every publisher announces it
-    PLAN_REFUSED = "plan_refused"  # a plan is due, and dwell or budget forbids it
+    RATES = "rates"  # the link slows other topics than before, or by another amount, for long
+    PLAN_REFUSED = "plan_refused"  # a plan or a swap is due, and dwell or budget forbids it
     INFEASIBLE = "infeasible"  # not everything asked for fits
     FEASIBLE = "feasible"  # it does again
     MEMORY = "memory"  # depths follow memory
@@ -54,7 +55,7 @@ class Event:
     number : counts up from 1 since the daemon started
     unix_time_s : wall clock when it happened (s)
     kind, severity : what it is about, and its weight
-    text : a plain sentence without a full stop: "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"
+    text : a plain sentence without a full stop: "the link slows 1 topic: /camera/image 30 → 2.1 Hz"
     topic, node : the topic and the node it is about, empty when there are several
     details : further facts by lower-case name, for programs
     """

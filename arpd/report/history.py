@@ -42,17 +42,19 @@ class LinkSample:
     Parameters
     ----------
     capacity_bytes_per_second, available_bytes_per_second : estimate, and the part left for arpd's topics (bytes/s)
-    level_bytes_per_second : capacity that the plan in force was made for (bytes/s)
+    budget_bytes_per_second : what the topics may use (bytes/s)
+    level_bytes_per_second : lasting budget that the plan in force was made for (bytes/s)
     delivery_rate_bytes_per_second : received by the peer (bytes/s)
     foreign_bytes_per_second : cross traffic (bytes/s)
     queue_delay_seconds : one-way delay above its minimum (s)
     loss_ratio : share of probe packets lost
-    gate : factor on every paced rate
+    gate : part of the traffic above the floors that is admitted
     state : `arpd.model.link.LinkState`
     """
 
     capacity_bytes_per_second: float
     available_bytes_per_second: float
+    budget_bytes_per_second: float
     level_bytes_per_second: float
     delivery_rate_bytes_per_second: float
     foreign_bytes_per_second: float
@@ -72,7 +74,7 @@ class Sample:
     unix_time_s : wall clock at the same moment (s)
     link : the link
     slots : slot of each publisher in the rates
-    rates_hz : planned, published and source rate of each slot, NaN without one, ``inf`` = unpaced (Hz)
+    rates_hz : ceiling, published, source and paced rate of each slot, NaN without one, ``inf`` = unpaced (Hz)
     omitted : live publishers without a slot
     """
 
@@ -85,7 +87,7 @@ class Sample:
 
 
 LINK_SERIES = tuple(field.name for field in fields(LinkSample))
-RATE_SERIES = ("planned_rate_hz", "published_rate_hz", "source_rate_hz")
+RATE_SERIES = ("planned_rate_hz", "published_rate_hz", "source_rate_hz", "paced_rate_hz")
 _NO_RATES = (math.nan,) * len(RATE_SERIES)
 
 
@@ -93,7 +95,7 @@ class History:
     """Samples snapshots; written by the tick, read by the HTTP server's threads.
 
     A sample is immutable, and the tick appends it in one step, so readers need no lock and never delay a tick. With all
-    slots taken the whole span is 3.5 MB.
+    slots taken the whole span is 4.5 MB.
     """
 
     def __init__(self) -> None:
@@ -158,6 +160,7 @@ def _rates(publisher: PublisherState, planned: TopicPlan | None) -> array[float]
             math.nan if planned is None else _short(planned.rate_hz),
             _short(publisher.published_rate_hz),
             _short(publisher.source_rate_hz),
+            _short(publisher.paced_rate_hz),
         ),
     )
 
@@ -166,6 +169,7 @@ def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
     return LinkSample(
         capacity_bytes_per_second=_short(link.capacity_bytes_per_second),
         available_bytes_per_second=_short(link.available_bytes_per_second),
+        budget_bytes_per_second=_short(snapshot.allocation.capacity_bytes_per_second),
         level_bytes_per_second=_short(snapshot.decision.plan.level_bytes_per_second),
         delivery_rate_bytes_per_second=_short(link.delivery_rate_bytes_per_second),
         foreign_bytes_per_second=_short(link.cross_traffic_bytes_per_second),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
-from arpd.model.quantities import format_duration, format_number, format_rate
+from arpd.model.quantities import format_duration, format_period, format_rate
 from arpd.report.event_limits import Episode
 from arpd.report.events import EventKind, Said, Severity
 from arpd.report.situation import Condition
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan, TopicPlan
     from arpd.report.snapshot import Snapshot
 
-_REFUSED_S = 2.0  # a plan that is due may wait for so long without an event
 _GONE = 0.02  # of the capacity: cross traffic that is not worth naming
-_FITS_S = 2.0  # the program is solved ten times a second, and its status swings with the estimate
-_WAITS_FOR = {
-    "dwell": "the last one is only {age} old (dwell)",
-    "budget": "the swaps allowed in a minute are spent (budget)",
+_FITS_S = 10.0  # while a queue drains, the budget may be less than the floors for some seconds
+# How long a refusal lasts before it is an event (s), and its words.
+_REFUSED = {
+    "dwell": (2.0, "a new plan has to wait: the last one is only {age} old (dwell)"),
+    "budget": (0.0, "topics keep depth and deadline for now: the swaps allowed in a minute are spent (budget)"),
 }
 
 
@@ -71,17 +71,16 @@ def _is_in_force(snapshot: Snapshot) -> bool:
 def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Said:
     plan, cause = snapshot.decision.plan, snapshot.decision.reason
     rows = before.topics if before is not None else {}
-    rates, depths = _rate_changes(snapshot, rows), _depth_changes(snapshot, rows)
-    rate_words, depth_words = changes(rates, " Hz"), changes(depths, " samples")
-    lowered = sum(change.after < change.before for change in rates)
+    depths, deadlines = _depth_changes(snapshot, rows), _deadline_changes(snapshot, rows)
+    depth_words, deadline_words = changes(depths, " samples"), changes(deadlines, show=format_period)
+    changed = {change.name for change in (*depths, *deadlines)}
     details = {
         "cause": cause,
         "generation": str(plan.generation),
         "capacity_bytes_per_second": f"{snapshot.link.capacity_bytes_per_second:.6g}",
         "level_bytes_per_second": f"{plan.level_bytes_per_second:.6g}",
         "topics": str(len(plan.topics)),
-        "topics_slower": str(lowered),
-        "topics_faster": str(sum(change.after > change.before for change in rates)),
+        "topics_changed": str(len(changed)),
     }
     if cause == "memory":
         less = sum(change.after - change.before for change in depths) < 0
@@ -91,20 +90,20 @@ def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimat
             f"memory allows {'less' if less else 'more'}: {depth_words or 'no depth changes'}",
             details=details,
         )
-    unchanged = len(plan.topics) - len({change.name for change in rates})
-    if rate_words:
-        what = f"{rate_words}, {count(unchanged, 'topic')} unchanged" if unchanged else rate_words
-    else:
-        what = f"no rate changes; {depth_words}" if depth_words else "no rate changes"
+    what = [f"depth {depth_words}"] if depth_words else []
+    what += [f"deadline {deadline_words}"] if deadline_words else []
+    if what and (unchanged := len(plan.topics.keys() - changed)):
+        what.append(f"{count(unchanged, 'topic')} unchanged")
     return Said(
         EventKind.PLAN,
-        Severity.WARNING if cause == "down" and lowered else Severity.INFO,
-        f"{_why(snapshot, before, link_then)}: {what}",
+        Severity.WARNING if cause == "down" else Severity.INFO,
+        f"{_why(snapshot, before, link_then)}: {'; '.join(what) or 'no depth or deadline changes'}",
         details=details,
     )
 
 
 _OTHER_CAUSES = {
+    "budget": "swaps are allowed again",
     "demand": "what the sources publish has changed",
     "reload": "new configuration",
     "readers": "a reader asks for a shorter deadline",
@@ -120,7 +119,7 @@ def _why(snapshot: Snapshot, before: QosPlan | None, then: LinkEstimate | None) 
     if cause == "topics":
         return _topics_that_came(plan, before)
     if cause in {"down", "up"}:
-        return _what_the_link_did(snapshot.link, then, fell=cause == "down")
+        return _what_the_link_did(snapshot.link, then, plan, fell=cause == "down")
     return _OTHER_CAUSES.get(cause, f"plan {plan.generation}")
 
 
@@ -132,9 +131,15 @@ def _topics_that_came(plan: QosPlan, before: QosPlan | None) -> str:
     return f"{' and '.join(moved) or 'topics came and went'}, {len(plan.topics)} planned"
 
 
-def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, *, fell: bool) -> str:
+def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, plan: QosPlan, *, fell: bool) -> str:
+    """Say what made the lasting budget fall or rise: cross traffic, the link, or a link that swings."""
     carries = format_rate(link.capacity_bytes_per_second)
-    if _is_cross_traffic(link, then):
+    left = 0.0 if then is None else link.available_bytes_per_second - then.available_bytes_per_second
+    if then is not None and (left < 0.0) != fell:
+        # A link that swings is high at one moment and low at the next; the plan follows what lasts.
+        lasts = f"{'only ' if fell else ''}{format_rate(plan.level_bytes_per_second)}"
+        return f"topics can count on {lasts}, though the link carries {carries} now"
+    if then is not None and _is_cross_traffic(link, then):
         taken = link.cross_traffic_bytes_per_second
         if taken < _GONE * link.capacity_bytes_per_second:
             return f"cross traffic is gone, the link's {carries} are free"
@@ -143,32 +148,25 @@ def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, *, fell: b
     return f"link {'fell' if fell else 'rose'} to {carries}"
 
 
-def _is_cross_traffic(link: LinkEstimate, then: LinkEstimate | None) -> bool:
+def _is_cross_traffic(link: LinkEstimate, then: LinkEstimate) -> bool:
     """Return whether cross traffic moved what is left for arpd by more than the link itself did."""
-    if then is None:
-        return False
     capacity = link.capacity_bytes_per_second - then.capacity_bytes_per_second
     left = link.available_bytes_per_second - then.available_bytes_per_second
     return left * (left - 2 * capacity) > 0
 
 
-def _rate_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
-    """Return the changes of rates that sources notice: never from or to more than a source gives."""
+def _deadline_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
     planned = snapshot.decision.plan.topics
-    fastest: dict[str, Change] = {}
+    found: dict[str, Change] = {}
     for publisher in snapshot.observation.publishers:
-        row = planned.get(publisher.topic)
-        if row is None or publisher.source_rate_hz <= 0:
+        if (row := planned.get(publisher.topic)) is None:
             continue
         old = before.get(publisher.topic)
-        was_hz = min(old.rate_hz if old is not None else publisher.rate_hz, publisher.source_rate_hz)
-        is_hz = min(row.rate_hz, publisher.source_rate_hz)
-        if format_number(was_hz) == format_number(is_hz):
-            continue
-        weight = abs(is_hz - was_hz) * publisher.payload_bytes * publisher.copies
-        if (known := fastest.get(publisher.topic)) is None or known.weight < weight:
-            fastest[publisher.topic] = Change(publisher.topic, was_hz, is_hz, weight)
-    return list(fastest.values())
+        was_ns = old.deadline_ns if old is not None else publisher.deadline_ns
+        if was_ns != row.deadline_ns:
+            weight = publisher.payload_bytes * publisher.copies
+            found[publisher.topic] = Change(publisher.topic, was_ns, row.deadline_ns, weight)
+    return list(found.values())
 
 
 def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
@@ -186,7 +184,7 @@ def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[
 
 
 class WaitingLog:
-    """Plans that are due and have to wait: one event per reason while the plan in force stays."""
+    """Plans and swaps that are due and have to wait: one event per reason while the plan in force stays."""
 
     def __init__(self) -> None:
         self._since_s: dict[str, float] = {}
@@ -206,14 +204,14 @@ class WaitingLog:
         self._told = {told for told in self._told if told[0] == generation}
         self._since_s = {reason: self._since_s.get(reason, now_s) for reason in decision.refusals}
         for reason, since_s in self._since_s.items():
-            if now_s - since_s < _REFUSED_S or (generation, reason) in self._told:
+            lasts_s, words = _REFUSED.get(reason, (0.0, f"a new plan has to wait ({reason})"))
+            if now_s - since_s < lasts_s or (generation, reason) in self._told:
                 continue
             self._told.add((generation, reason))
-            words = _WAITS_FOR.get(reason, f"({reason})").format(age=format_duration(now_s - made_s))
             yield Said(
                 EventKind.PLAN_REFUSED,
                 Severity.INFO,
-                f"a new plan has to wait: {words}",
+                words.format(age=format_duration(now_s - made_s)),
                 details={"reason": reason, "generation": str(generation)},
             )
 

@@ -21,15 +21,17 @@ from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import AT_FLOORS, NOTHING_ANNOUNCED, confirmed, count, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Sequence
+    from collections.abc import Container, Iterable, Iterator, Sequence
 
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
 
 STALE_AFTER_S = 3.0  # ticks are 0.1 s apart
 UNCONFIRMED_AFTER_S = 15.0  # a swap proves itself within seconds, and arpd tries again
-SLOWED_BELOW = 0.95  # of what the source publishes; a plan within a twentieth of it slows nobody
-_DRAINING_BELOW = 0.8  # a gate above this trims, and does not drain
+SLOWED_BELOW = 0.95  # of what the source publishes; a rate within a twentieth of it slows nobody
+_DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
+_LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people
+_STEPS = 20  # of the admitted part in the line for systemd, which sends each change to everybody who watches
 _EMPTY_QUEUE_S = 0.001
 _LOSSY = 0.01
 _REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
@@ -145,27 +147,42 @@ def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: 
     rows : its live publishers as `topic_rows` returns them, by default from the snapshot
     now_s : monotonic clock (s), to find ticks that do not finish
     """
-    planned, slowed = 0, []
-    for row in topic_rows(snapshot) if rows is None else rows:
-        if row.planned is not None:
-            planned += 1
-            if (kept := kept_ratio(row)) < SLOWED_BELOW:
-                publisher = row.publisher
-                slowed.append(Slowed(kept, publisher.topic, row.planned.rate_hz, publisher.source_rate_hz))
-    slowed.sort()
+    rows = topic_rows(snapshot) if rows is None else rows
+    slowed = slowed_topics(rows)
     return Situation(
-        conditions=tuple(_conditions(snapshot, planned, slowed)),
+        conditions=tuple(_conditions(snapshot, sum(row.planned is not None for row in rows), slowed)),
         faults=tuple(_faults(snapshot, now_s)),
-        slowed=tuple(slowed),
+        slowed=slowed,
+    )
+
+
+def slowed_topics(rows: Iterable[TopicRow]) -> tuple[Slowed, ...]:
+    """Return the topics that the link keeps below their sources' rates now, the most slowed first."""
+    return tuple(
+        sorted(
+            Slowed(kept, row.publisher.topic, row.allocation.rate_hz, row.publisher.source_rate_hz)
+            for row in rows
+            if row.allocation is not None and (kept := kept_ratio(row)) < SLOWED_BELOW
+        )
     )
 
 
 def kept_ratio(row: TopicRow) -> float:
-    """Return the part of its source's rate that the link leaves a topic; 1 where the link does not slow it."""
-    source_hz, planned, allocation = row.publisher.source_rate_hz, row.planned, row.allocation
-    if planned is None or allocation is None or source_hz <= 0 or allocation.binding not in _OF_THE_LINK:
+    """Return the part of its source's rate that the link leaves a topic now; 1 where the link does not slow it."""
+    source_hz, allocation = row.publisher.source_rate_hz, row.allocation
+    if row.planned is None or allocation is None or source_hz <= 0 or allocation.binding not in _OF_THE_LINK:
         return 1.0
-    return min(1.0, planned.rate_hz / source_hz)
+    return min(1.0, allocation.rate_hz / source_hz)
+
+
+def _is_draining(snapshot: Snapshot) -> bool:
+    """Return whether a queue stands, or arpd leaves the topics little until one has gone."""
+    link = snapshot.link
+    if link.state in {LinkState.CONGESTED, LinkState.DRAINING}:
+        return True
+    # The level knows the headroom, and the estimate knows the link of this moment.
+    usable = min(snapshot.decision.plan.level_bytes_per_second, link.available_bytes_per_second)
+    return snapshot.allocation.capacity_bytes_per_second < _DRAINS_BELOW * usable
 
 
 def _conditions(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
@@ -181,26 +198,29 @@ def _conditions(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> I
 
 
 def _governing(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
-    link, gate, allocation = snapshot.link, snapshot.decision.gate, snapshot.allocation
-    carries = format_rate(link.capacity_bytes_per_second)
+    allocation = snapshot.allocation
     if allocation.status is AllocationStatus.DEGRADED:
         yields = f"arpd gives up the least important first ({allocation.degradation})"
-        why = f"the link carries {carries}, and {yields}; {_effect(snapshot)}"
-        yield Finding(Condition.DEGRADED, why)
-    if link.state in {LinkState.CONGESTED, LinkState.DRAINING} or gate < _DRAINING_BELOW:
-        passes = f"arpd lets {format_share(gate)} of the planned rates pass until the queue is short"
-        yield Finding(Condition.OVERFULL, f"{_queue(snapshot)} at {carries}; {passes}")
+        yield Finding(Condition.DEGRADED, f"{_budget(snapshot)}, and {yields}; {_effect(snapshot)}")
+    if _is_draining(snapshot):
+        yield Finding(Condition.OVERFULL, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short")
     if not slowed:
+        carries = format_rate(snapshot.link.capacity_bytes_per_second)
         why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
         yield Finding(Condition.CLEAR, f"{why}; {_queue_and_loss(snapshot)}")
         return
     _, most, rate_hz, source_hz = slowed[0]
     rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
-    slows = f"arpd slowed {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
-    if (waiting := planned - snapshot.confirmed) > 0:
-        slows += f", and {waiting} of them {'has' if waiting == 1 else 'have'} yet to confirm"
-    why = f"{carries} is less than the robot offers; {slows}; {_effect(snapshot)}"
-    yield Finding(Condition.LIMITED, why)
+    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
+    yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
+
+
+def _budget(snapshot: Snapshot) -> str:
+    """Say what the topics may use now."""
+    budget, capacity = snapshot.allocation.capacity_bytes_per_second, snapshot.link.capacity_bytes_per_second
+    if budget < _LEAST_BUDGET * capacity:
+        return f"topics may use next to nothing of {format_rate(capacity)}"
+    return f"topics may use {format_rate(budget)} of {format_rate(capacity)}"
 
 
 def _without_plan(snapshot: Snapshot) -> Finding:
@@ -232,7 +252,7 @@ def reload_refused(snapshot: Snapshot) -> Finding:
 
 def stale(age_s: float) -> Finding:
     """Return the finding for a last tick that finished so long ago (s)."""
-    why = f"the last one finished {format_duration(age_s)} ago; publishers keep the plan they have"
+    why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
     return Finding(Condition.STALE, why)
 
 
@@ -307,7 +327,8 @@ def status_line(snapshot: Snapshot | None) -> str:
     link, decision = snapshot.link, snapshot.decision
     line = (
         f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
-        f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), gate {format_share(decision.gate)}, "
+        f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), "
+        f"admitted {format_share(round(decision.gate * _STEPS) / _STEPS)}, "
         f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
     )
     _, fault = interface_fault(snapshot) or (None, "")

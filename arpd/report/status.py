@@ -2,8 +2,10 @@
 
 Every key carries its unit. ``null`` stands for what JSON cannot say:
 
-- in ``rate_hz`` an unpaced publisher (infinite), in ``deadline_ns`` an infinite DEADLINE,
+- in ``rate_hz`` and ``paced_rate_hz`` an unpaced publisher (infinite), in ``deadline_ns`` an infinite DEADLINE,
+- in ``price`` a tick without topics to divide the link among, in its ``share_per_weight`` no limit,
 - in ``planned`` and the program's keys a publisher that no plan covers,
+- in ``uniform`` another policy, or no topic to plan for,
 - in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue,
 - in ``radio_bytes_per_second`` an interface without a radio, or a radio that does not tell,
 - in ``rmw`` a world without ROS,
@@ -16,6 +18,7 @@ Within ``v1`` keys are only added; ``arpd/adapters/http/schema/status-v1.json`` 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.model.interface import LinkCounters, state_of
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import ReaderState, SwapRecord
     from arpd.model.observation import Observation
     from arpd.model.plan import ReaderPlan
+    from arpd.model.price import Price
     from arpd.report.events import Event
     from arpd.report.situation import Finding
     from arpd.report.snapshot import Snapshot, Totals
@@ -79,6 +83,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "standing_by_for": snapshot.observation.active_daemon,
         },
         "gate": _finite(decision.gate),
+        "price": decision.price and _price(decision.price),
         "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
         "plan": {
             "generation": decision.plan.generation,
@@ -98,6 +103,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "degradation": allocation.degradation,
             "backend": allocation.backend,
             "solve_seconds": _finite(allocation.solve_s),
+            "uniform": allocation.uniform and asdict(allocation.uniform),
         },
         "lease": _lease(snapshot),
         "topics": [_topic(row) for row in rows],
@@ -181,6 +187,16 @@ def _rmw(observation: Observation) -> dict[str, Any] | None:
     return {"name": observation.rmw, "swaps": not observation.rmw_refusal, "refusal": observation.rmw_refusal}
 
 
+def _price(price: Price) -> dict[str, Any]:
+    return {
+        "share_per_weight": _finite(price.share_per_weight),
+        "capacity_bytes_per_second": price.capacity_bytes_per_second,
+        "packet_overhead_seconds": price.packet_overhead_s,
+        "yielding_weight": price.yielding_weight,
+        "kept_floor": price.kept_floor,
+    }
+
+
 def _lease(snapshot: Snapshot) -> dict[str, Any]:
     on_lost = OnLost.BASELINE if snapshot.lease_s else OnLost.KEEP
     return {"on_lost": str(on_lost), "after_seconds": snapshot.lease_s or None}
@@ -219,9 +235,13 @@ def _topic(row: TopicRow) -> dict[str, Any]:
             "min_rate_hz": _finite(planned.min_rate_hz),
             "depth": planned.depth,
             "deadline_ns": planned.deadline_ns or None,
+            "weight": planned.weight,
+            "wire_bytes": planned.wire_bytes,
+            "packets": planned.packets,
         },
         "confirmed": {
             "rate_hz": _finite(publisher.rate_hz),
+            "paced_rate_hz": _finite(publisher.paced_rate_hz),
             "depth": publisher.depth,
             "deadline_ns": publisher.deadline_ns or None,
             "generation": publisher.generation,

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from arpd.model.quantities import format_number, format_period
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
 MOST_TEXT = 600  # characters
 _MOST_NAME = 64
 _MOST_NAMED = 3
 
 NOTHING_ANNOUNCED = "no publisher has announced itself; use arpd.AdaptivePublisher, or name topics under relay.topics"
-AT_FLOORS = "every topic stays at its floor"
-PACED_ONLY = "rate and gate only"  # of a publisher or reader that refuses new QoS for good
+AT_FLOORS = "no topic sends more than its floor"
+PACED_ONLY = "rate only"  # of a publisher or reader that refuses new QoS for good
 
 
 def confirmed(
@@ -30,7 +30,7 @@ def confirmed(
 def lease(after_s: float | None) -> str:
     """Say what becomes of the plan when the daemon falls silent (s); None = it stays."""
     if after_s is None:
-        return "the plan stays when this daemon falls silent"
+        return "plan and price stay when this daemon falls silent"
     return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
 
 
@@ -69,7 +69,7 @@ def joined(names: Sequence[str]) -> str:
 
 
 class Change(NamedTuple):
-    """A change of a topic's rate or depth; ``weight`` orders changes, the weightiest first."""
+    """A change of a topic's rate, depth or deadline; ``weight`` orders changes, the weightiest first."""
 
     name: str
     before: float
@@ -77,14 +77,14 @@ class Change(NamedTuple):
     weight: float = 0.0
 
 
-def changes(all_of_them: Iterable[Change], unit: str) -> str:
+def changes(all_of_them: Iterable[Change], unit: str = "", *, show: Callable[[float], str] = format_number) -> str:
     """Write changes, equal ones together: `/image 30 → 2.1 Hz, /front and /rear 20 → 12 Hz`; empty without any.
 
     It names at most three topics and counts the others.
     """
     alike: dict[str, list[str]] = {}
     for change in sorted(all_of_them, key=lambda change: (-change.weight, change.name)):
-        before, after = format_number(change.before), format_number(change.after)
+        before, after = show(change.before), show(change.after)
         if before != after:
             alike.setdefault(f"{before} → {after}{unit}", []).append(change.name)
     parts: list[str] = []

@@ -47,7 +47,7 @@ def effect() -> Section:
 def each_topic() -> Section:
     """Return the section with a chart for each chosen topic."""
     return Section(
-        title="Each topic: what its source gives, what the plan allows, what leaves",
+        title="Each topic: what its source gives, what the price allows, what leaves",
         lines=((7, ((24, repeated(_ONE_TOPIC, "topic")),)),),
         is_collapsed=True,
     )
@@ -83,7 +83,7 @@ _LINK_USED = stat(
     ],
     Scale("percentunit", 0),
     shows="What arrived as a share of what the link could carry, over the time shown.",
-    bad="low while topics are limited by the link: the estimate is too low, or plans rise late.",
+    bad="low while topics are limited by the link: the estimate is too low, or the budget is.",
     then="compare with 'What limits the rate of each topic'; all green there means the sources have no more.",
 )
 
@@ -107,7 +107,7 @@ _DEADLINES_MISSED_NOW = stat(
     [instant(f"sum(increase(arpd_topic_deadlines_missed_total{{{_TOPIC}}}[$__range]))", "missed")],
     Scale("short", 0, (1, 100)),
     shows="Deadlines that publishers offered and missed in the time shown.",
-    bad="a growing number while the gate is open. A gate below 100 % makes topics miss their deadlines.",
+    bad="a growing number on a steady link. A budget far below what the plan was made for makes topics miss deadlines.",
     then="'Deadlines missed by topic' says which; raise program.deadline_slack if the sources are unsteady.",
 )
 
@@ -134,8 +134,8 @@ _TOPICS = table(
         Column(title="Direction", label="direction", width=100),
         Column(title="Source", expression=_of("arpd_topic_source_rate_hertz"), scale=_HERTZ, width=100),
         Column(
-            title="Planned",
-            expression=_of("arpd_topic_planned_rate_hertz", condition=" < +Inf"),
+            title="Allowed",
+            expression=_of("arpd_topic_paced_rate_hertz", condition=" < +Inf"),
             scale=_HERTZ,
             missing="unpaced",
             width=100,
@@ -159,10 +159,10 @@ _TOPICS = table(
         ),
         Column(title="Payload", expression=_of("arpd_topic_payload_bytes"), scale=Scale("bytes", 1), width=100),
     ),
-    shows="Each publisher: what its source gives, what the plan allows, what leaves, and what limits it. "
+    shows="Each publisher: what its source gives, what the price allows, what leaves, and what limits it. "
     "'unpaced' has no limit.",
-    bad="published far below planned while the source gives more: the gate is low, or the writer blocks.",
-    then="look at gate and 'Waiting and blocked'; weights and floors move planned rates.",
+    bad="published far below allowed while the source gives more: the writer blocks.",
+    then="look at 'Waiting and blocked'; weights and floors move allowed rates.",
     sort_by="Share",
     is_descending=True,
 )
@@ -188,13 +188,13 @@ _DROPS = timeseries(
     "Drops by cause",
     [query(f"sum by (cause) (rate(arpd_topic_drops_total{{{_TOPIC}}}[$__rate_interval]))", "{{cause}}")],
     Scale("cps", 1),
-    shows="Messages not sent, by cause: the plan's rate, the gate, a writer that blocked, a write that failed, "
-    "a publisher that closed.",
-    bad="any blocked or failed; gate for more than a few seconds. rate is arpd at work.",
+    shows="Messages not sent, by cause: the price of the link, the ceiling (rate), a writer that blocked, a write that "
+    "failed, a publisher that closed.",
+    bad="any blocked or failed. price and rate are arpd at work.",
     then="blocked: a reader does not keep up, or the link loses what RELIABLE repeats. failed: the node's log.",
     is_stacked=True,
     is_table=True,
-    colours={"rate": BLUE, "gate": ORANGE, "blocked": VERMILLION, "failed": PINK, "closed": GREY},
+    colours={"price": BLUE, "rate": ORANGE, "blocked": VERMILLION, "failed": PINK, "closed": GREY},
 )
 
 _DEADLINES_MISSED = timeseries(
@@ -208,7 +208,7 @@ _DEADLINES_MISSED = timeseries(
     ],
     Scale("cps", 2),
     shows="Offered deadlines missed by each topic's publishers, and requested ones missed by adaptive readers.",
-    bad="steady misses while the gate is open; misses are normal at a swap, in an outage and under the gate.",
+    bad="steady misses on a steady link; some are normal when the link falls, at a swap and in an outage.",
     then="raise program.deadline_slack, or lower the rate the source claims.",
 )
 
@@ -257,12 +257,12 @@ _ONE_TOPIC = timeseries(
     "$topic",
     [
         query(f"sum(arpd_topic_source_rate_hertz{{{_TOPIC}}})", "source"),
-        query(f"sum(arpd_topic_planned_rate_hertz{{{_TOPIC}}} < +Inf)", "planned"),
+        query(f"sum(arpd_topic_paced_rate_hertz{{{_TOPIC}}} < +Inf)", "allowed"),
         query(f"sum(arpd_topic_published_rate_hertz{{{_TOPIC}}})", "published"),
     ],
     _HERTZ,
-    shows="Rates of this topic: of its source, in the plan (none while unpaced), and as published.",
-    bad="published below planned while the source is above it.",
-    then="look at the gate and at 'Waiting and blocked'.",
-    colours={"source": GREY, "planned": PINK, "published": GREEN},
+    shows="Rates of this topic: of its source, as the price allows (none while unpaced), and as published.",
+    bad="published below allowed while the source is above it.",
+    then="look at 'Waiting and blocked'.",
+    colours={"source": GREY, "allowed": PINK, "published": GREEN},
 )

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from scripts.dashboards.document import Section, choice, dashboard, evenly, link_to_dashboard
 from scripts.dashboards.fleet_charts import FROM_SERIES, ROBOT, TO_ROBOT, daemons, links, remedies
 from scripts.dashboards.panels import (
+    ADMITTED,
     BAD_TO_GOOD,
     COUNT,
-    GATE,
     QUEUE_DELAY,
     Column,
     Scale,
@@ -93,7 +93,7 @@ _CUT_OFF = _count(
 )
 
 _SHORT = _count(
-    "Plans that give up floors",
+    "Robots that give up floors",
     'sum(arpd_allocation_status{status="degraded"})',
     shows="Robots whose link cannot carry the floors of their topics.",
     bad="any, for longer than a minute.",
@@ -136,7 +136,13 @@ _ROBOTS = table(
         ),
         Column(title="Capacity is", expression=KIND.expression(ROBOT), states=KIND, width=190),
         Column(title="Queue delay", expression=_of("arpd_link_queue_delay_seconds{}"), scale=QUEUE_DELAY, width=110),
-        Column(title="Gate", expression=_of("arpd_gate_ratio{}"), scale=GATE, width=80),
+        Column(
+            title="Budget",
+            expression=_of("8 * arpd_link_budget_bytes_per_second{}"),
+            scale=Scale("bps", 1),
+            width=110,
+        ),
+        Column(title="Admitted", expression=_of("arpd_gate_ratio{}"), scale=ADMITTED, width=90),
         Column(title="Plan", expression=STATUS.expression(ROBOT), states=STATUS, width=130),
         Column(title="Publishers", expression=_of("arpd_publishers_managed{}"), scale=COUNT, width=100),
         Column(

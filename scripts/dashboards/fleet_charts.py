@@ -25,7 +25,7 @@ ROBOT = "job, instance"
 def links() -> Section:
     """Return the section on what the links carry."""
     return Section(
-        title="Links", lines=((8, evenly(_CAPACITY, _QUEUE_DELAY)), (8, evenly(_GATE, _LOST, _RETURN_DELAY)))
+        title="Links", lines=((8, evenly(_CAPACITY, _QUEUE_DELAY)), (8, evenly(_ADMITTED, _LOST, _RETURN_DELAY)))
     )
 
 
@@ -64,12 +64,12 @@ _QUEUE_DELAY = _lines(
     then="click a robot to open it at this time.",
 )
 
-_GATE = _lines(
-    "Gate of each robot",
+_ADMITTED = _lines(
+    "Admitted, each robot",
     "arpd_gate_ratio{}",
     Scale("percentunit", 0, most=1),
-    shows="Factor on every paced rate above its floor.",
-    bad="below 50 % for more than a few seconds.",
+    shows="Part of the traffic above the floors that fits into the robot's budget; 100 %: no topic is slowed.",
+    bad="far below the other robots; at 0 % only floors are left.",
     then="click a robot to open it at this time.",
 )
 

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from scripts.dashboards.document import Section
-from scripts.dashboards.panels import GATE, QUEUE_DELAY, Scale, alert_list, instant, query, stat, timeline, timeseries
+from scripts.dashboards.panels import (
+    ADMITTED,
+    QUEUE_DELAY,
+    Scale,
+    alert_list,
+    instant,
+    query,
+    stat,
+    timeline,
+    timeseries,
+)
 from scripts.dashboards.states import BINDING, BLUE, GREEN, GREY, INTERFACE, KIND, LINK, ORANGE, PINK, SKY, STATUS
 
 _ROBOT = "job, instance"
@@ -21,11 +31,11 @@ def now() -> Section:
         (4, _LINK_STATE),
         (4, _CAPACITY_NOW),
         (4, _QUEUE_DELAY_NOW),
-        (4, _GATE_NOW),
+        (4, _ADMITTED_NOW),
         (4, _CONFIRMED_NOW),
         (4, _ALERTS_NOW),
     )
-    curves = ((12, _CAPACITY), (6, _QUEUE_DELAY), (6, _GATE))
+    curves = ((16, _CAPACITY), (8, _QUEUE_DELAY))
     return Section(
         title="Is the link the problem, and what did arpd decide?",
         lines=((4, numbers), (7, ((16, _STATES), (8, _ALERTS))), (9, curves)),
@@ -38,7 +48,7 @@ _LINK_STATE = stat(
     Scale("short"),
     shows="What the link is doing now. App-limited: it carries all it is given, and could carry more.",
     bad="outage, or congested for more than a few seconds.",
-    then="look at capacity against plan below; in an outage, at the interface, the access point and the peer.",
+    then="look at capacity and budget below; in an outage, at the interface, the access point and the peer.",
     states=LINK,
 )
 
@@ -60,13 +70,13 @@ _QUEUE_DELAY_NOW = stat(
     then="find out what fills it: arpd's topics (delivered is near the capacity), or cross traffic.",
 )
 
-_GATE_NOW = stat(
-    "Gate",
-    [query("arpd_gate_ratio{}", "gate")],
-    GATE,
-    shows="Factor that holds every paced rate down while the link recovers; 100 % is open.",
-    bad="below 50 % for more than a few seconds; it should open by itself when the queue is gone.",
-    then="if it stays low, the plan is too large for the link: see 'New plans' and 'Plan changes refused'.",
+_ADMITTED_NOW = stat(
+    "Admitted",
+    [query("arpd_gate_ratio{}", "admitted")],
+    ADMITTED,
+    shows="Part of the topics' traffic above their floors that fits into the budget; 100 %: no topic is slowed.",
+    bad="far below what this place usually has; at 0 % only floors are left.",
+    then="see capacity and budget below; 'Topics now' shows who is slowed. Raise weights of what matters most.",
 )
 
 _CONFIRMED_NOW = stat(
@@ -93,10 +103,10 @@ _STATES = timeline(
         (query(LINK.expression(_ROBOT), "link"), LINK),
         (query(INTERFACE.expression("job, instance, interface"), "{{interface}}"), INTERFACE),
         (query(KIND.expression(_ROBOT), "capacity is"), KIND),
-        (query(STATUS.expression(_ROBOT), "plan"), STATUS),
+        (query(STATUS.expression(_ROBOT), "floors"), STATUS),
         (query(BINDING.expression(_ROBOT), "limited by"), BINDING),
     ],
-    shows="Link, its interface, the source of its capacity, whether the plan keeps every floor, and what limits it.",
+    shows="Link, its interface, the source of its capacity, whether every floor is kept, and what limits the topics.",
     bad="vermillion and orange: outage or congestion, floors given up, a capacity that is not measured.",
     then="find the first row that turned bad; the rows below it follow from it.",
 )
@@ -110,28 +120,29 @@ _ALERTS = alert_list(
 )
 
 _CAPACITY = timeseries(
-    "Capacity, demand and what arrives",
+    "Capacity, budget and what arrives",
     [
         query("8 * arpd_link_capacity_bytes_per_second{}", "capacity"),
-        query("8 * arpd_level_bytes_per_second{}", "plan made for"),
-        query("8 * arpd_allocation_capacity_bytes_per_second{}", "may be used now"),
+        query("8 * arpd_link_budget_bytes_per_second{}", "budget"),
         query("8 * arpd_link_delivery_rate_bytes_per_second{}", "delivered"),
         query("8 * arpd_link_foreign_bytes_per_second{}", "cross traffic"),
         query(_DEMAND, "demand"),
+        query("8 * arpd_level_bytes_per_second{}", "plan made for"),
     ],
     Scale("bps", 1),
-    shows="What the link carries, what the plan was made for, what all sources would send without limits "
-    "(payload only), what the peer received, and cross traffic.",
-    bad="delivered below the plan while sources want more, or a plan above the capacity for over two seconds.",
-    then="demand above capacity is normal under arpd. Much cross traffic: move it off this link.",
+    shows="What the link carries, what the topics may use of it, what the peer received, cross traffic, what all "
+    "sources would send without limits (payload only), and the lasting budget that the plan was made for.",
+    bad="a budget far below the capacity for seconds: a queue has to drain. Delivered below the budget while sources "
+    "want more: the writers block, or the estimate is too high.",
+    then="demand above the budget is normal under arpd. Much cross traffic: move it off this link.",
     is_table=True,
     colours={
         "capacity": BLUE,
-        "plan made for": PINK,
-        "may be used now": SKY,
+        "budget": SKY,
         "delivered": GREEN,
         "cross traffic": ORANGE,
         "demand": GREY,
+        "plan made for": PINK,
     },
 )
 
@@ -141,17 +152,6 @@ _QUEUE_DELAY = timeseries(
     QUEUE_DELAY,
     shows="One-way delay above its minimum of the last ten seconds.",
     bad="plateaus above 0.1 s. A short peak is normal when the link falls: arpd measures the fall by it.",
-    then="if plateaus last, lower link.headroom so that less of the link is planned.",
+    then="if plateaus last, lower link.headroom so that the topics use less of the link.",
     colours={"queue delay": BLUE},
-)
-
-_GATE = timeseries(
-    "Gate over time",
-    [query("arpd_gate_ratio{}", "gate")],
-    Scale("percentunit", 0, most=1),
-    shows="Factor on every paced rate above its floor. It reacts within a tenth of a second, without a swap.",
-    bad="saw-teeth: the link swings faster than plans can follow.",
-    then="a lower link.headroom leaves room for the swings.",
-    is_step=True,
-    colours={"gate": BLUE},
 )

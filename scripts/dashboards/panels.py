@@ -61,7 +61,7 @@ class Scale:
 
 COUNT = Scale("short", 0)
 QUEUE_DELAY = Scale("s", 3, (0.1, 0.25))
-GATE = Scale("percentunit", 0, (0.5, 0.95), BAD_TO_GOOD)
+ADMITTED = Scale("percentunit", 0, (0.5, 0.95), BAD_TO_GOOD)
 
 
 def query(expression: str, legend: str = "") -> Json:

@@ -217,7 +217,7 @@ _VERSIONS = table(
         Column(title="QoS swaps", label="swaps"),
     ),
     shows="Version of arpd and of its Python, the middleware of ROS, and whether it allows QoS swaps.",
-    bad="swaps: no. Topics are then paced and gated only, and depths stay.",
+    bad="swaps: no. arpd then only paces topics, and depths stay.",
     then="use Fast DDS, the only middleware for which swaps were measured.",
     sort_by="Robot",
     is_descending=False,

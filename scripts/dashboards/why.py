@@ -39,7 +39,7 @@ _SHARES = timeseries(
     "Share of link time each topic gets",
     [query('sum by (topic, node) (arpd_topic_share_ratio{topic=~"$topic"})', "{{topic}} {{node}}")],
     Scale("percentunit", 1),
-    shows="Share of link time that the plan gives to each topic; together at most the headroom.",
+    shows="Share of link time that each topic gets now; together at most the headroom.",
     bad="a topic of little use that takes much.",
     then="lower its weight or its max_rate_hz.",
     is_stacked=True,
@@ -62,9 +62,9 @@ _ESTIMATE_AGE = timeseries(
 _ESTIMATOR_EVENTS = bars(
     "Changes of the estimate",
     [query("sum by (event) (increase(arpd_estimator_events_total{}[$__rate_interval]))", "{{event}}")],
-    shows="How often each rule changed the capacity: down on a queue, undo when that was wrong, agree and "
-    "carried when the link shows more, outage and resume.",
-    bad="down and undo in turn: the delay changes and the capacity does not.",
+    shows="How often the capacity changed, by kind: the first measurement, evidence of less (down) and of more (up), "
+    "outages and their ends (resume), and what this host measures without a peer (local).",
+    bad="down and up in turn, many times a minute: the evidence contradicts itself, or the link does swing.",
     then="look for cross traffic that comes in bursts, or a radio that roams.",
 )
 
@@ -72,17 +72,17 @@ _NEW_PLANS = bars(
     "New plans",
     [query("sum by (cause) (increase(arpd_levels_total{}[$__rate_interval]))", "{{cause}}")],
     shows="Plans made, by cause.",
-    bad="down and up in turn, more than two a minute: the plan flaps.",
-    then="wait: the time between plans doubles, up to 40 s. If it goes on, lower link.headroom.",
+    bad="down and up in turn, more than two a minute: depths and deadlines flap.",
+    then="rates do not need plans; lengthen governor.dwell and governor.hold, so that fewer writers are swapped.",
 )
 
 _PLANS_REFUSED = bars(
-    "Plan changes refused",
+    "Plans and swaps that wait",
     [query("sum by (reason) (increase(arpd_refusals_total{}[$__rate_interval]))", "{{reason}}")],
-    shows="Ticks in which arpd wanted another plan, but too soon after the last (dwell) or beyond the swaps "
-    "allowed per minute (budget).",
+    shows="How often a plan came too soon after the last one (dwell), or its swaps were beyond those allowed per "
+    "minute (budget). Rates do not wait.",
     bad="any budget; dwell for minutes.",
-    then="dwell passes by itself; raise governor.swaps_per_minute if swaps are quick.",
+    then="both pass by themselves; raise governor.swaps_per_minute if swaps are quick.",
 )
 
 _PUBLISHERS_REFUSED = timeseries(
@@ -90,7 +90,7 @@ _PUBLISHERS_REFUSED = timeseries(
     [query("arpd_publishers_refused{}", "{{reason}}")],
     COUNT,
     shows="Publishers that do not take the QoS asked of them, by reason. middleware and transient_local are "
-    "permanent: these are paced and gated only.",
+    "permanent: arpd only paces these.",
     bad="incompatible, unmatched or failed.",
     then="`arpd status` names publisher and reader; most often a reader requests a deadline that is too short.",
     is_step=True,

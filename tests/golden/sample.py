@@ -12,6 +12,7 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
+from arpd.model.price import Price
 from arpd.model.probing import PeerReport
 from arpd.report.durations import Durations
 from arpd.report.snapshot import Snapshot, Totals
@@ -30,11 +31,12 @@ _IMAGE = publisher(
     withheld=1799,
     queued=1,
     blocked_s=0.25,
-    rate_hz=12.5,
+    rate_hz=37.5,
+    paced_rate_hz=12.5,
     deadline_ns=100_000_000,
     generation=3,
     published_rate_hz=11.5,
-    withheld_by_cause=MappingProxyType({"rate": 1700, "gate": 99}),
+    withheld_by_cause=MappingProxyType({"rate": 99, "price": 1700}),
     deadlines_missed=4,
     swaps_begun=4,
     swaps_by_result=MappingProxyType({"ok": 2, "reorder_possible": 1}),
@@ -153,6 +155,7 @@ _ALLOCATION = Allocation(
     status=AllocationStatus.OPTIMAL,
     binding=Binding.LINK,
     capacity_bytes_per_second=425000.0,
+    price=Price(share_per_weight=0.5, capacity_bytes_per_second=437500.0, packet_overhead_s=0.00025),
     backend="osqp",
     solve_s=0.000125,
 )
@@ -160,9 +163,25 @@ _PLAN = QosPlan(
     generation=3,
     topics=MappingProxyType(
         {
-            "/camera/image": TopicPlan(rate_hz=12.5, min_rate_hz=2.0, deadline_ns=100_000_000, depth=10),
+            "/camera/image": TopicPlan(
+                rate_hz=37.5,
+                min_rate_hz=2.0,
+                deadline_ns=100_000_000,
+                depth=10,
+                weight=1.0,
+                wire_bytes=24000.0,
+                packets=17,
+            ),
             "/imu": TopicPlan(rate_hz=math.inf, min_rate_hz=10.0, deadline_ns=0, depth=100),
-            "/cmd_vel": TopicPlan(rate_hz=22.0, min_rate_hz=20.0, deadline_ns=62_500_000, depth=16),
+            "/cmd_vel": TopicPlan(
+                rate_hz=25.0,
+                min_rate_hz=20.0,
+                deadline_ns=62_500_000,
+                depth=16,
+                weight=10.0,
+                wire_bytes=562.0,
+                packets=1,
+            ),
         }
     ),
     level_bytes_per_second=437500.0,
@@ -218,10 +237,12 @@ def make_snapshot() -> Snapshot:
             packet_overhead_s=0.00025,
             loss_ratio=0.015625,
             return_delay_s=0.0078125,
-            events_by_kind=MappingProxyType({"first": 1, "down": 1, "follow": 12}),
+            events_by_kind=MappingProxyType({"first": 1, "down": 1, "up": 12}),
         ),
         allocation=_ALLOCATION,
-        decision=Decision(gate=0.75, plan=_PLAN, level_changed=False, reason="", refusals=("dwell",)),
+        decision=Decision(
+            gate=0.75, plan=_PLAN, level_changed=False, reason="", price=_ALLOCATION.price, refusals=("dwell",)
+        ),
         totals=Totals(
             ticks=9000,
             ticks_failed=1,

@@ -204,7 +204,8 @@ def _play(run: RealRun) -> None:
     run.begin("start")
     side.signal(signal.SIGUSR1, *SOURCES)
     run.eventually(lambda: run.query("up == 1"), _PATIENCE_S, "Prometheus scrapes the daemon")
-    run.expect(lambda: _is_confirmed(run), "the first plan is confirmed")
+    # The first plan counts on the least that was measured by then; on a busy machine that is too little.
+    run.expect(lambda: _level(run) > 1.3 * SLOW and _is_confirmed(run), "a plan for the fast link is confirmed")
     run.begin("steady")
     run.expect(lambda: run.query("count_over_time(up[1m]) > 10"), "ten scrapes")
 

@@ -241,7 +241,7 @@ def test_without_scripts_it_is_a_summary_that_renews_itself(daemon, browser):
     """Without JavaScript the page has verdict, link, topics and log, and reloads itself."""
     with visit(browser, daemon.server.url, java_script_enabled=False) as seen:
         said = seen.page.locator("body").inner_text()
-        assert "The link is overfull" in said
+        assert "The link is the limit" in said
         assert "/camera/image" in said
         assert "the link carries nothing" in said
         assert not seen.page.locator("#charts").is_visible()
@@ -279,7 +279,7 @@ def test_landmarks_headings_and_tables_are_named(daemon, browser):
         assert query("[...document.querySelectorAll('.scroll table')].every((t) => t.caption.textContent)")
         named = "(chart) => document.getElementById(chart.getAttribute('aria-labelledby')).textContent"
         texts = query(f"[...document.querySelectorAll('.chart')].map({named})")
-        assert "to 20.0; plan made for 3.50 Mbit/s now, 3.50 to 3.50; delivered" in texts[0]
+        assert "to 20.0; budget 3.40 Mbit/s now, 3.40 to 3.40; delivered" in texts[0]
         assert all(texts)
 
 
@@ -344,4 +344,4 @@ def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
 def test_what_the_server_renders_can_be_read_as_text(daemon):
     """As text, the rendered page has the verdict first."""
     text = visible(render_page(status_document(daemon.snapshot)))
-    assert text.index("The link is overfull") < text.index("The link now") < text.index("What happened")
+    assert text.index("The link is the limit") < text.index("The link now") < text.index("What happened")

@@ -201,15 +201,15 @@ def test_status_reports_the_recovered_robot_as_well(run):
 
 
 def test_top_shows_the_run_in_one_frame(run):
-    """The frame has topics, capacity and gate through the outage, and the decision log, without control codes."""
+    """The frame has topics, capacity, the admitted part through the outage and the log, without control codes."""
     before = run.status()
     code, told = command("top", "--once", "--url", run.url)
     assert code == 0
     assert "\x1b" not in told
     lines = told.splitlines()
-    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "gate "))}
+    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "admitted "))}
     assert all(set(line) & set("▁▂▃▄▅▆▇█") for line in course.values())
-    assert len(set(course["gate"]) & set("▁▂▃▄▅▆▇█")) > 1, "the gate closed in the outage"
+    assert len(set(course["admitted"]) & set("▁▂▃▄▅▆▇█")) > 1, "the outage admits less"
     for topic in before["topics"]:
         assert any(line.startswith(f"{topic['topic']} ") for line in lines), told
     assert before["events"]

@@ -67,7 +67,7 @@ def _of_probes(link: LinkEstimate) -> Iterator[Metric]:
         )
     yield counter_by(
         "arpd_estimator_events",
-        "Changes of the capacity estimate by rule, and outages that began.",
+        "Changes of the estimated capacity by kind, and outages that began.",
         "event",
         EstimatorEvent,
         (({}, link.events_by_kind),),

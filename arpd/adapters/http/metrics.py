@@ -81,10 +81,19 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         "1 while another daemon drives the robot and this one stands by.",
         lambda s: bool(s.observation.active_daemon),
     ),
-    ("arpd_gate_ratio", "Factor on every paced rate above its floor.", lambda s: s.decision.gate),
+    (
+        "arpd_link_budget_bytes_per_second",
+        "Wire bytes per second that the topics may put on the link now.",
+        lambda s: s.allocation.capacity_bytes_per_second,
+    ),
+    (
+        "arpd_gate_ratio",
+        "Part of the traffic above the floors that the budget admits; 1 while no topic is slowed.",
+        lambda s: s.decision.gate,
+    ),
     (
         "arpd_level_bytes_per_second",
-        "Capacity that the plan in force was made for.",
+        "Lasting budget that the plan in force was made for.",
         lambda s: s.decision.plan.level_bytes_per_second,
     ),
     (
@@ -100,12 +109,12 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_publishers_confirmed",
-        "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its rate.",
+        "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its ceiling.",
         lambda s: s.confirmed,
     ),
     (
         "arpd_allocation_capacity_bytes_per_second",
-        "Capacity that the program was last solved for, after headroom and cross traffic.",
+        "The same as arpd_link_budget_bytes_per_second, under its older name.",
         lambda s: s.allocation.capacity_bytes_per_second,
     ),
     (
@@ -211,7 +220,7 @@ def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
     if observation.rmw:
         swaps = "no" if observation.rmw_refusal else "yes"
         labels = {"rmw": observation.rmw, "swaps": swaps}
-        yield InfoMetricFamily("arpd_rmw", "ROS middleware; if swaps is no, arpd only paces and gates topics.", labels)
+        yield InfoMetricFamily("arpd_rmw", "ROS middleware; if swaps is no, arpd only paces topics.", labels)
 
 
 def refusal_metrics(snapshot: Snapshot) -> Iterator[Metric]:

@@ -39,10 +39,10 @@ _ALLOCATION_GAUGES: tuple[tuple[str, str, Callable[[TopicAllocation], float]], .
 )
 
 _PLAN_GAUGES: tuple[tuple[str, str, Callable[[TopicPlan], float]], ...] = (
-    ("arpd_topic_planned_rate_hertz", "Publish rate of the plan; +Inf is unpaced.", lambda p: p.rate_hz),
+    ("arpd_topic_planned_rate_hertz", "Ceiling of the plan; +Inf is unpaced.", lambda p: p.rate_hz),
     (
         "arpd_topic_planned_min_rate_hertz",
-        "Floor of the plan; the gate does not slow the topic below it.",
+        "Floor of the plan; the price does not slow the topic below it while the link carries all floors.",
         lambda p: p.min_rate_hz,
     ),
     ("arpd_topic_planned_depth_samples", "DEPTH of the plan.", lambda p: p.depth),
@@ -54,7 +54,12 @@ _PLAN_GAUGES: tuple[tuple[str, str, Callable[[TopicPlan], float]], ...] = (
 )
 
 _PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
-    ("arpd_topic_confirmed_rate_hertz", "Publish rate announced; +Inf is unpaced.", lambda p: p.rate_hz),
+    ("arpd_topic_confirmed_rate_hertz", "Ceiling announced; +Inf is unpaced.", lambda p: p.rate_hz),
+    (
+        "arpd_topic_paced_rate_hertz",
+        "Rate that the price leaves the publisher, as announced; +Inf is unpaced.",
+        lambda p: p.paced_rate_hz,
+    ),
     ("arpd_topic_confirmed_depth_samples", "DEPTH announced.", lambda p: p.depth),
     (
         "arpd_topic_confirmed_deadline_seconds",
@@ -93,14 +98,14 @@ _PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], .
 )
 
 _BINDINGS: tuple[tuple[str, str, Callable[[TopicAllocation], Binding]], ...] = (
-    ("arpd_topic_rate_binding", "Constraint that stopped the rate.", lambda a: a.binding),
+    ("arpd_topic_rate_binding", "Constraint that stops the rate now.", lambda a: a.binding),
     ("arpd_topic_depth_binding", "Constraint that stopped the depth.", lambda a: a.depth_binding),
 )
 
 _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[PublisherState], Mapping[str, float]]], ...] = (
     (
         "arpd_topic_drops",
-        "Messages withheld by cause: rate of the plan, gate, writer that blocked or failed, publisher that closed.",
+        "Messages withheld by cause: ceiling (rate), price, writer that blocked or failed, publisher that closed.",
         "cause",
         tuple(DropCause),
         lambda p: p.withheld_by_cause,

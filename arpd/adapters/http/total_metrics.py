@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _OK = "ok"
 
 # Known label values start at zero, so that rate() sees their first increase.
-_CAUSES = ("demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
+_CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _NOT_APPLIED = ("failed", "refused", "timeout", "unreachable")
 _OUTCOMES = ("failed", "infeasible", "solved")
@@ -58,7 +58,7 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
     ("arpd_levels", "New plans.", "cause", _CAUSES, lambda t: t.levels_by_cause),
     (
         "arpd_refusals",
-        "Plan changes that the governor wanted but did not make.",
+        "Plans and swaps that were due and had to wait.",
         "reason",
         _REASONS,
         lambda t: t.refusals_by_reason,

@@ -35,6 +35,7 @@ MESSAGE_IDS: Mapping[EventKind, str] = MappingProxyType(
         EventKind.PEER_LOST: "d7d08a21c03147eab689d2cdb537711c",
         EventKind.PLAN: "bbbb582cc18347c595a8792d76eb4057",
         EventKind.CONFIRMED: "eb0e5cf552d24fa5a7ebde2747d2430f",
+        EventKind.RATES: "f73447f74b29416fb80124cf6bd3c49d",
         EventKind.PLAN_REFUSED: "c74bec9dcc544a79999250a0f02fcd4a",
         EventKind.INFEASIBLE: "0931344a58e643f4970621aab49ff3f5",
         EventKind.FEASIBLE: "879c338a9b844d4cb6ae624e9fd99d1b",

@@ -32,12 +32,12 @@ def status(run, monkeypatch):
 
 
 def test_the_daemon_fits_on_one_screen(status):
-    """It has verdict, link, gate, plan, program and every publisher, announced and planned in one cell."""
+    """It has verdict, link, budget, plan, program and every publisher, announced and planned in one cell."""
     answered = document(config_error="arpd.yaml:1:1: x: y; z")
     answered["link"] |= {"loss_ratio": 0.004, "return_delay_seconds": 0.0042}
     answered["topics"][0] |= {
         "published_rate_hz": 11.6,
-        "withheld_by_cause": {"rate": 38, "gate": 12, "blocked": 0},
+        "withheld_by_cause": {"price": 38, "rate": 12, "blocked": 0},
         "deadlines_missed": 3,
     }
     answered["verdict"]["text"] = "Not everything fits: so."
@@ -55,14 +55,15 @@ wrong: Reload refused: arpd.yaml:1:1: x: y; z (the configuration in force stays)
 link     5 Mbit/s (peer, congested), delivering 4.8 Mbit/s
          queueing 120 ms, loss 0.4 %, return delay 4.2 ms
          down: the queue grew
-gate     50 %, plan 3 for 4.25 Mbit/s: 0 of 1 publishers confirmed
+budget   4 Mbit/s, admits 50 % above the floors
+plan     3 for 4.25 Mbit/s: 0 of 1 publishers confirmed
          held: dwell
          refused: up: dwell
 program  degraded, bound by link, solved by osqp in 400 us
-dropped  50 of 200 messages (25 %): rate 38, gate 12
+dropped  50 of 200 messages (25 %): price 38, rate 12
 
-TOPIC   PLAN Hz  SENT  SOURCE  DEPTH  DEADLINE  DROPS           CAUSES  LATE  BOUND BY
-/image     12.5  11.6      30    7→8    100 ms   25 %  rate:38 gate:12     3  link
+TOPIC   ALLOWED  SENT  SOURCE  DEPTH  DEADLINE  DROPS            CAUSES  LATE  BOUND BY
+/image     12.5  11.6      30    7→8    100 ms   25 %  price:38 rate:12     3  link
 
 {at}  link fell to 5.0 Mbit/s
 """
@@ -177,7 +178,7 @@ def test_it_says_what_a_silent_daemon_leaves(status):
 
 def test_it_names_a_middleware_that_cannot_swap(status):
     """Fast DDS has no line; another middleware has one that says what does not happen."""
-    assert "\nrmw      rmw_x is paced and gated only\n" in status(calm(rmw_refusal="rmw_x is paced and gated only"))[1]
+    assert "\nrmw      rmw_x is only paced\n" in status(calm(rmw_refusal="rmw_x is only paced"))[1]
     assert "rmw" not in status(calm())[1]
 
 
@@ -190,6 +191,7 @@ def test_it_understands_an_older_daemon(status):
         del older["plan"][key]
     for key in ("loss_ratio", "return_delay_seconds", "events"):
         older["link"].pop(key, None)
+    del older["topics"][0]["confirmed"]["paced_rate_hz"]
     for key in (
         "refusal_lasts",
         "refusal_reason",
@@ -221,7 +223,7 @@ def test_an_older_daemon_has_its_verdict_and_its_age(status, severity, age_s, ex
 def test_it_tells_a_refusal_for_good_from_one_that_may_pass(status):
     """A publisher that never swaps is marked; a refusal that may pass is as it came."""
     for reason, shown, counted in (
-        (RefusalReason.TRANSIENT_LOCAL, "rate and gate only: latched", " (1 by rate and gate only) confirmed\n"),
+        (RefusalReason.TRANSIENT_LOCAL, "rate only: latched", " (1 by rate only) confirmed\n"),
         (RefusalReason.UNMATCHED, "  latched", "publishers confirmed\n"),
     ):
         out = status(calm(refusal="latched", refusal_reason=reason))[1]

@@ -70,7 +70,7 @@ def test_a_frame_answers_the_four_questions():
     assert lines[1] == "The link is the limit: so"
     assert re.search(r"^link +5 Mbit/s  peer, congested +[▁▂▃▄▅▆▇█ ]{20,} ≤ 20 Mbit/s$", text, re.MULTILINE)
     assert re.search(r"^queue .*█.* ≤ 350 ms$", text, re.MULTILINE)
-    assert re.search(r"^gate .*▅.* ≥ 50 %$", text, re.MULTILINE)
+    assert re.search(r"^admitted .*▅.* ≥ 50 %$", text, re.MULTILINE)
     assert "plan     3 for 4.25 Mbit/s: 0 of 0 publishers confirmed" in lines
     assert "         held: dwell; refused up: dwell" in lines
     topics = [line.split()[0] for line in lines if line.startswith("/")]

@@ -15,13 +15,12 @@ from tests.golden.sample import changed as sample
 
 
 def calm(**parts):
-    """Return a snapshot without a fault and with nothing to slow: the gate is open, and the camera publishes 12 Hz."""
+    """Return a snapshot without a fault and with nothing to slow: the camera publishes 12 Hz, and may send 12.5."""
     publishers = tuple(
         replace(each, source_rate_hz=12.0) if each.topic == "/camera/image" else each
         for each in sample().observation.publishers
     )
     parts["observation"] = {"publishers": publishers, **parts.get("observation", {})}
-    parts["decision"] = {"gate": 1.0, **parts.get("decision", {})}
     return sample(**parts)
 
 
@@ -100,9 +99,7 @@ def test_many_slowed_topics_are_counted():
     many = tuple(replace(camera, topic=f"/c{n:02d}", source_rate_hz=30.0 + n) for n in range(15))
     plan = replace(snapshot.decision.plan, topics={state.topic: row for state in many})
     allocated = tuple(replace(snapshot.allocation.topics[0], name=state.topic) for state in many)
-    crowded = sample(
-        observation={"publishers": many}, decision={"plan": plan, "gate": 1.0}, allocation={"topics": allocated}
-    )
+    crowded = sample(observation={"publishers": many}, decision={"plan": plan}, allocation={"topics": allocated})
     status = statuses(crowded)["plan"]
     assert (status.level, status.message.partition(":")[0]) == (Level.WARN, "The link is the limit")
     values = dict(status.values)

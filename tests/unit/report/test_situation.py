@@ -14,13 +14,13 @@ import arpd.adapters.http
 from arpd.model.allocation import AllocationStatus
 from arpd.model.interface import InterfaceState
 from arpd.model.link import LinkState
-from arpd.model.plan import QosPlan, TopicPlan
+from arpd.model.plan import QosPlan
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.situation import STALE_AFTER_S, Condition, judge, status_line
 from tests.golden.sample import FINISHED_AT_S, changed
 
 NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
-CALM = {"link": {"loss_ratio": 0.0}, "decision": {"gate": 1.0}}
+CALM = {"link": {"loss_ratio": 0.0}}
 
 
 def events(*told):
@@ -36,19 +36,17 @@ def test_the_verdict_answers_the_four_questions():
     verdict = judge(changed(**CALM)).verdict
     assert (verdict.condition, verdict.condition.severity) == (Condition.LIMITED, Severity.WARNING)
     assert verdict.text == (
-        "The link is the limit: 4 Mbit/s is less than the robot offers; arpd slowed 1 of 3 topics, /camera/image "
-        "most (30 → 12.5 Hz), and 1 of them has yet to confirm; it helps: 12.5 ms of queue."
+        "The link is the limit: topics may use 3.4 Mbit/s of 4 Mbit/s, and the robot offers more; arpd slows 1 of 3 "
+        "topics, /camera/image most (30 → 12.5 Hz); it helps: 12.5 ms of queue."
     )
-    queueing = judge(changed(link={"queue_delay_s": 0.3, "loss_ratio": 0.05}, decision={"gate": 1.0}))
+    queueing = judge(changed(link={"queue_delay_s": 0.3, "loss_ratio": 0.05}))
     assert "it does not help yet: 300 ms of queue and 5 % loss." in queueing.verdict.text
 
 
 def test_a_link_that_carries_all_is_fine():
-    """A rate above the source's slows nobody."""
-    plan = changed().decision.plan
-    wide = TopicPlan(rate_hz=37.5, min_rate_hz=2.0, deadline_ns=0, depth=1)
-    plan = replace(plan, topics=MappingProxyType({**plan.topics, "/camera/image": wide}))
-    situation = judge(changed(link={"loss_ratio": 0.0}, decision={"gate": 1.0, "plan": plan}))
+    """A rate near the source's slows nobody; the rate of this tick counts, and not the ceiling of the plan."""
+    camera, *others = changed().allocation.topics
+    situation = judge(changed(**CALM, allocation={"topics": (replace(camera, rate_hz=29.0), *others)}))
     assert situation.verdict.text.startswith("The link is fine: 4 Mbit/s is more than the robot offers;")
     assert not situation.slowed
 
@@ -56,13 +54,14 @@ def test_a_link_that_carries_all_is_fine():
 @pytest.mark.parametrize(
     ("change", "condition", "words"),
     [
-        ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "at its floor"),
+        ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its floor"),
         ({"observation": {"counters": None}}, Condition.INTERFACE_DOWN, "wlan0 is gone"),
         ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_ABSENT, "wlan0 is not there"),
         ({"observation": {"active_daemon": "robot-2"}}, Condition.STANDING_BY, "on robot-2"),
         ({"link": {"state": LinkState.DRAINING}}, Condition.OVERFULL, "12.5 ms of queue"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.OVERFULL, "unknown length"),
-        ({"decision": {"gate": 0.5}}, Condition.OVERFULL, "50 % of the planned rates"),
+        ({"allocation": {"capacity_bytes_per_second": 1e5}}, Condition.OVERFULL, "may use 800 kbit/s of 4 Mbit/s"),
+        ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.OVERFULL, "next to nothing of 4 Mbit/s"),
         ({"allocation": {"status": AllocationStatus.DEGRADED, "degradation": "20 % left"}}, Condition.DEGRADED, "20 %"),
         ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_GOVERN, "relay.topics"),
         ({"decision": {"plan": NO_PLAN}}, Condition.MEASURING, "3 topics"),
@@ -74,6 +73,19 @@ def test_the_condition_that_matters_most_is_the_verdict(change, condition, words
     assert verdict.condition is condition
     assert verdict.text.startswith(f"{condition.headline}: ")
     assert words in verdict.text
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"decision": {"plan": replace(changed().decision.plan, level_bytes_per_second=2e6)}},
+        {"allocation": {"capacity_bytes_per_second": 1.5e5}, "link": {"capacity_bytes_per_second": 2.5e5}},
+        {"link": {"capacity_bytes_per_second": 5e6}},
+    ],
+)
+def test_a_budget_that_follows_the_link_is_not_overfull(change):
+    """A link that fell below what the plan was made for, or that rises, has no queue to drain."""
+    assert judge(changed(**change)).verdict.condition is Condition.LIMITED
 
 
 def test_an_interface_without_carrier_is_named():
@@ -137,7 +149,7 @@ def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
     assert status_line(None) == "starting"
     assert status_line(changed(observation={"active_daemon": "robot-2"})).startswith("standing by: another arpd daemon")
     assert status_line(changed()) == (
-        "4.0 Mbit/s (peer, steady, 0.5 cross traffic), gate 75 %, plan 3: 2 of 3 publishers confirmed"
+        "4.0 Mbit/s (peer, steady, 0.5 cross traffic), admitted 75 %, plan 3: 2 of 3 publishers confirmed"
     )
     faulty = status_line(changed(observation={"counters": None}, config_error="x", keys_awaiting_restart=("a", "b")))
     assert faulty.startswith("wlan0 is gone; 4.0 Mbit/s")

@@ -159,7 +159,7 @@ def test_a_colour_by_name_is_of_a_series_that_exists(name):
     """Overrides by name match a legend, or a column of a table."""
     for panel in panels(load(name)):
         names = {target["legendFormat"] for target in panel.get("targets", ())}
-        names |= {"rate", "gate", "blocked", "failed", "closed"} if "{{cause}}" in names else set()
+        names |= {"rate", "price", "blocked", "failed", "closed"} if "{{cause}}" in names else set()
         for step in panel.get("transformations", ()):
             names |= set(step["options"].get("renameByName", {}).values())
         for override in panel.get("fieldConfig", {}).get("overrides", ()):

@@ -17,7 +17,7 @@ const CHARTS = [
     least: 1,
     series: [
       { name: "capacity", key: "capacity_bytes_per_second", of: (s) => s.link.capacity_bytes_per_second, color: "--capacity", width: 2 },
-      { name: "plan made for", key: "level_bytes_per_second", of: (s) => s.level_bytes_per_second, color: "--level", dash: [7, 4], stepped: true },
+      { name: "budget", key: "budget_bytes_per_second", of: (s) => s.allocation.capacity_bytes_per_second, color: "--budget", dash: [7, 4], stepped: true },
       { name: "delivered", key: "delivery_rate_bytes_per_second", of: (s) => s.link.delivery_rate_bytes_per_second, color: "--delivered", filled: true },
       { name: "cross traffic", key: "foreign_bytes_per_second", of: (s) => s.link.foreign_bytes_per_second, color: "--foreign", dash: [2, 3] },
     ],
@@ -35,12 +35,12 @@ const CHARTS = [
     unit: "%",
     scale: 100,
     most: 100,
-    series: [{ name: "gate", key: "gate", of: (s) => s.gate, color: "--gate", stepped: true, filled: true }],
+    series: [{ name: "admitted", key: "gate", of: (s) => s.gate, color: "--admitted", stepped: true, filled: true }],
   },
 ];
 const TOPIC_SERIES = [
   { name: "source", key: "source_rate_hz", color: "--foreign", dash: [2, 3] },
-  { name: "planned", key: "planned_rate_hz", of: (t) => t.planned?.rate_hz, color: "--level", dash: [7, 4], stepped: true },
+  { name: "allowed", key: "paced_rate_hz", of: (t) => t.confirmed.paced_rate_hz, color: "--budget", dash: [7, 4], stepped: true },
   { name: "sent", key: "published_rate_hz", color: "--delivered", filled: true },
 ];
 
@@ -112,13 +112,12 @@ export class Charts {
     this.draw();
   }
 
-  /** Offer the topics to choose from; first the one that its plan slows most. */
+  /** Offer the topics to choose from; first the one that the link slows most. */
   #offer(topics) {
     const known = topics.filter((topic) => this.past.topics.has(identity(topic)));
     const names = known.map(identity);
     if (names.join() === [...this.choice.options].map((option) => option.value).join()) return;
-    const slowed = (topic) => (topic.planned?.rate_hz ?? Infinity) / (topic.source_rate_hz || 1);
-    const first = known.reduce((most, topic) => (most && slowed(most) <= slowed(topic) ? most : topic), null);
+    const first = known.reduce((most, topic) => (most && most.kept_ratio <= topic.kept_ratio ? most : topic), null);
     const chosen = names.includes(this.choice.value) ? this.choice.value : first && identity(first);
     this.choice.replaceChildren(...known.map((topic) => new Option(topic.topic, identity(topic))));
     if (chosen) this.choice.value = chosen;

@@ -251,13 +251,34 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
     document = json.loads(json.dumps(status_document(sample_snapshot), allow_nan=False))
     topics = {topic["topic"]: topic for topic in document["topics"]}
     assert list(topics) == ["/camera/image", "/cmd_vel", "/diagnostics", "/imu"]
-    assert topics["/imu"]["planned"] == {"rate_hz": None, "min_rate_hz": 10.0, "depth": 100, "deadline_ns": None}
-    assert topics["/camera/image"]["planned"]["rate_hz"] == 12.5
+    assert (topics["/imu"]["planned"]["rate_hz"], topics["/imu"]["planned"]["deadline_ns"]) == (None, None)
+    assert (topics["/imu"]["confirmed"]["paced_rate_hz"], topics["/imu"]["confirmed"]["rate_hz"]) == (None, None)
+    assert topics["/camera/image"]["confirmed"]["paced_rate_hz"] == 12.5
+    assert topics["/camera/image"]["planned"] == {
+        "rate_hz": 37.5,
+        "min_rate_hz": 2.0,
+        "depth": 10,
+        "deadline_ns": 100_000_000,
+        "weight": 1.0,
+        "wire_bytes": 24000.0,
+        "packets": 17,
+    }
+    assert document["price"]["share_per_weight"] == 0.5
     assert topics["/camera/image"]["binding"] == "link"
     assert topics["/cmd_vel"]["refusal"].startswith("depth 16")
     assert (topics["/diagnostics"]["planned"], topics["/diagnostics"]["share"]) == (None, None)
     assert (document["plan"]["publishers"], document["plan"]["confirmed"]) == (3, 2)
     assert document["totals"]["solves"] == {"exact": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
+
+
+def test_a_price_without_a_limit_is_null(sample_snapshot):
+    """Null is a share without a limit, and a tick that divides nothing."""
+    free = replace(sample_snapshot.decision.price, share_per_weight=math.inf)
+    for price, said in ((free, None), (None, None)):
+        document = status_document(replace(sample_snapshot, decision=replace(sample_snapshot.decision, price=price)))
+        json.dumps(document, allow_nan=False)
+        assert (document["price"] or {}).get("share_per_weight") is said
+    assert document["price"] is None
 
 
 def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
@@ -276,8 +297,8 @@ def test_a_refusal_shows_its_reason_and_whether_it_lasts(sample_snapshot):
     assert document["plan"]["paced_only"] == 1
     assert (topics["/imu"]["refusal_reason"], topics["/imu"]["refusal_lasts"]) == ("transient_local", True)
     assert (topics["/cmd_vel"]["refusal_reason"], topics["/cmd_vel"]["refusal_lasts"]) == ("unmatched", False)
-    assert "2 of 3 publishers (1 by rate and gate only), 1 of 1 readers" in visible(render_page(document))
-    assert "rate and gate only: it is TRANSIENT_LOCAL" in visible(render_page(document))
+    assert "2 of 3 publishers (1 by rate only), 1 of 1 readers" in visible(render_page(document))
+    assert "rate only: it is TRANSIENT_LOCAL" in visible(render_page(document))
 
 
 def test_readers_show_beside_publishers(sample_snapshot):

@@ -192,7 +192,7 @@ def test_markup_from_the_network_is_escaped(sample_snapshot):
         ("pace", None, "unpaced"),
         ("period", None, "none"),
         ("period", 62_500_000, "62.5"),
-        ("counts", {"rate": 3, "gate": 0, "failed": 1}, "rate 3, failed 1"),
+        ("counts", {"rate": 3, "price": 0, "failed": 1}, "rate 3, failed 1"),
         ("state", "app_limited", "not filled"),
         ("time", 1_700_000_000.0, "2023-11-14 22:13:20 UTC"),
     ],
@@ -217,7 +217,7 @@ def test_the_page_shows_the_verdict_and_every_fault(sample_snapshot):
 NODE = str(Path(playwright.__file__).parent / "driver" / "node")
 SAMPLES = [
     *(0, 0.005, 0.125, 0.5, 0.995, 1, 9.994, 9.995, 9.9999, 12.345, 99.94, 99.95, 100.5, 1234.5, 500_000, 10**9),
-    *("", "a_b", "app_limited", "peer", "warning", [], ["a_b", "c"], {"rate": 3, "gate": 0, "late_by": 1}, None),
+    *("", "a_b", "app_limited", "peer", "warning", [], ["a_b", "c"], {"rate": 3, "price": 0, "late_by": 1}, None),
 ]
 # Times follow the zone of the browser; the others are written for one kind of value only.
 TAKES = {"counts": dict, "list": list, "evidence": str, "state": str, "severity": str, "text": str, "words": str}
