@@ -52,7 +52,8 @@ def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path)
     assert sorted(run["depth"] > 1 for run in figures) == [False, True, True]
     found, link = live["uniform"], document["links"][0]
     assert found["topics"] == 12
-    assert found["max_rate_hz"] == pytest.approx(0.85 * link["rate_bytes_per_second"] / 1200, rel=0.15)
+    # The budget is the headroom's part of the link, and more of it while the estimate moves.
+    assert 0.7 < found["max_rate_hz"] / (link["rate_bytes_per_second"] / 1200) < 1.1
     assert found["rate_hz"] == pytest.approx(found["max_rate_hz"] / 12 - 1, rel=0.05)
     assert 400 <= found["depth"] <= 415
     assert live["lost"] == 0 < live["withheld_ratio"]
