@@ -71,7 +71,7 @@ class Price:
         """Return the floor that the link leaves one publisher (Hz)."""
         if self.is_stale:
             return max(plan.min_rate_hz, plan.promised_hz)
-        if math.isclose(plan.weight, self.yielding_weight, rel_tol=1e-9):
+        if plan.weight == self.yielding_weight:  # exact: the program's classes of weight are, too
             return self.kept_floor * plan.min_rate_hz
         return plan.min_rate_hz if plan.weight > self.yielding_weight else 0.0
 
