@@ -16,6 +16,7 @@ from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.adapters.sim.writer import LinkPath
+from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
@@ -188,16 +189,19 @@ class _Plant:
 
     def populate(self, *, managed: bool) -> None:
         """Make a publisher and a source per topic; with arpd, relayed topics have the relay's prefix."""
+        clocks = {node: LinkClock() for node in (RELAY, PLANNER)}
         for topic in self._topics:
             there, back = self._ways(topic.direction)
             relayed = managed and bool(topic.prefix)
+            node = PLANNER if topic.direction is Direction.ACTUATION else RELAY
             publisher = SimulatedPublisher(
                 LinkPath(timeline=self.timeline, there=there, back=back),
                 topic,
                 name=topic.prefix + topic.name if relayed else topic.name,
-                node=PLANNER if topic.direction is Direction.ACTUATION else RELAY,
+                node=node,
                 heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
                 ingress_s=_RELAY_HOP_S if relayed else 0.0,
+                link=clocks[node],
             )
             self.publishers.append(publisher)
             SampleSource(

@@ -63,9 +63,13 @@ class Price:
         """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
         if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
             return plan.rate_hz
-        cost_s = plan.packets * self.packet_overhead_s + plan.wire_bytes / self.capacity_bytes_per_second
+        cost_s = self.cost_s(plan)
         level_hz = self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf
         return min(plan.rate_hz, max(self.floor_hz(plan), level_hz))
+
+    def cost_s(self, plan: Terms) -> float:
+        """Return a, the link time of one sample (s)."""
+        return plan.packets * self.packet_overhead_s + plan.wire_bytes / self.capacity_bytes_per_second
 
     def floor_hz(self, plan: Terms) -> float:
         """Return the floor that the link leaves one publisher (Hz)."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.adapters.sim.timeline import Timeline
+    from arpd.apply.endpoint.link_clock import LinkClock
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
@@ -81,10 +82,19 @@ class SimulatedPublisher:
     node : name of its node
     heartbeat_s : heartbeat period of its writers (s)
     ingress_s : age of a sample when it gets here, after the hop to the relay (s)
+    link : link clock of its process
     """
 
     def __init__(
-        self, route: LinkPath, topic: SimTopic, *, name: str, node: str, heartbeat_s: float, ingress_s: float = 0.0
+        self,
+        route: LinkPath,
+        topic: SimTopic,
+        *,
+        name: str,
+        node: str,
+        heartbeat_s: float,
+        ingress_s: float = 0.0,
+        link: LinkClock | None = None,
     ) -> None:
         self.topic = topic
         self.arrivals = Arrivals()
@@ -97,6 +107,7 @@ class SimulatedPublisher:
             qos=WriterQos(depth=RCLPY_DEPTH, deadline_ns=0),
             overflow=Overflow.LATEST,
             clock=lambda: route.timeline.now_s,
+            link=link,
         )
         self._alarm = Alarm(route.timeline, self._service)
         self._state = PublisherState(

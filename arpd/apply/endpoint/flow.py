@@ -6,6 +6,7 @@ import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.apply.endpoint.meters import DeadlineCount, SampleRate
 from arpd.apply.endpoint.pacing import Pacer
 from arpd.apply.endpoint.writer_swap import SwapTiming, WriterSwap
@@ -40,6 +41,7 @@ class Flow(Generic[W]):
     clock : monotonic clock (s)
     on_swap : called with the result of every swap and the QoS it was about
     timing : timeouts of a swap
+    link : shared by all flows of the process; its own one sees only this flow
 
     Notes
     -----
@@ -56,8 +58,11 @@ class Flow(Generic[W]):
         clock: Callable[[], float],
         on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
         timing: SwapTiming | None = None,
+        link: LinkClock | None = None,
     ) -> None:
         self._clock = clock
+        self._link = link or LinkClock()
+        self._ready_s: float | None = None  # since when a sample waits only for its turn on the link
         self._on_swap = on_swap
         self._swaps: Counter[str] = Counter()
         self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
@@ -123,7 +128,7 @@ class Flow(Generic[W]):
         now_s = self._clock()
         self._count(sample, now_s)
         is_free = not (self._held or self._replay or self._swap.awaits_silence)
-        if is_free and self._pacer.admits(now_s):
+        if is_free and self._link.turn_s(self._plan, ready_s=now_s, now_s=now_s) <= now_s and self._pacer.admits(now_s):
             return True
         self._pacer.offer(sample, now_s)
         return False
@@ -137,10 +142,13 @@ class Flow(Generic[W]):
     def take(self) -> bytes | None:
         """Return the next sample if pacing allows it now and no swap holds it."""
         now_s = self._clock()
-        sample = self._pacer.take(now_s)
         if not self._held and not self._swap.is_holding:
-            return sample
+            if self._turn_s(now_s) > now_s:
+                return None
+            self._ready_s = None
+            return self._pacer.take(now_s)
         # A swap holds samples behind the pacing, so it conflates none of them.
+        sample = self._pacer.take(now_s)
         while sample is not None:
             self._held.append(sample)
             sample = self._pacer.take(now_s)
@@ -168,6 +176,7 @@ class Flow(Generic[W]):
         took_s = after_s - before_s
         self._blocked_s += took_s
         self._departures.count(after_s)
+        self._link.occupy(self._plan, after_s)
         if self._swap.awaits_silence:
             self._swap.wrote(self._clock())
         if self._history is not None:
@@ -201,6 +210,8 @@ class Flow(Generic[W]):
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
         now_s = self._clock()
+        if price is not None:
+            self._link.set_price(price, now_s)
         self._slow_start.has_daemon = price is not None
         self._swap.loss_ratio = None if price is None else price.loss_ratio
         if price != self._price or self._is_slow != self._slow_start.holds(now_s):
@@ -235,7 +246,7 @@ class Flow(Generic[W]):
 
     def due_s(self, now_s: float) -> float:
         """Return when to call `service` again, ``inf`` = not before something changes (s)."""
-        due_s = self._pacer.due_s(now_s)
+        due_s = self._turn_s(now_s)
         if self._held and not self._swap.is_holding:
             due_s = min(due_s, max(now_s, self._catch_up_s))
         return min(due_s, now_s + self._swap.poll_s) if self._swap.is_busy else due_s
@@ -282,6 +293,15 @@ class Flow(Generic[W]):
         self.replay()
         while self.is_waiting and (sample := self.take()) is not None:
             self.write(sample)
+
+    def _turn_s(self, now_s: float) -> float:
+        """Return when the next sample may leave by its pacing and by the link clock (s)."""
+        if (due_s := self._pacer.due_s(now_s)) > now_s:
+            self._ready_s = None
+            return due_s
+        if self._ready_s is None:
+            self._ready_s = now_s
+        return max(now_s, self._link.turn_s(self._plan, ready_s=self._ready_s, now_s=now_s))
 
     def _count(self, sample: bytes, now_s: float) -> None:
         self._source.count(now_s)
