@@ -18,6 +18,8 @@ from std_msgs.msg import Float64, String
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.announcement import from_status
 from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
 from arpd.model.settings import Overflow
 from tests.ros.price import FREE, TERMS, PriceSender, costing
 from tests.ros.setter import Setter
@@ -130,6 +132,25 @@ def test_a_rate_set_by_hand_has_no_price(publisher, configure, send_price, event
     assert state(publisher).paced_rate_hz == 100.0
     assert configure(**TERMS).successful
     assert state(publisher).paced_rate_hz == pytest.approx(5.0)
+
+
+def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, publisher, send_price, monkeypatch, eventually):
+    """Of two large samples of a process that leave together the second waits until the first has crossed the link."""
+    monkeypatch.setattr("arpd.apply.endpoint.link_clock._UNSTEADY_S", 0.0)
+    monkeypatch.setattr("arpd.adapters.ros.node_publishers._BLOCKED_S", math.inf)  # this machine may be slow
+    other = AdaptivePublisher(ros.node("second"), String, "/other", 10)
+    row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10, weight=1.0, wire_bytes=30_000.0, packets=20)
+    for one in (publisher, other):
+        one.retune(row)
+    send_price(Price(share_per_weight=math.inf, capacity_bytes_per_second=100_000.0))
+    eventually(lambda: publisher._flow._price and other._flow._price)
+    before_s = time.monotonic()
+    publisher.offer(String(data="first"))
+    other.offer(String(data="second"))
+    assert time.monotonic() - before_s > 0.25 or state(other).published == 0
+    eventually(lambda: state(other).published == 1)
+    assert time.monotonic() - before_s >= 0.29
+    assert state(publisher).published == 1
 
 
 def test_what_is_no_price_changes_nothing(publisher, configure, send_price, eventually):

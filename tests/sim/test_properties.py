@@ -22,7 +22,7 @@ from arpd.solve.topics import topics_to_plan
 from tests.sim.watched import Tick, watch
 
 MBIT = 125_000.0
-PAST_S, REST_S, WATCH_S = 25.0, 60.0, 15.0
+PAST_S, REST_S, WATCH_S = 25.0, 75.0, 15.0  # a rise counts when it has held for 30 s, and waits for three dwells
 SEEDS = range(5)
 CONSTANTS = ((0, 0.5), (1, 2.0), (2, 6.0), (3, 20.0), (4, 50.0))
 ROBOT = (
@@ -196,7 +196,7 @@ def test_these_links_are_hard():
 
 @pytest.mark.parametrize(("seed", "mbits"), CONSTANTS)
 def test_on_a_constant_link_plans_end(seed, mbits):
-    """A minute after the last change of the link no plan is made."""
+    """From 75 s after the last change of the link no plan is made."""
     ticks = settling(seed, mbits)
     assert not [plan for plan in plans(ticks) if PAST_S + REST_S <= plan[0] < PAST_S + REST_S + WATCH_S]
 

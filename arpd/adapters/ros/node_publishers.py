@@ -50,11 +50,13 @@ from arpd.adapters.ros.names import (
 from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.adapters.ros.price_message import decode_price
 from arpd.adapters.ros.wakeups import Wakeups
+from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rclpy.context import Context
     from rclpy.node import Node
 
     from arpd.model.endpoints import PublisherState, WriterQos
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
 _ATTRIBUTE = "_arpd_publishers"
+_CLOCK_ATTRIBUTE = "_arpd_link_clock"
 _ANNOUNCE_S = 1.0
 _EARLY_S = 0.4  # least time between two announcements of finished swaps: the daemon takes four a second, of any kind
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
@@ -124,6 +127,7 @@ class NodePublishers:
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
+        self.link = _link_clock(node.context)
         self._publishers: dict[str, Paced] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
@@ -354,6 +358,15 @@ class NodePublishers:
                         own_deadline_ns=publisher.baseline.deadline_ns,
                     )
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
+
+
+def _link_clock(context: Context) -> LinkClock:
+    """Return the link clock of a process, kept on its context: all nodes there share the link."""
+    clock = getattr(context, _CLOCK_ATTRIBUTE, None)
+    if not isinstance(clock, LinkClock):
+        clock = LinkClock()
+        setattr(context, _CLOCK_ATTRIBUTE, clock)
+    return clock
 
 
 _CHECKS: dict[str, Callable[[Any], int | float]] = {

@@ -105,6 +105,7 @@ class AdaptivePublisher:
         self._clock = clock
         self._wakeup_s = math.inf  # the pacing thread serves this publisher by then
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
+        self._shared = NodePublishers.of(node)
         self._flow = Flow(
             create=self._create_writer,
             qos=self._baseline,
@@ -112,6 +113,7 @@ class AdaptivePublisher:
             clock=clock,
             on_swap=self._on_swap,
             timing=swap_timing,
+            link=self._shared.link,
         )
         self._overrides = None  # now part of the profile; rclpy declares each only once
         if self._is_latched and swap_transient_local:
@@ -121,7 +123,6 @@ class AdaptivePublisher:
         self._resolved = str(self._writer.publisher.topic_name)
         self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
-        self._shared = NodePublishers.of(node)
         try:
             self._shared.adopt(self)
         except Exception:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 _MOST_PACKETS = 10  # a sample of more is large
 _STEP = 2.0
 _UNSTEADY_S = 5.0
+_PATIENCE = 0.8  # periods that a sample waits at most; after a whole one its successor would replace it
 _CLOSE_S = 0.0005  # to wake a thread for less costs more than it saves
 
 
@@ -21,7 +22,7 @@ class LinkClock:
     A large sample that leaves before then only waits in the queue of the link, and small samples wait behind it. So it
     waits here, where small samples overtake it and a newer one of its topic replaces it.
 
-    No topic loses rate by that: a sample waits for a period of its rate at most. Nor does the estimate: while a link
+    No topic loses rate by that: a sample waits for less than a period of its rate. Nor does the estimate: while a link
     changes, the queue that large samples leave tells the estimator when to look. So none waits until the capacity has
     stayed within a factor of two for 5 s.
 
@@ -53,5 +54,5 @@ class LinkClock:
         if plan.packets <= _MOST_PACKETS or self._price is None or now_s - self._stepped_s < _UNSTEADY_S:
             return ready_s
         rate_hz = self._price.rate_hz(plan)
-        latest_s = ready_s + 1.0 / rate_hz if plan.weight > 0.0 and rate_hz > 0.0 else ready_s
+        latest_s = ready_s + _PATIENCE / rate_hz if plan.weight > 0.0 and rate_hz > 0.0 else ready_s
         return min(latest_s, self._free_s - _CLOSE_S)

@@ -12,12 +12,10 @@ from arpd.model.settings import Overflow
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# A source at its paced rate may be early by half a period, or catch up on 50 ms that its scheduler cost, and is not
-# delayed. No window of T seconds sees more than rate·T + max(2, rate·50 ms) samples.
-_LEAST_BURST = 1.5
+# A source at its paced rate may be early, wait for its turn on the link, or catch up on 50 ms that its scheduler cost,
+# and loses nothing. No window of T seconds sees more than rate·T + max(2, rate·50 ms) samples.
+_LEAST_BURST = 2.0
 _BURST_S = 0.05
-# Credit that comes between two samples of a faster source waits for the second one, and must not be lost meanwhile.
-_CONFLATING_BURST = 2.0
 _PATIENCE = 1.5  # source periods that a sample waits for a fresher one: by then its source may have stopped
 _GAP_WEIGHT = 0.1
 _LONGEST_GAP_S = 5.0  # a longer one is a silence
@@ -151,7 +149,7 @@ class Pacer:
     def _most_credit(self) -> float:
         if math.isinf(self._rate_hz):
             return _LEAST_BURST
-        return max(_CONFLATING_BURST if self._is_outrun else _LEAST_BURST, _BURST_S * self._rate_hz)
+        return max(_LEAST_BURST, _BURST_S * self._rate_hz)
 
     def _shed(self) -> None:
         bound = self._depth
@@ -162,6 +160,6 @@ class Pacer:
         if excess > 0:
             for _ in range(excess):
                 self._queue.popleft()
-            # At full credit the next sample has been due for at least half a period, so pacing does not hold it.
+            # At full credit the next sample has been due for a whole period, so pacing does not hold it.
             is_held = self._rate_hz <= 0 or self._credit < self._most_credit or self._waits_for_fresher
             self._on_withheld(excess, self._limit if is_held else DropCause.BLOCKED)

@@ -141,7 +141,7 @@ def test_what_waits_for_a_fresher_sample_waits_one_and_a_half_periods():
     """A source that stops while credit comes has its waiting sample sent then, not before."""
     pacer, _ = make()
     pacer.retune(rate_hz=4.0, depth=10, now_s=0.0)
-    arrivals = [number / 10.0 for number in range(4)]  # the last finds credit for 0.7 samples
+    arrivals = [number / 10.0 for number in range(5)]  # the last finds credit for 0.6 samples
     sent_s, age_s = play(pacer, arrivals, until_s=math.inf)[-1]
     assert age_s == pytest.approx(0.15)
     assert sent_s == pytest.approx(arrivals[-1] + 0.15)
@@ -163,6 +163,7 @@ def test_latest_keeps_only_the_newest():
     """While paced, a newer sample replaces the one that waits, and the older one is counted."""
     pacer, withheld = make(Overflow.LATEST)
     pacer.retune(rate_hz=1.0, depth=10, now_s=0.0)
+    assert pacer.admits(0.0)
     for number in range(5):
         pacer.offer(name(number), 0.0)
     assert len(pacer) == 1
