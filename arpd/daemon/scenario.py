@@ -234,6 +234,7 @@ class _Plant:
             delivered_bytes_per_second=self._delivered_bytes_per_second(),
             # Aggregates are full on a busy link.
             packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
+            loss_ratio=self._model.loss_ratio(run_s),
             is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
         )
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.host.netlink import read_backlog, read_device
 from arpd.adapters.sim.baselines import Oracle, Truth
-from arpd.adapters.sim.loss import LossStep
+from arpd.adapters.sim.loss import LossStep, loss_at
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.adapters.sim.service import Service
 from arpd.daemon.run import run_daemon
@@ -88,12 +88,13 @@ class Course:
         """
         elapsed_s = max(0.0, now_s - self.started_s)
         service = Service(self.rates, 0.0)
-        carried = service.by(elapsed_s)
+        carried, loss = service.by(elapsed_s), loss_at(self.losses, elapsed_s)
         return Truth(
             capacity_bytes_per_second=(service.by(elapsed_s + AHEAD_S) - carried) / AHEAD_S,
             queue_delay_s=service.when(carried + waiting_bytes) - elapsed_s if waiting_bytes else 0.0,
             delivered_bytes_per_second=delivered_bytes_per_second,
-            is_out=next((step.loss for step in reversed(self.losses) if step.start_s <= elapsed_s), 0.0) >= 1.0,
+            loss_ratio=loss,
+            is_out=loss >= 1.0,
         )
 
 

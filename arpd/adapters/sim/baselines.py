@@ -35,6 +35,7 @@ class Truth:
     cross_traffic_bytes_per_second : other traffic over the link (bytes/s)
     packet_overhead_s : link time that a packet costs beyond its bytes when the link is busy (s)
     delivered_bytes_per_second : rate at which the far interface receives (bytes/s)
+    loss_ratio : share of packets that the link loses while something arrives
     is_out : True while nothing arrives
     """
 
@@ -43,6 +44,7 @@ class Truth:
     cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
     delivered_bytes_per_second: float = 0.0
+    loss_ratio: float = 0.0
     is_out: bool = False
 
 
@@ -80,6 +82,7 @@ class Oracle:
             evidence="the truth",
             cross_traffic_bytes_per_second=truth.cross_traffic_bytes_per_second,
             packet_overhead_s=truth.packet_overhead_s,
+            loss_ratio=None if truth.is_out else truth.loss_ratio,
         )
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.aggregation import AggregatingBottleneck
 from arpd.adapters.sim.bottleneck import FluidBottleneck
-from arpd.adapters.sim.loss import Losses, check_ascending, check_probability
+from arpd.adapters.sim.loss import Losses, check_ascending, check_probability, either, loss_at
 from arpd.adapters.sim.service import Service
 from arpd.adapters.sim.timeline import Alarm, Timeline
 
@@ -61,6 +61,11 @@ class LinkModel:
         for name, bound in least.items():
             if not bound <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(f"{name} {value}: must be {bound} or more")
+
+    def loss_ratio(self, run_s: float) -> float:
+        """Return the share of packets that are lost; bursts count by their mean, outages not at all."""
+        bursts = self.bursts.mean_loss if self.bursts else 0.0
+        return either(either(self.loss, loss_at(self.losses, run_s)), bursts)
 
 
 class SimulatedLink:

@@ -57,6 +57,11 @@ class GilbertElliott:
         check_probability("bad_loss", self.bad_loss)
         check_probability("good_loss", self.good_loss)
 
+    @property
+    def mean_loss(self) -> float:
+        """Share of packets that are lost in the long run."""
+        return (self.good_s * self.good_loss + self.bad_s * self.bad_loss) / (self.good_s + self.bad_s)
+
 
 def check_probability(name: str, value: float) -> None:
     """Raise ValueError if the value is not from 0 to 1."""
@@ -69,6 +74,11 @@ def check_ascending(losses: Sequence[LossStep]) -> None:
     for earlier, later in pairwise(losses):
         if not later.start_s > earlier.start_s:
             raise ValueError(f"the loss step at {later.start_s:g} s comes after the one at {earlier.start_s:g} s")
+
+
+def loss_at(steps: Sequence[LossStep], run_s: float) -> float:
+    """Return the probability of loss in force, 0 before the first step."""
+    return next((step.loss for step in reversed(steps) if step.start_s <= run_s), 0.0)
 
 
 class Losses:
@@ -118,9 +128,9 @@ class Losses:
             return 0
         loss = self._loss
         if self._starts and (i := bisect_right(self._starts, at_s)):
-            loss = _either(loss, self._steps[i - 1])
+            loss = either(loss, self._steps[i - 1])
         if self._bursts is not None:
-            loss = _either(loss, self._bursts.loss_at(at_s))
+            loss = either(loss, self._bursts.loss_at(at_s))
         if not loss:
             return packets
         draw = self._random.random
@@ -144,5 +154,6 @@ class _Bursts:
         return model.bad_loss if self._is_bad else model.good_loss
 
 
-def _either(one: float, other: float) -> float:
+def either(one: float, other: float) -> float:
+    """Return the probability that at least one of two independent losses happens."""
     return 1.0 - (1.0 - one) * (1.0 - other)

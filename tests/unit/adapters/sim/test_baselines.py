@@ -50,15 +50,20 @@ def feed(estimator, rates, start_s=0.0):
 
 
 def test_the_oracle_tells_the_truth():
-    """The oracle's capacity, queue, cross traffic and overhead are those of the link at that moment."""
+    """The oracle's capacity, queue, cross traffic, overhead and loss are those of the link at that moment."""
     truth = Truth(
-        capacity_bytes_per_second=1e6, queue_delay_s=0.2, cross_traffic_bytes_per_second=3e5, packet_overhead_s=1e-4
+        capacity_bytes_per_second=1e6,
+        queue_delay_s=0.2,
+        cross_traffic_bytes_per_second=3e5,
+        packet_overhead_s=1e-4,
+        loss_ratio=0.01,
     )
     told = Oracle(lambda: truth).update(observation(1.0))
     assert told.capacity_bytes_per_second == 1e6
     assert told.queue_delay_s == 0.2
     assert told.available_bytes_per_second == 7e5
     assert told.packet_overhead_s == 1e-4
+    assert told.loss_ratio == 0.01
     assert told.kind is CapacityKind.CONFIGURED
     assert told.state is LinkState.STEADY
 

@@ -379,6 +379,7 @@ def test_scheduled_loss_comes_on_top_of_the_constant_one():
     assert loss_ratio(bench, 0.0, 4.9) == pytest.approx(0.1, abs=0.02)
     assert loss_ratio(bench, 5.0, 9.9) == pytest.approx(0.55, abs=0.03)
     assert loss_ratio(bench, 10.0, 12.0) == 1.0
+    assert [model.loss_ratio(at_s) for at_s in (0.0, 5.0, 10.0)] == pytest.approx([0.1, 0.55, 1.0])
 
 
 def test_bursts_have_their_mean_durations():
@@ -423,6 +424,7 @@ def test_a_good_state_may_lose_a_little():
     bursts = GilbertElliott(good_s=1.0, bad_s=1.0, good_loss=0.1, bad_loss=0.5)
     bench = Bench(schedule_of((0.0, 20 * MBIT)), LinkModel(bursts=bursts))
     assert loss_ratio(bench, 0.0, 200.0, every_s=0.01) == pytest.approx(0.3, abs=0.06)
+    assert LinkModel(bursts=bursts).loss_ratio(0.0) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
