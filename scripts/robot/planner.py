@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
-from arpd import AdaptivePublisher
+from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.robot.process import command_line, live
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
@@ -33,8 +34,8 @@ class Planner(Node):
         self.offered = 0
         self.is_publishing = False
         for topic, (_, make) in SENSORS.items():
-            on_sample = self.arrivals[topic].on_sample
-            self.create_subscription(type(make()), prefix + topic, on_sample, qos, raw=True)
+            subscribe = partial(AdaptiveSubscription, self) if is_adaptive else self.create_subscription
+            subscribe(type(make()), prefix + topic, self.arrivals[topic].on_sample, qos, raw=True)
         self.commands: Any
         if is_adaptive:
             self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, qos)
