@@ -15,7 +15,7 @@ lost                samples that were sent and never arrived, start-up included;
 levels, swaps       plans made, and writers replaced (all topics together), per minute of the window
 measuring           wire bytes of probes and reports, both directions, over the capacity of the link in the window
 reaction, estimate  from the fall until the estimate is within 15 % of the new truth and stays there for a second (s)
-reaction, budget    from the fall until the budget fits into the new truth and stays so for a second (s)
+reaction, budget    from the fall until the budget is at most a tenth above the new truth and stays so for a second (s)
 queue over bound    queue p50 from the fall to the end of the run, less the bound's (s)
 queue p99 / bound   queue p99 over the bound's
 rise, estimate      from the rise until the estimate is above 80 % of the new truth and stays there for a second (s)
@@ -90,7 +90,7 @@ def measure(
     for fall_s in scenario.falls:
         after = between(moments, fall_s, end_s)
         found["reaction, estimate"] = _until(after, _is_near)
-        found["reaction, budget"] = _until(after, lambda m: _budget(m) <= m.truth_bytes_per_second)
+        found["reaction, budget"] = _until(after, lambda m: _budget(m) <= 1.1 * m.truth_bytes_per_second)
     for rise_s in scenario.rises:
         after = between(moments, rise_s, end_s)
         found["rise, estimate"] = _until(after, lambda m: _estimate(m) > 0.8 * m.truth_bytes_per_second)
