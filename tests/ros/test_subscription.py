@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -267,6 +268,27 @@ def test_destroy_in_the_middle_of_a_swap_leaves_nothing(ros, talker, hear, event
     eventually(lambda: len(node.get_subscriptions_info_by_topic(TOPIC)) == 2)
     subscription.destroy()
     eventually(lambda: not node.get_subscriptions_info_by_topic(TOPIC))
+
+
+def test_readers_that_swap_together_leave_the_executor_time(ros, monkeypatch, eventually):
+    """Between two readers that a plan makes, the node's executor serves other callbacks."""
+    node, log = ros.node("listener"), []
+
+    def slow(self, qos, make=AdaptiveSubscription._create_reader):
+        time.sleep(0.02)
+        log.append("reader")
+        return make(self, qos)
+
+    monkeypatch.setattr(AdaptiveSubscription, "_create_reader", slow)
+    readers = [AdaptiveSubscription(node, String, f"/heard{k}", log.append, 10) for k in range(6)]
+    log.clear()
+    node.create_timer(0.005, lambda: log.append("other"))
+    node.set_parameters_atomically(
+        [Parameter(f"qos_overrides.{reader.topic_name}.subscription.depth", value=50) for reader in readers]
+    )
+    eventually(lambda: log.count("reader") == 6)
+    assert "reader" not in [after for before, after in pairwise(log) if before == "reader"]
+    eventually(lambda: {reader.qos.depth for reader in readers} == {50})
 
 
 @pytest.mark.parametrize("has_callback", [False, True], ids=["without callback", "with callback"])

@@ -277,7 +277,12 @@ class AdaptiveSubscription:
     def _step(self) -> Sequence[Sample]:
         with self._lock:
             assert self._swap is not None
-            samples = self._swap.step(self._clock())
+            began_s = self._clock()
+            if (creates := self._swap.will_create) and began_s < self._shared.create_from_s:
+                return ()
+            samples = self._swap.step(began_s)
+            if creates:
+                self._shared.note_creation(began_s)
             self._deadlines.follow(self._reader)
             if not self._swap.is_busy:
                 self._stop_timer()

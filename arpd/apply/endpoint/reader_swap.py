@@ -130,6 +130,11 @@ class ReaderSwap(Generic[Q, S]):
         """True while `step` has anything to do."""
         return self.state is not ReaderSwapState.IDLE or self._wanted is not None
 
+    @property
+    def will_create(self) -> bool:
+        """True if the next `step` makes a reader, which takes some milliseconds."""
+        return self._wanted is not None and self._wanted != self._qos
+
     def request(self, qos: Q) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
         target = self._next_qos if self._next is not None else self._qos
