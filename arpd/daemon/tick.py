@@ -84,7 +84,7 @@ class Daemon:
         self._wall_clock = wall_clock
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._program = self._program_of(settings)
-        self._budget = Budget(settings.link)
+        self._budget = Budget()
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._ordering = Ordering()
@@ -126,12 +126,14 @@ class Daemon:
         link = self._estimator.update(observation)
         topics = topics_to_plan(observation.publishers, self.settings) if self._estimator.has_evidence else ()
         memory = memory_budget_bytes(observation.memory, self.settings.program)
-        budget, lasting_budget = self._budget.update(now_s, link), self._budget.lasting_bytes_per_second
+        headroom = self.settings.link.headroom
+        budget = self._budget.update(now_s, link, headroom=headroom)
         crossing = observation.sensing_topics + observation.actuation_topics
         divide = partial(self._divide, link, topics, memory, crossing)
         rates = divide(capacity=link.available_bytes_per_second, budget=budget)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
-        lasting = divide(capacity=lasting_budget / self.settings.link.headroom, budget=lasting_budget)
+        lasting_capacity = self._budget.lasting_bytes_per_second
+        lasting = divide(capacity=lasting_capacity, budget=headroom * lasting_capacity)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
         reader_plans = plan_readers(observation.readers, decision.plan)
         steps = self._ordering.steps(
@@ -272,7 +274,6 @@ class Daemon:
     def _reconfigure(self, settings: Settings) -> None:
         self._world.reconfigure(settings.graph)
         self._estimator.reconfigure(settings.link)
-        self._budget.reconfigure(settings.link)
         self._governor.reconfigure(settings)
 
     def _program_of(self, settings: Settings) -> Program:

@@ -10,7 +10,6 @@ from arpd.model.link import LinkState
 
 if TYPE_CHECKING:
     from arpd.model.link import LinkEstimate
-    from arpd.model.settings import LinkSettings
 
 _TARGET_S = 0.03  # a queue up to this, above what one large message explains, may stay
 _DRAIN_S = 0.15  # a longer one is to be gone after about so long
@@ -31,42 +30,31 @@ class Budget:
     that stands feeds back: the total is what the link carries, less what drains the queue. The law is that of a
     delay-target controller, C·(1 + (target − queue)/T), as in SCReAM (RFC 8298) and Copa (Arun and Balakrishnan, NSDI
     2018).
-
-    Parameters
-    ----------
-    settings : headroom
     """
 
-    def __init__(self, settings: LinkSettings) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self._past: deque[tuple[float, float]] = deque()
-        self._now = 0.0
         self._looked_at_s = self._carried_at_s = -math.inf
         self._level: float | None = None  # logarithm of what was available lately
         self._moves = 0.0  # mean distance from it
 
-    def reconfigure(self, settings: LinkSettings) -> None:
-        """Take new settings."""
-        self._settings = settings
-
-    def update(self, now_s: float, link: LinkEstimate) -> float:
+    def update(self, now_s: float, link: LinkEstimate, *, headroom: float) -> float:
         """Return the budget of this tick (bytes/s)."""
+        available = link.available_bytes_per_second
         if link.state is LinkState.OUTAGE:
             # The silence may be the peer's alone, so the floors of what matters most go on for some seconds.
             out_s = now_s - self._carried_at_s
             part = _OUT * 2.0 ** (-out_s / _OUT_HALF_S) if out_s < _OUT_MOST_S else 0.0
-            return part * self._settings.headroom * link.available_bytes_per_second
+            return part * headroom * available
         self._carried_at_s = now_s
-        available, headroom = link.available_bytes_per_second, self._settings.headroom
         queue_s = max(link.standing_delay_s, link.queue_delay_s - link.queue_allowance_s)
         drained = max(0.0, 1.0 + (_TARGET_S - queue_s) / _DRAIN_S)
         share = headroom + (1.0 - headroom) * self._unrest(now_s, available)
-        self._now = available * min(share * link.cautious_ratio, drained)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
             self._past.append((now_s, available))
             while now_s - self._past[0][0] > _LASTING_S:
                 self._past.popleft()
-        return self._now
+        return available * min(share * link.cautious_ratio, drained)
 
     def _unrest(self, now_s: float, available: float) -> float:
         """Return how much the link moves, 0..1; where it never rests, the loop keeps the queue short, not a reserve."""
@@ -79,6 +67,6 @@ class Budget:
 
     @property
     def lasting_bytes_per_second(self) -> float:
-        """Budget that nine tenths of the last half minute allowed, queues aside (bytes/s)."""
+        """Capacity that nine tenths of the last half minute offered, before headroom; 0 before any link (bytes/s)."""
         past = sorted(available for _, available in self._past)
-        return self._settings.headroom * past[math.floor(_LASTING_SHARE * len(past))] if past else self._now
+        return past[math.floor(_LASTING_SHARE * len(past))] if past else 0.0
