@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from arpd.model.allocation import Binding
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Sequence
 
     from arpd.model.allocation import Allocation, Topic
-    from arpd.model.plan import TopicPlan
+    from arpd.model.plan import QosPlan
 
 _EXCESS = 0.1  # of what the plan's histories may take; less is not worth swaps
 _SPACING_S = 1.0  # between two falls, so memory that runs out causes few swaps
@@ -38,21 +38,22 @@ class MemoryWatch:
         self,
         now_s: float,
         allocation: Allocation,
-        planned: Iterable[tuple[Topic, TopicPlan]],
+        topics: Sequence[Topic],
+        plan: QosPlan,
         *,
-        besides: Collection[str],
+        silent: Collection[str],
     ) -> bool:
         """Return whether the plan in force should take the depths of the allocation now.
 
         Parameters
         ----------
-        now_s : monotonic clock (s)
-        allocation : answer of the program
-        planned : topics of the plan in force, with their rows
-        besides : topics that nobody publishes, so their histories do not fill
+        silent : topics that nobody publishes, so their histories do not fill
         """
-        given = {row.name: row.depth_applied for row in allocation.topics if row.name not in besides}
-        rows = [(topic.slot_bytes, row.depth, given[topic.name]) for topic, row in planned if topic.name in given]
+        rows = [
+            (topic.slot_bytes, plan.topics[topic.name].depth, given.depth_applied)
+            for topic, given in zip(topics, allocation.topics, strict=True)
+            if topic.name in plan.topics and topic.name not in silent
+        ]
         taken = sum(slot * depth for slot, depth, _ in rows)
         excess = sum(slot * (depth - less) for slot, depth, less in rows if depth > less)
         room = sum(slot * (more - depth) for slot, depth, more in rows if more > depth)

@@ -11,7 +11,7 @@ from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.uniform import alike
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from arpd.model.allocation import Allocation, Topic, TopicAllocation
     from arpd.model.endpoints import PublisherState
@@ -30,9 +30,9 @@ _LEAST_SLACK_NS = 10_000_000
 def make_plan(
     allocation: Allocation,
     topics: Sequence[Topic],
-    publishers: Iterable[PublisherState],
+    publishers: Sequence[PublisherState],
     *,
-    previous: QosPlan,
+    previous: Mapping[str, TopicPlan],
     generation: int,
     settings: Settings,
 ) -> QosPlan:
@@ -43,30 +43,28 @@ def make_plan(
     Parameters
     ----------
     allocation : answer of the program for the budget that lasts
+    previous : rows of the plan before
     """
-    publishers = tuple(publishers)
-    requested = tightest_requests(publishers)
-    silent = silent_topics(publishers)
+    requests, silent = tightest_requests(publishers), silent_topics(publishers)
     large = {publisher.topic for publisher in publishers if publisher.payload_bytes > FRAGMENT_BYTES}
     rows: dict[str, TopicPlan] = {}
     for row, topic in zip(allocation.topics, topics, strict=True):
-        request_ns = requested.get(topic.name, 0)
-        fresh, kept = _row(row, topic, request_ns, settings), previous.topics.get(topic.name)
+        request_ns, kept = requests.get(topic.name, 0), previous.get(topic.name)
+        fresh = _row(row, topic, request_ns, settings)
         if topic.name in silent:
             fresh = _silent(fresh, kept, request_ns, is_large=topic.name in large)
         elif kept is not None:
             fresh = _without_noise(fresh, kept)
             if _within(kept, fresh, settings.governor.deadband):
                 fresh = with_qos_of(fresh, kept, request_ns)
-        most_hz = settings.topic(topic.name).max_rate_hz
-        fresh = fresh if most_hz is None else replace(fresh, rate_hz=min(fresh.rate_hz, most_hz))
+        if (most_hz := settings.topic(topic.name).max_rate_hz) is not None:
+            fresh = replace(fresh, rate_hz=min(fresh.rate_hz, most_hz))
         rows[topic.name] = fresh if allocation.uniform is None else alike(fresh)
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
 
 
-def silent_topics(publishers: Iterable[PublisherState]) -> set[str]:
+def silent_topics(publishers: Sequence[PublisherState]) -> set[str]:
     """Return the topics that nobody publishes on now."""
-    publishers = tuple(publishers)
     return {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
 
 
@@ -126,7 +124,7 @@ def _offered_ns(period_ns: int, slack: float) -> int:
     return min(offered_ns, (2**31 - 1) * NANOSECONDS_PER_SECOND)
 
 
-def tightest_requests(publishers: Iterable[PublisherState]) -> dict[str, int]:
+def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:
     """Return the tightest deadline that readers request, for every topic with such a reader (ns)."""
     tightest: dict[str, int] = {}
     for publisher in publishers:

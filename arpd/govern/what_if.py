@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import Binding
-from arpd.model.plan import NANOSECONDS_PER_SECOND, QosPlan
+from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.solve.program import Program
 from arpd.solve.topics import rows_of_traffic
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import Backend, Settings
     from arpd.solve.topics import Traffic
 
-_NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
 _ROUNDING = 1e-9  # a rate this close to a bound is at it
 
 
@@ -105,10 +103,10 @@ class OfflinePlanner:
         backend: Backend | None = None,
     ) -> None:
         self._settings = settings
-        self._traffic = {each.topic: each for each in traffic}
+        self._traffic = sorted(traffic, key=lambda each: each.topic)
         self._publishers = tuple(publishers)
         self._crossing = crossing
-        self._topics = rows_of_traffic(self._traffic.values(), settings)
+        self._topics = rows_of_traffic(self._traffic, settings)
         self._program = Program.of(settings, backend=backend)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
@@ -120,16 +118,12 @@ class OfflinePlanner:
         """
         budget_bytes = self._settings.program.memory_budget_bytes
         allocation = self._program.solve(capacity_bytes_per_second, self._topics, budget_bytes, crossing=self._crossing)
-        plan = make_plan(
-            allocation, self._topics, self._publishers, previous=_NO_PLAN, generation=1, settings=self._settings
+        plan = make_plan(allocation, self._topics, self._publishers, previous={}, generation=1, settings=self._settings)
+        topics = tuple(
+            PlannedTopic(traffic=traffic, topic=topic, allocation=row, qos=plan.topics[topic.name])
+            for traffic, topic, row in zip(self._traffic, self._topics, allocation.topics, strict=True)
         )
-        rows = (
-            PlannedTopic(traffic=self._traffic[topic.name], topic=topic, allocation=row, qos=plan.topics[topic.name])
-            for topic, row in zip(self._topics, allocation.topics, strict=True)
-        )
-        return OfflinePlan(
-            capacity_bytes_per_second=capacity_bytes_per_second, topics=tuple(rows), allocation=allocation
-        )
+        return OfflinePlan(capacity_bytes_per_second=capacity_bytes_per_second, topics=topics, allocation=allocation)
 
 
 def spread(low: float, high: float, points: int) -> tuple[float, ...]:

@@ -25,7 +25,7 @@ def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPT
         PROGRAM.solve(capacity, topics, 2.0**26),
         topics,
         publishers,
-        previous=previous,
+        previous=previous.topics,
         generation=previous.generation + 1,
         settings=settings or Settings(),
     )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import Topic
-from arpd.model.plan import QosPlan, TopicPlan
+from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.settings import ProgramSettings, Settings
 from arpd.solve.program import Program
@@ -123,7 +123,7 @@ def test_floors_never_admit_more_than_is_usable(capacity):
         divided(topics, 20 * MBIT, 0.85),
         topics,
         [publisher("/n", topic.name) for topic in topics],
-        previous=QosPlan(generation=0, topics={}, level_bytes_per_second=0.0),
+        previous={},
         generation=1,
         settings=Settings(),
     )

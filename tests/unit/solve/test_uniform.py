@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import AllocationStatus, Binding, Topic
-from arpd.model.plan import QosPlan
 from arpd.model.settings import Backend, Policy, ProgramSettings, Settings
 from arpd.solve import osqp_
 from arpd.solve.eq4 import Eq4Problem, solve_eq4
@@ -38,9 +37,8 @@ def program(backend=Backend.EXACT, **fields):
 
 
 def plan_of(allocation, topics):
-    nothing = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
     uniform = Settings(program=ProgramSettings(policy=Policy.UNIFORM))
-    return make_plan(allocation, topics, (), previous=nothing, generation=1, settings=uniform)
+    return make_plan(allocation, topics, (), previous={}, generation=1, settings=uniform)
 
 
 def rates_under(allocation, topics):
