@@ -83,10 +83,10 @@ def choose_route(
         return RouteRefusal(reason=f"{loop} reads {output} and publishes it, so messages would loop")
     types = {source.type_name for source in sources}
     # A stray writer of another type must not stop what already flows.
-    kept = in_force.type_name if in_force is not None and in_force.type_name in types else None
+    kept = in_force if in_force is not None and in_force.type_name in types else None
     if kept is None and len(types) > 1:
         return RouteRefusal(reason=f"it has more than one type: {_by_type(sources)}")
-    type_name = kept or types.pop()
+    type_name = kept.type_name if kept else types.pop()
     same = [source for source in sources if source.type_name == type_name]
     return Route(
         type_name=type_name,
@@ -94,13 +94,9 @@ def choose_route(
         is_reliable=all(source.is_reliable for source in same),
         # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise. A
         # topic once relayed as volatile stays volatile: a latched reader would receive everything again.
-        is_latched=all(source.is_latched for source in same) and (kept is None or _is_latched(in_force)),
+        is_latched=all(source.is_latched for source in same) and (kept is None or kept.is_latched),
         ignored=_by_type(source for source in sources if source.type_name != type_name),
     )
-
-
-def _is_latched(route: Route | None) -> bool:
-    return route is not None and route.is_latched
 
 
 def _by_type(sources: Iterable[TopicWriter]) -> str:

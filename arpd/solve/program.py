@@ -181,9 +181,11 @@ class Program:
         if share > 1.0:
             raise ValueError(f"share {share!r} must be at most 1")
         divide = partial(divide_evenly, crossing=crossing, solver=self._solver) if self._is_uniform else self._allocate
-        allocation = divide(
-            capacity_bytes_per_second, topics, decimal(memory_budget_bytes), decimal(overhead_s), decimal(share)
-        )
+        if topics:
+            memory_budget = decimal(memory_budget_bytes)
+            allocation = divide(capacity_bytes_per_second, topics, memory_budget, decimal(overhead_s), decimal(share))
+        else:
+            allocation = _empty(capacity_bytes_per_second * share)
         allocation = replace(allocation, solve_s=self._clock() - started)
         self._last = dict([*self._last.items()][1 - _REMEMBERED :])
         self._last[question] = allocation
@@ -192,9 +194,6 @@ class Program:
     def _allocate(
         self, capacity: float, topics: Sequence[Topic], memory_budget: Ratio, packet_overhead: Ratio, share: Ratio
     ) -> Allocation:
-        level = capacity * (share[0] / share[1])
-        if not topics:
-            return _empty(level)
         if not capacity:
             self._solver.note_infeasible()
             return _paused(topics)
@@ -208,6 +207,7 @@ class Program:
             yielding_weight=link.yielding[0],
             kept_floor=link.yielding[1],
         )
+        level = capacity * (share[0] / share[1])
         return replace(self._published(rows, link, memory, level), price=price)
 
     def _divide_link(self, rows: list[Row], part: Ratio) -> _Division:

@@ -78,32 +78,26 @@ def divide_evenly(
     Parameters
     ----------
     capacity : C, after cross traffic and before headroom, ≥ 0 (bytes/s)
-    topics : rows of the program
+    topics : rows of the program, at least one
     memory_budget : M (bytes)
     packet_overhead : t_ovh (s)
     share : part of the capacity to divide
     crossing : topics that cross the link, managed or not
     solver : solves Eq. (4) and checks the answer
     """
-    level = capacity * (share[0] / share[1])
-    if not topics:
-        return Allocation(
-            topics=(), status=AllocationStatus.EMPTY, binding=Binding.NOTHING, capacity_bytes_per_second=level
-        )
-    is_link = bool(capacity and share[0])
     count = max(crossing, len(topics))
     rows = rows_of(topics, capacity=decimal(capacity or 1.0), packet_overhead=packet_overhead, parts=share[1])
-    max_rate_hz = len(rows) * share[0] * rows[0].units.time / (share[1] * sum(row.cost for row in rows))
-    if is_link:
+    if capacity and share[0]:
+        max_rate_hz = len(rows) * share[0] * rows[0].units.time / (share[1] * sum(row.cost for row in rows))
         optimum = _optimum(topics, solver, max_rate_hz=max_rate_hz, count=count, memory_budget=memory_budget)
     else:
         solver.note_infeasible()
-        optimum = _paused(topics)
+        max_rate_hz, optimum = 0.0, _paused(topics)
     return Allocation(
-        topics=tuple(_answer(row, optimum, is_link=is_link) for row in rows),
+        topics=tuple(_answer(row, optimum) for row in rows),
         status=AllocationStatus.DEGRADED if optimum.given_up else AllocationStatus.OPTIMAL,
         binding=_overall(rows, optimum),
-        capacity_bytes_per_second=level,
+        capacity_bytes_per_second=capacity * (share[0] / share[1]),
         degradation="; ".join(optimum.given_up),
         price=Price(
             share_per_weight=float(optimum.rate_hz) * _WIRE_BYTES / (_WEIGHT * (capacity or 1.0)),
@@ -113,7 +107,7 @@ def divide_evenly(
         ),
         uniform=Uniform(
             topics=count,
-            max_rate_hz=max_rate_hz if is_link else 0.0,
+            max_rate_hz=max_rate_hz,
             rate_hz=float(optimum.rate_hz),
             depth=optimum.depth_applied,
         ),
@@ -173,10 +167,9 @@ def _depth(problem: Eq4Problem, rate: Fraction, *, window_s: Fraction | None, ro
     window_s : τ, the longest time that a full history may stand for; None = any (s)
     room : depth at which the histories of all topics fill the memory (samples)
     """
-    limits = [(problem.depth_limit(rate), Binding.LINK)]
-    if window_s is not None:
-        limits.append((window_s * rate, Binding.LATENCY_BUDGET))
-    depth, binding = min(limits, key=lambda limit: limit[0])
+    depth, binding = problem.depth_limit(rate), Binding.LINK
+    if window_s is not None and window_s * rate < depth:
+        depth, binding = window_s * rate, Binding.LATENCY_BUDGET
     if depth < problem.min_depth:
         depth, binding = Fraction(problem.min_depth), Binding.FLOOR
     return (Fraction(max(1, room)), Binding.MEMORY) if room < depth else (depth, binding)
@@ -196,13 +189,13 @@ def _paused(topics: Sequence[Topic]) -> _Optimum:
     )
 
 
-def _answer(row: Row, optimum: _Optimum, *, is_link: bool) -> TopicAllocation:
+def _answer(row: Row, optimum: _Optimum) -> TopicAllocation:
     """Return the answer for one topic; a source that is slower than R keeps its own period."""
     rate = min(optimum.rate_hz, _wish(row))
     return TopicAllocation(
         name=row.topic.name,
-        share=float(rate * row.cost / row.units.time) if is_link else 0.0,
-        max_rate_hz=row.max_rate_hz if is_link else 0.0,
+        share=float(rate * row.cost / row.units.time),
+        max_rate_hz=row.max_rate_hz if optimum.rate_hz else 0.0,
         rate_hz=float(rate),
         depth=float(optimum.depth),
         deadline_ns=period_ns(rate.as_integer_ratio()),
