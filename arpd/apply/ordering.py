@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from arpd.apply.readers import is_reader_confirmed
-from arpd.apply.transitions import has_lease, is_confirmed, publisher_transitions
-from arpd.model.plan import ReaderPlan, Transition
+from arpd.apply.transitions import has_lease, is_confirmed
+from arpd.model.plan import ReaderPlan, TopicPlan, Transition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from arpd.model.endpoints import PublisherState, ReaderState
-    from arpd.model.plan import QosPlan, ReaderPlans, TopicPlan
+    from arpd.model.plan import QosPlan, ReaderPlans
 
 PATIENCE_S = 10.0  # a reader swap takes at most 7 s, and its announcement comes within another second
 
@@ -22,6 +23,7 @@ _MOST_ASKED = 64
 
 _Identity = tuple[str, str]  # node and topic
 E = TypeVar("E", "PublisherState", "ReaderState")
+R = TypeVar("R", TopicPlan, ReaderPlan)
 
 
 class _Ask(NamedTuple):
@@ -32,6 +34,9 @@ class _Ask(NamedTuple):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Steps:
     """Transitions to send now, and the progress of the plan.
+
+    Invariant: any prefix of the steps leaves every publisher in its old or its new row. Their order does not matter to
+    the link, because the rates follow its price.
 
     Parameters
     ----------
@@ -63,12 +68,25 @@ class _Side:
         }
         self._waiting_since_s, self._waiting = self._waiting, {}
 
-    def ask(self, identity: _Identity, ask: _Ask) -> None:
-        """Remember a request; from now on it may be in force."""
+    def due(self, rows: Iterable[tuple[E, R, bool]], generation: int) -> list[tuple[str, dict[str, R]]]:
+        """Return the rows to request now, by node, and remember them: from now on each may be in force.
+
+        Parameters
+        ----------
+        rows : endpoints, the row of each, and whether it is known to be in force
+        """
+        due: dict[str, dict[str, R]] = {}
+        for state, row, is_settled in rows:
+            if not is_settled or self._is_unanswered(state):
+                self._remember((state.node, state.topic), _Ask(generation, row.deadline_ns))
+                due.setdefault(state.node, {})[state.topic] = row
+        return sorted(due.items())
+
+    def _remember(self, identity: _Identity, ask: _Ask) -> None:
         others = [known for known in self._asked.get(identity, ()) if known.deadline_ns != ask.deadline_ns]
         self._asked[identity] = [*others[-_MOST_ASKED:], ask]
 
-    def is_unanswered(self, state: PublisherState | ReaderState) -> bool:
+    def _is_unanswered(self, state: PublisherState | ReaderState) -> bool:
         """Return whether an endpoint does not yet announce the last request."""
         asks = self._asked.get((state.node, state.topic))
         if not asks or (state.refusal_reason.is_lasting and state.generation >= asks[-1].generation):
@@ -80,8 +98,9 @@ class _Side:
         asks = self._asked.get((state.node, state.topic), ())
         return [_period(state.deadline_ns), *(_period(ask.deadline_ns) for ask in asks)]
 
-    def is_patient(self, identity: _Identity, now_s: float) -> bool:
+    def is_patient(self, state: PublisherState | ReaderState, now_s: float) -> bool:
         """Return whether an endpoint goes on waiting for the other side."""
+        identity = state.node, state.topic
         since_s = self._waiting[identity] = self._waiting_since_s.get(identity, now_s)
         return now_s - since_s <= self._patience_s
 
@@ -136,33 +155,47 @@ class Ordering:
         self._silent = {identity: terms for identity, terms in self._silent.items() if identity in live}
         driven = [reader for reader in readers if (reader.node, reader.topic) in reader_plans]
         readers_of, writers_of = _by_topic(driven), _by_topic(publishers)
-        rows = {
-            (publisher.node, publisher.topic): self._writer_row(
-                now_s, publisher, row, readers_of.get(publisher.topic, ()), reader_plans
-            )
+        writer_rows = [
+            (publisher, *self._writer_row(now_s, publisher, row, readers_of.get(publisher.topic, ()), reader_plans))
             for publisher in publishers
             if (row := plan.topics.get(publisher.topic)) is not None
-        }
-        reader_rows = {
-            (reader.node, reader.topic): self._reader_row(now_s, reader, writers_of.get(reader.topic, ()), reader_plans)
+        ]
+        reader_rows = [
+            (reader, target)
             for reader in driven
-        }
+            if (target := self._reader_row(now_s, reader, writers_of.get(reader.topic, ()), reader_plans)) is not None
+        ]
+        to_writers = self._writers.due(
+            (
+                (publisher, row, self._is_settled(publisher, row, plan.generation, lease_s))
+                for publisher, row, _ in writer_rows
+            ),
+            plan.generation,
+        )
+        to_readers = self._readers.due(
+            (
+                (reader, row, is_reader_confirmed(reader, row) and has_lease(reader, lease_s))
+                for reader, row in reader_rows
+            ),
+            plan.generation,
+        )
+        step = partial(Transition, generation=plan.generation, reason=reason, lease_s=lease_s)
         return Steps(
             transitions=(
-                *self._publisher_steps(publishers, rows, plan.generation, reason, lease_s),
-                *self._reader_steps(driven, reader_rows, plan.generation, reason, lease_s),
+                *(step(node=node, topics=rows) for node, rows in to_writers),
+                *(step(node=node, topics={}, readers=rows) for node, rows in to_readers),
             ),
-            confirmed=sum(
-                not is_held and is_confirmed(publisher, row)
-                for publisher in publishers
-                if (publisher.node, publisher.topic) in rows
-                for row, is_held in (rows[publisher.node, publisher.topic],)
-            ),
-            readers_confirmed=sum(
-                (target := reader_rows[reader.node, reader.topic]) is not None and is_reader_confirmed(reader, target)
-                for reader in driven
-            ),
+            confirmed=sum(not is_held and is_confirmed(publisher, row) for publisher, row, is_held in writer_rows),
+            readers_confirmed=sum(is_reader_confirmed(reader, row) for reader, row in reader_rows),
         )
+
+    def _is_settled(self, publisher: PublisherState, row: TopicPlan, generation: int, lease_s: float) -> bool:
+        """Return whether a publisher is known to have a row, which counts as its last request now."""
+        identity = publisher.node, publisher.topic
+        # A predecessor's terms are unknown, even where its QoS is the planned one.
+        known = self._silent.get(identity, row.terms if publisher.generation == generation else ())
+        self._silent[identity] = row.terms
+        return known == row.terms and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
 
     def _writer_row(
         self,
@@ -182,13 +215,10 @@ class Ordering:
             for period in (*self._readers.periods(reader), *map(_period, reader.requests_ns))
         )
         longest = min(requests, default=math.inf)
-        if wanted <= longest:
-            deadline_ns = _nanoseconds(wanted)
-            return (row if deadline_ns == row.deadline_ns else replace(row, deadline_ns=deadline_ns)), False
-        if self._writers.is_patient((publisher.node, publisher.topic), now_s):
+        if wanted > longest and self._writers.is_patient(publisher, now_s):
             kept = min(_period(publisher.deadline_ns), longest)
             return replace(row, depth=publisher.depth, deadline_ns=_nanoseconds(kept)), True
-        return replace(row, deadline_ns=_nanoseconds(longest)), False
+        return replace(row, deadline_ns=_nanoseconds(min(wanted, longest))), False
 
     def _reader_row(
         self, now_s: float, reader: ReaderState, writers: Iterable[PublisherState], reader_plans: ReaderPlans
@@ -200,56 +230,9 @@ class Ordering:
         longest = max(self._readers.periods(reader))
         heard = (period for period in (*offers, *map(_period, reader.offers_ns)) if period <= longest)
         shortest = max(heard, default=0)
-        if _period(row.deadline_ns) >= shortest:
-            return row
-        if self._readers.is_patient((reader.node, reader.topic), now_s):
+        if _period(row.deadline_ns) < shortest and self._readers.is_patient(reader, now_s):
             return None
-        return replace(row, deadline_ns=_nanoseconds(shortest))
-
-    def _publisher_steps(
-        self,
-        publishers: Iterable[PublisherState],
-        rows: Mapping[_Identity, tuple[TopicPlan, bool]],
-        generation: int,
-        reason: str,
-        lease_s: float,
-    ) -> tuple[Transition, ...]:
-        due = []
-        for publisher in publishers:
-            identity = publisher.node, publisher.topic
-            if identity not in rows:
-                continue
-            row, _ = rows[identity]
-            # A predecessor's terms are unknown, even where its QoS is the planned one.
-            known = self._silent.get(identity, row.terms if publisher.generation == generation else ())
-            self._silent[identity] = row.terms
-            is_settled = known == row.terms and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
-            if not is_settled or self._writers.is_unanswered(publisher):
-                self._writers.ask(identity, _Ask(generation, row.deadline_ns))
-                due.append((publisher, row))
-        return publisher_transitions(due, generation=generation, reason=reason, lease_s=lease_s)
-
-    def _reader_steps(
-        self,
-        readers: Iterable[ReaderState],
-        rows: Mapping[_Identity, ReaderPlan | None],
-        generation: int,
-        reason: str,
-        lease_s: float,
-    ) -> tuple[Transition, ...]:
-        due: dict[str, dict[str, ReaderPlan]] = {}
-        for reader in readers:
-            identity = reader.node, reader.topic
-            if (row := rows[identity]) is None:
-                continue
-            is_settled = is_reader_confirmed(reader, row) and has_lease(reader, lease_s)
-            if not is_settled or self._readers.is_unanswered(reader):
-                self._readers.ask(identity, _Ask(generation, row.deadline_ns))
-                due.setdefault(reader.node, {})[reader.topic] = row
-        return tuple(
-            Transition(node=node, generation=generation, topics={}, readers=topics, reason=reason, lease_s=lease_s)
-            for node, topics in sorted(due.items())
-        )
+        return replace(row, deadline_ns=_nanoseconds(max(_period(row.deadline_ns), shortest)))
 
 
 def _by_topic(states: Iterable[E]) -> dict[str, list[E]]:

@@ -1,11 +1,11 @@
-"""Steps that bring publishers to a plan, and the plan that restores them."""
+"""Proof that a plan is in force, and the plan that restores publishers."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import QosPlan, TopicPlan, Transition
+from arpd.model.plan import QosPlan, TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,23 +24,6 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
         return True
     same_depth = publisher.keeps_all or publisher.depth == row.depth
     return same_depth and publisher.deadline_ns == row.deadline_ns
-
-
-def publisher_transitions(
-    due: Iterable[tuple[PublisherState, TopicPlan]], *, generation: int, reason: str, lease_s: float
-) -> tuple[Transition, ...]:
-    """Return one step per node that brings these publishers to these rows.
-
-    Invariant: any prefix of the steps leaves every publisher in its old or its new row. Their order does not matter to
-    the link, because the rates follow its price.
-    """
-    wanted: dict[str, dict[str, TopicPlan]] = {}
-    for publisher, row in due:
-        wanted.setdefault(publisher.node, {})[publisher.topic] = row
-    return tuple(
-        Transition(node=node, generation=generation, topics=topics, reason=reason, lease_s=lease_s)
-        for node, topics in sorted(wanted.items())
-    )
 
 
 def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
