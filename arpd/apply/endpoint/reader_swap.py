@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
@@ -16,6 +15,9 @@ if TYPE_CHECKING:
 Key = tuple[int, int]
 _MOST_KEYS = 20_000  # 10 s at 2 kHz
 _MOST_HELD = 1_000
+_SETTLE_S = 0.1  # least time that both readers live, so that the writers' side matches too
+_MATCH_TIMEOUT_S = 5.0
+_REMEMBER_S = 10.0  # time after a swap in which late duplicates are recognised
 S = TypeVar("S")
 S_co = TypeVar("S_co", covariant=True)
 Q = TypeVar("Q")
@@ -42,30 +44,12 @@ class ReaderSwapState(StrEnum):
     CATCHING_UP = "catching_up"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReaderSwapTiming:
-    """Timeouts of the state machine (s).
-
-    Parameters
-    ----------
-    settle_s : least time that both readers live, so that the writers' side matches too
-    match_timeout_s : time after which a new reader without all writers is destroyed
-    catch_up_s : longest time to wait for the old reader once the new one is matched
-    remember_s : time after a swap in which late duplicates are recognised
-    """
-
-    settle_s: float = 0.1
-    match_timeout_s: float = 5.0
-    catch_up_s: float = 2.0
-    remember_s: float = 10.0
-
-
 class ReaderSwap(Generic[Q, S]):
     """Owns the readers of one subscription and replaces them without losing or doubling a sample.
 
     IDLE → MATCHING: a request differs from the QoS in force; a new reader is created.
-    MATCHING → CATCHING_UP: the new reader has as many writers as the old one, and ``settle_s`` have passed.
-    MATCHING → IDLE (unmatched): it does not have them within ``match_timeout_s``. The new reader is destroyed.
+    MATCHING → CATCHING_UP: the new reader has as many writers as the old one, and 0.1 s have passed.
+    MATCHING → IDLE (unmatched): it does not have them within 5 s. The new reader is destroyed.
     CATCHING_UP → IDLE (ok): the old reader has delivered all that the new one had when it was matched. A reliable
     reader delivers a writer's samples in order, so it has delivered all earlier ones too.
     CATCHING_UP → IDLE (incomplete): it has not within ``catch_up_s``. The new reader takes over all the same.
@@ -81,9 +65,11 @@ class ReaderSwap(Generic[Q, S]):
     create : makes a reader with the given QoS; may raise
     on_result : called with the result of every swap
     qos : QoS of the first reader
+    catch_up_s : longest time to wait for the old reader once the new one is matched (s)
 
     Attributes
     ----------
+    current, qos : the reader in force, and its QoS
     is_tracking : whether samples must pass `accept`; without a swap they are delivered as they come
 
     Notes
@@ -97,12 +83,12 @@ class ReaderSwap(Generic[Q, S]):
         create: Callable[[Q], Reader[S]],
         on_result: Callable[[ReaderSwapResult], None],
         qos: Q,
-        timing: ReaderSwapTiming | None = None,
+        catch_up_s: float = 2.0,
     ) -> None:
         self._create = create
         self._on_result = on_result
-        self._timing = timing or ReaderSwapTiming()
-        self._qos = self._next_qos = qos
+        self._catch_up_s = catch_up_s
+        self._next_qos = qos
         self._wanted: Q | None = None
         self._next: Reader[S] | None = None
         self._retired: Reader[S] | None = None
@@ -113,17 +99,8 @@ class ReaderSwap(Generic[Q, S]):
         self._remember_until_s = 0.0
         self.is_tracking = False
         self.state = ReaderSwapState.IDLE
-        self._current = create(qos)
-
-    @property
-    def current(self) -> Reader[S]:
-        """Reader in force."""
-        return self._current
-
-    @property
-    def qos(self) -> Q:
-        """QoS of the reader in force."""
-        return self._qos
+        self.qos = qos
+        self.current = create(qos)
 
     @property
     def is_busy(self) -> bool:
@@ -137,7 +114,7 @@ class ReaderSwap(Generic[Q, S]):
 
     def request(self, qos: Q) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
-        target = self._next_qos if self._next is not None else self._qos
+        target = self._next_qos if self._next is not None else self.qos
         self._wanted = None if qos == target else qos
 
     def accept(self, reader: Reader[S], key: Key, sample: S, *, now_s: float) -> list[S]:
@@ -149,7 +126,7 @@ class ReaderSwap(Generic[Q, S]):
         if reader is self._next:
             self._hold(key, sample)
             return []
-        if reader is not self._current and reader is not self._retired:
+        if reader is not self.current and reader is not self._retired:
             return []  # from an abandoned reader; the one in force has it too
         return self._fresh(key, sample)
 
@@ -172,13 +149,13 @@ class ReaderSwap(Generic[Q, S]):
             self._next = None
         self.state, self._wanted = ReaderSwapState.IDLE, None
         self._forget()
-        self._current.destroy()
+        self.current.destroy()
 
     def _begin(self, qos: Q, now_s: float) -> None:
         self._wanted = None
         if self._next is not None:
             self._abandon(ReaderSwapResult.SUPERSEDED, now_s)
-        if qos == self._qos:
+        if qos == self.qos:
             return
         self.is_tracking = True  # before the new reader exists: it may receive every sample from now on too
         try:
@@ -191,12 +168,12 @@ class ReaderSwap(Generic[Q, S]):
 
     def _match(self, now_s: float) -> None:
         assert self._next is not None
-        if self._is_matched() and now_s - self._since_s >= self._timing.settle_s:
+        if self._is_matched() and now_s - self._since_s >= _SETTLE_S:
             while (taken := self._next.take()) is not None:
                 self._hold(*taken)
             self._awaited = frozenset(self._held)
             self._since_s, self.state = now_s, ReaderSwapState.CATCHING_UP
-        elif now_s - self._since_s > self._timing.match_timeout_s:
+        elif now_s - self._since_s > _MATCH_TIMEOUT_S:
             self._abandon(ReaderSwapResult.UNMATCHED, now_s)
 
     def _catch_up(self, now_s: float) -> list[S]:
@@ -204,20 +181,20 @@ class ReaderSwap(Generic[Q, S]):
             self._since_s, self.state = now_s, ReaderSwapState.MATCHING
             return []
         is_complete = self._held.keys().isdisjoint(self._awaited)
-        if not is_complete and now_s - self._since_s < self._timing.catch_up_s:
+        if not is_complete and now_s - self._since_s < self._catch_up_s:
             return []
         return self._switch(now_s, ReaderSwapResult.OK if is_complete else ReaderSwapResult.INCOMPLETE)
 
     def _switch(self, now_s: float, result: ReaderSwapResult) -> list[S]:
         assert self._next is not None
         out: list[S] = []
-        while (taken := self._current.take()) is not None:
+        while (taken := self.current.take()) is not None:
             out += self._fresh(*taken)
         # Samples that reach the old reader from here on reach the new one too.
-        self._current.destroy()
+        self.current.destroy()
         for key, sample in tuple(self._held.items()):
             out += self._fresh(key, sample)
-        self._retired, self._current, self._qos = self._current, self._next, self._next_qos
+        self._retired, self.current, self.qos = self.current, self._next, self._next_qos
         self._end(now_s)
         self._on_result(result)
         return out
@@ -232,10 +209,10 @@ class ReaderSwap(Generic[Q, S]):
         self._held.clear()
         self._awaited = frozenset()
         self._next, self.state = None, ReaderSwapState.IDLE
-        self._remember_until_s = now_s + self._timing.remember_s
+        self._remember_until_s = now_s + _REMEMBER_S
 
     def _is_matched(self) -> bool:
-        return self._next is not None and self._next.matched() >= self._current.matched()
+        return self._next is not None and self._next.matched() >= self.current.matched()
 
     def _hold(self, key: Key, sample: S) -> None:
         if key not in self._delivered:

@@ -6,11 +6,10 @@ from typing import Any
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.reader_swap import ReaderSwap, ReaderSwapState, ReaderSwapTiming
+from arpd.apply.endpoint.reader_swap import ReaderSwap, ReaderSwapState
 from arpd.model.endpoints import ReaderSwapResult
 
 WRITERS = 2
-TIMING = ReaderSwapTiming(settle_s=1.0, match_timeout_s=5.0, catch_up_s=100.0, remember_s=10.0)
 
 
 class Reader:
@@ -46,7 +45,7 @@ class World:
         self.results: list[ReaderSwapResult] = []
         self.delivered: list[Any] = []
         self.written = [0] * WRITERS
-        self.swap: Any = ReaderSwap(create=self.create, on_result=self.results.append, qos=0, timing=TIMING)
+        self.swap: Any = ReaderSwap(create=self.create, on_result=self.results.append, qos=0, catch_up_s=100.0)
         for writer in range(WRITERS):
             self.readers[0].writers.add(writer)
 
@@ -95,7 +94,7 @@ class World:
         elif action == "request":
             self.swap.request(which)
         else:
-            self.step(0.6)
+            self.step(0.06)
 
     def finish(self):
         for _ in range(60):
@@ -107,7 +106,7 @@ class World:
             for reader in self.live:
                 while reader.arrived:
                     self.take(reader)
-            self.step(0.4)
+            self.step(0.04)
 
 
 def actions(*names):
