@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import NANOSECONDS_PER_SECOND, QosPlan, TopicPlan, keeps_its_readers
+from arpd.model.plan import NANOSECONDS_PER_SECOND, QosPlan, TopicPlan, is_kept, keeps_its_readers
 from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.uniform import alike
 
@@ -99,29 +99,26 @@ def _without_noise(row: TopicPlan, kept: TopicPlan) -> TopicPlan:
 
 
 def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, settings: Settings) -> TopicPlan:
-    """Return the row of one topic under an allocation.
-
-    The offered period is that of the rate and a slack, so jitter is not a missed deadline. It is never longer than a
-    reader requests: such a reader would disconnect silently (docs/design.md, DDS facts).
-    """
-    plan = TopicPlan(
+    """Return the row of one topic under an allocation."""
+    return TopicPlan(
         rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
         min_rate_hz=topic.min_rate_hz,
-        deadline_ns=_offered_ns(row.deadline_ns, settings.program.deadline_slack),
+        deadline_ns=_offered_ns(row.deadline_ns, requested_deadline_ns, slack=settings.program.deadline_slack),
         depth=row.depth_applied,
         weight=topic.weight,
         wire_bytes=topic.wire_bytes,
         packets=topic.packets,
     )
-    return plan if keeps_its_readers(plan, requested_deadline_ns) else replace(plan, deadline_ns=requested_deadline_ns)
 
 
-def _offered_ns(period_ns: int, slack: float) -> int:
-    """Return the offered period; 0 for a paused topic."""
-    if not period_ns:
-        return 0
-    offered_ns = max(math.ceil(period_ns * slack), period_ns + _LEAST_SLACK_NS)
-    return min(offered_ns, (2**31 - 1) * NANOSECONDS_PER_SECOND)
+def _offered_ns(period_ns: int, requested_ns: int, *, slack: float) -> int:
+    """Return the period of the rate with a slack, so jitter is not a missed deadline; 0 for a paused topic.
+
+    It is never longer than a reader requests: such a reader would disconnect silently (docs/design.md, DDS facts).
+    """
+    offered_ns = max(math.ceil(period_ns * slack), period_ns + _LEAST_SLACK_NS) if period_ns else 0
+    offered_ns = min(offered_ns, (2**31 - 1) * NANOSECONDS_PER_SECOND)
+    return offered_ns if is_kept(offered_ns, requested_ns) else requested_ns
 
 
 def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:

@@ -110,12 +110,7 @@ class OfflinePlanner:
         self._program = Program.of(settings, backend=backend)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
-        """Return the daemon's first plan for a link of this capacity.
-
-        Parameters
-        ----------
-        capacity_bytes_per_second : before headroom, ≥ 0 (bytes/s)
-        """
+        """Return the daemon's first plan for a link of this capacity, before headroom, ≥ 0 (bytes/s)."""
         budget_bytes = self._settings.program.memory_budget_bytes
         allocation = self._program.solve(capacity_bytes_per_second, self._topics, budget_bytes, crossing=self._crossing)
         plan = make_plan(allocation, self._topics, self._publishers, previous={}, generation=1, settings=self._settings)

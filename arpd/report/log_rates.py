@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from arpd.report.situation import Slowed
     from arpd.report.snapshot import Snapshot
 
-_LASTS_S = 10.0  # a shorter change is the price at work
 _EVERY_S = 1.0
+_LOOKS = 10  # a change that is over before so many is the price at work
 _AS_BEFORE = 1.5  # a rate within this factor of the one in the last event is no news
 
 
@@ -28,7 +28,7 @@ class RatesLog:
     """Topics that the link slows, with their mean rates: an event when others are, or by another amount, for long."""
 
     def __init__(self) -> None:
-        self._seen: deque[Mapping[str, Slowed]] = deque(maxlen=round(_LASTS_S / _EVERY_S))
+        self._seen: deque[Mapping[str, Slowed]] = deque(maxlen=_LOOKS)
         self._due_s = -math.inf
         self._told: Mapping[str, Slowed] = {}  # the last event
 
@@ -44,15 +44,14 @@ class RatesLog:
             return
         self._due_s = snapshot.finished_at_s + _EVERY_S
         self._seen.append({slowed.topic: slowed for slowed in slowed_topics(topic_rows(snapshot))})
-        if len(self._seen) < (self._seen.maxlen or 0):
+        if len(self._seen) < _LOOKS:
             return
         lasting = {topic: [seen[topic] for seen in self._seen] for topic in set.intersection(*map(set, self._seen))}
         # A topic that is slowed at times only stays what it was.
         stays = {topic: told for topic, told in self._told.items() if any(topic in seen for seen in self._seen)}
         now = stays | {topic: _mean(seen) for topic, seen in lasting.items()}
-        known = lasting.keys() & self._told.keys()
-        has_moved = any(all(_is_far(one, self._told[topic]) for one in lasting[topic]) for topic in known)
-        if has_moved or now.keys() != self._told.keys():
+        are_others = now.keys() != self._told.keys()
+        if are_others or any(all(_is_far(one, self._told[topic]) for one in seen) for topic, seen in lasting.items()):
             yield _said(self._told, now)
             self._told = now
             self._seen.clear()

@@ -172,26 +172,20 @@ class WriterSwap(Generic[W]):
     @property
     def is_holding(self) -> bool:
         """True while new samples should wait."""
-        return self.state is SwapState.HOLDING or (
-            self.state is SwapState.PROVING and self._trial >= self.most_on_trial
-        )
-
-    @property
-    def most_on_trial(self) -> int:
-        """Samples that may leave by the new writer before it proved itself; its history keeps so many."""
-        return max(1, min(self._qos.depth, self._next_qos.depth) // 2)
+        if self.state is not SwapState.PROVING:
+            return self.state is SwapState.HOLDING
+        # So many samples may leave by the new writer before it proved itself; its history keeps them.
+        return self._trial >= max(1, min(self._qos.depth, self._next_qos.depth) // 2)
 
     @property
     def poll_s(self) -> float:
         """Time until `step` should be called again (s)."""
         if self.is_holding:
             return 0.002  # samples wait for it
+        if self.state is not SwapState.MATCHING:
+            return 0.1
         # Each call costs a wakeup: one every 50 ms took 35 ms of CPU per swap on an idle topic.
-        return (
-            min(0.05 if self._is_link_clean else 0.2, self._timing.settle_s / 4.0)
-            if self.state is SwapState.MATCHING
-            else 0.1
-        )
+        return min(0.05 if self._is_link_clean else 0.2, self._timing.settle_s / 4.0)
 
     def request(self, qos: WriterQos) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
