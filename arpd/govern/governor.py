@@ -254,11 +254,9 @@ def _sharing(allocation: Allocation) -> int:
 
 def _admitted(rates: Allocation, topics: Sequence[Topic]) -> float:
     """Return the part of the traffic above the floors that the price admits; 1 where there is none."""
-    wanted = admitted = 0.0
-    for row, topic in zip(rates.topics, topics, strict=True):
-        floor_hz = min(topic.min_rate_hz, row.rate_hz)
-        wanted += topic.wire_bytes * max(0.0, topic.desired_rate_hz - topic.min_rate_hz)
-        admitted += topic.wire_bytes * (row.rate_hz - floor_hz)
+    wanted = sum(topic.wire_bytes * max(0.0, topic.desired_rate_hz - topic.min_rate_hz) for topic in topics)
+    pairs = zip(rates.topics, topics, strict=True)
+    admitted = sum(topic.wire_bytes * max(0.0, row.rate_hz - topic.min_rate_hz) for row, topic in pairs)
     return min(1.0, admitted / wanted) if wanted > 0 else 1.0
 
 

@@ -35,20 +35,9 @@ class MemoryWatch:
         self._fell_s = self._rose_s = -math.inf
 
     def calls_for_depths(
-        self,
-        now_s: float,
-        allocation: Allocation,
-        topics: Sequence[Topic],
-        plan: QosPlan,
-        *,
-        silent: Collection[str],
+        self, now_s: float, allocation: Allocation, topics: Sequence[Topic], plan: QosPlan, *, silent: Collection[str]
     ) -> bool:
-        """Return whether the plan in force should take the depths of the allocation now.
-
-        Parameters
-        ----------
-        silent : topics that nobody publishes, so their histories do not fill
-        """
+        """Return whether a plan should take the depths of the allocation now; silent topics fill no history."""
         rows = [
             (topic.slot_bytes, plan.topics[topic.name].depth, given.depth_applied)
             for topic, given in zip(topics, allocation.topics, strict=True)

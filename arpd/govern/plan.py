@@ -131,9 +131,6 @@ def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:
 
 
 def _within(kept: TopicPlan, fresh: TopicPlan, deadband: float) -> bool:
-    def near(old: float, new: float) -> bool:
-        return old == new or abs(new - old) <= deadband * max(old, new)
-
     # For a small depth one sample more or less is inside the band.
-    same_depth = near(kept.depth, fresh.depth) or abs(kept.depth - fresh.depth) <= 1
-    return same_depth and near(kept.deadline_ns, fresh.deadline_ns)
+    same_depth = math.isclose(kept.depth, fresh.depth, rel_tol=deadband, abs_tol=1)
+    return same_depth and math.isclose(kept.deadline_ns, fresh.deadline_ns, rel_tol=deadband)
