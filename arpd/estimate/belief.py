@@ -7,6 +7,7 @@ from collections import Counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.estimate.parameters import RADIO_SHARE
 from arpd.model.link import CapacityKind, EstimatorEvent
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Belief:
         self._events[event] += 1
 
     def stated(
-        self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None, radio_share: float
+        self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None
     ) -> tuple[float, CapacityKind, str, float]:
         """Return the capacity to state (bytes/s), its kind, its evidence, and the age of that (s).
 
@@ -54,12 +55,12 @@ class Belief:
         ----------
         since_s : time of the newest evidence, even if it changed nothing (s)
         pinned : capacity that the configuration pins; it overrides everything (bytes/s)
-        radio, radio_share : bit rate of the radio, if known (bytes/s), and the most of it that carries data
+        radio : bit rate of the radio, if known (bytes/s)
         """
         if pinned is not None:
             return pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0
         capacity, kind, evidence = self.capacity, self.kind, self.evidence
-        if radio is not None and kind is not CapacityKind.PEER and radio_share * radio < capacity:
-            capacity, kind = radio_share * radio, CapacityKind.RADIO
+        if radio is not None and kind is not CapacityKind.PEER and RADIO_SHARE * radio < capacity:
+            capacity, kind = RADIO_SHARE * radio, CapacityKind.RADIO
             evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
         return capacity, kind, evidence, now_s - max(self.changed_at_s, since_s)

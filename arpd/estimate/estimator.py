@@ -6,11 +6,11 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING
 
+from arpd.estimate import parameters
 from arpd.estimate.belief import Belief
 from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue
-from arpd.estimate.parameters import EstimatorParameters
 from arpd.estimate.peer_queue import PeerGauges, SentProbe
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
@@ -22,7 +22,6 @@ from arpd.model.wire import probe_wire_bytes, wire_size
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from arpd.estimate.probes import ProbeParameters
     from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
@@ -50,30 +49,23 @@ class Estimator:
     Parameters
     ----------
     settings : pinned values, and the capacity to assume at first
-    parameters, probing : constants of the estimator and of the probes
     """
 
-    def __init__(
-        self,
-        settings: LinkSettings,
-        parameters: EstimatorParameters | None = None,
-        probing: ProbeParameters | None = None,
-    ) -> None:
+    def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
-        self._parameters = parameters or EstimatorParameters()
-        self._schedule = ProbeSchedule(probing)
+        self._schedule = ProbeSchedule()
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
         self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
         self._fell_at_s = -math.inf
         self._state = LinkState.APP_LIMITED
         self._started_at_s: float | None = None
         self._last_s = self._reported_s = -math.inf
-        self._peers = PeerGauges(self._parameters)
+        self._peers = PeerGauges()
         self._loss = ProbeLoss()
         self._copies = 1
-        self._first_wait_s = self._parameters.first_wait_s
-        self._trains = TrainLog(self._parameters.train_memory_s)
-        self._local = LocalQueue(self._parameters.local_window_s)
+        self._first_wait_s = parameters.FIRST_WAIT_S
+        self._trains = TrainLog()
+        self._local = LocalQueue()
         self._cross_traffic = CrossTraffic()
         self._silence = Silence()
         self._cross_traffic_rate = 0.0
@@ -112,7 +104,7 @@ class Estimator:
         self._last_s = now_s
         self._expect_bursts(observation)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
-        self._first_wait_s = self._parameters.peer_lost_s if observation.peers else self._parameters.first_wait_s
+        self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         self._cross_traffic_rate = self._cross_traffic.update(observation)
         self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
@@ -127,7 +119,7 @@ class Estimator:
         if silence_s <= self._outage_s:
             self._state = self._judge(now_s)
         elif self._silence.is_cut or (
-            silence_s <= self._parameters.peer_lost_s and observation.peers != 0 and not self._silence.is_answered
+            silence_s <= parameters.PEER_LOST_S and observation.peers != 0 and not self._silence.is_answered
         ):
             self._state = LinkState.OUTAGE
         else:
@@ -148,7 +140,7 @@ class Estimator:
                 is_measured=self._belief.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
-                is_urgent=now_s - self._fell_at_s < self._parameters.urgent_s,
+                is_urgent=now_s - self._fell_at_s < parameters.URGENT_S,
                 surprise_bytes_per_second=self._surprise(now_s),
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
@@ -174,15 +166,15 @@ class Estimator:
             for publisher in observation.publishers
             if publisher.payload_bytes > 0 and publisher.direction is not Direction.LOCAL
         ]
-        train_bytes = self._train[1] if observation.now_s - self._train[0] < self._parameters.train_is_near_s else 0.0
+        train_bytes = self._train[1] if observation.now_s - self._train[0] < parameters.TRAIN_IS_NEAR_S else 0.0
         largest = max(sizes, default=0.0)
-        self._burst_bytes = max(self._parameters.burst_bytes, self._parameters.burst_share * largest) + train_bytes
-        self._burst_s = min(self._parameters.burst_cap_s, largest / self._capacity)
+        self._burst_bytes = max(parameters.BURST_BYTES, parameters.BURST_SHARE * largest) + train_bytes
+        self._burst_s = min(parameters.BURST_CAP_S, largest / self._capacity)
 
     def _digest(self, report: PeerReport) -> None:
-        p, now_s = self._parameters, report.received_at_s
+        now_s = report.received_at_s
         silent_s = now_s - self._reported_s
-        if p.outage_forget_s < silent_s < math.inf:
+        if parameters.OUTAGE_FORGET_S < silent_s < math.inf:
             self._resume(now_s, silent_s)
         self._reported_s = now_s
         self._loss.digest(report)
@@ -203,7 +195,7 @@ class Estimator:
         pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._capacity)
         self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
         self._queues.append((now_s, self._queue_delay_s))
-        while len(self._queues) > 1 and now_s - self._queues[1][0] >= self._parameters.busy_after_s:
+        while len(self._queues) > 1 and now_s - self._queues[1][0] >= parameters.BUSY_AFTER_S:
             self._queues.popleft()
 
     def _stays_s(self, span_s: float) -> float:
@@ -223,7 +215,7 @@ class Estimator:
         self._forget_queue()
         self._trains.clear()
         # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
-        self._learns_from_s = now_s + self._parameters.resume_patience_s
+        self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S
         self._cross_traffic.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
             self._fell_at_s = now_s
@@ -235,7 +227,7 @@ class Estimator:
 
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
         """Weigh what the counters and the newest reports say of the capacity."""
-        p, believed = self._parameters, self._capacities
+        believed = self._capacities
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
         why = ""
@@ -246,10 +238,10 @@ class Estimator:
         pinged, self._pinged = self._pinged, []
         if now_s <= self._learns_from_s:
             return
-        stays = self._stays_s(p.busy_after_s) > p.busy_s + 1.5 * (self._peers.return_delay_s or 0.0)
-        delivered = self._delivered(now_s - p.recent_s if stays else -math.inf)
+        stays = self._stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + 1.5 * (self._peers.return_delay_s or 0.0)
+        delivered = self._delivered(now_s - parameters.RECENT_S if stays else -math.inf)
         busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
-        hears_others = self._peers.delivery(-math.inf)[0] > p.foreign * self._most_delivered
+        hears_others = self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * self._most_delivered
         if not busy and stays and has_reports and delivered > 0 and not hears_others:
             busy = [delivered]
         for rate in busy:
@@ -266,33 +258,33 @@ class Estimator:
 
     def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
-        p, believed, overhead = self._parameters, self._capacities, self._overhead_of(delivered)
+        believed, overhead = self._capacities, self._overhead_of(delivered)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
-        if overhead + delivered / self._capacity <= p.used:
+        if overhead + delivered / self._capacity <= parameters.USED:
             return
         believed.wait(now_s)
         if has_reports:
-            believed.carried(p.caution * delivered, overhead=overhead)
+            believed.carried(parameters.CAUTION * delivered, overhead=overhead)
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
-        if self._burst_s <= 2.0 * p.idle_s:
+        if self._burst_s <= 2.0 * parameters.IDLE_S:
             return
-        shown = 1.0 - p.idle_s / self._burst_s
+        shown = 1.0 - parameters.IDLE_S / self._burst_s
         for delay_s in pinged if self._alarm_s == 0.0 else ():
-            is_idle = delay_s < p.idle_s
-            weight = p.ping_weight / len(self._peers)  # a ping goes to each of them
+            is_idle = delay_s < parameters.IDLE_S
+            weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
-        if not has_reports and self._local.is_empty and now_s - self._queued_here_s < p.queued_here_s:
-            believed.ping(delivered, was_idle=True, weight=p.look_weight, overhead=overhead)
+        if not has_reports and self._local.is_empty and now_s - self._queued_here_s < parameters.QUEUED_HERE_S:
+            believed.ping(delivered, was_idle=True, weight=parameters.LOOK_WEIGHT, overhead=overhead)
 
     def _state_capacity(self, now_s: float, why: str) -> None:
         """State what is believed now, if that is news."""
-        p, capacity = self._parameters, self._capacities.stated
+        capacity = self._capacities.stated
         if self._belief.kind is not CapacityKind.PEER:
             if self._trains.count >= _ENOUGH_TRAINS:
                 self._belief.kind = CapacityKind.PEER
                 self._belief.change(EstimatorEvent.FIRST, now_s, capacity, f"first {self._trains.count} trains")
-        elif abs(capacity / self._capacity - 1.0) > p.noticed:
-            if capacity < p.fallen * self._capacity:
+        elif abs(capacity / self._capacity - 1.0) > parameters.NOTICED:
+            if capacity < parameters.FALLEN * self._capacity:
                 self._fell_at_s = now_s
             event = EstimatorEvent.DOWN if capacity < self._capacity else EstimatorEvent.UP
             self._belief.change(event, now_s, capacity, why)
@@ -304,8 +296,8 @@ class Estimator:
     @property
     def _most_delivered(self) -> float:
         """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
-        window_s = self._parameters.delivery_window_s
-        is_here = self._last_s - self._queued_here_s < self._parameters.queued_here_s
+        window_s = parameters.DELIVERY_WINDOW_S
+        is_here = self._last_s - self._queued_here_s < parameters.QUEUED_HERE_S
         span_s = window_s + (0.0 if is_here else min(2.0, self._queue_delay_s))
         return self._local.sent_bytes_per_second(span_s) * span_s / window_s or math.inf
 
@@ -316,8 +308,8 @@ class Estimator:
 
     def _judge(self, now_s: float) -> LinkState:
         """Return the state while a peer reports."""
-        if self._stays_s(self._parameters.standing_s) > self._queue_low_s:
-            is_draining = now_s - self._fell_at_s < self._parameters.urgent_s
+        if self._stays_s(parameters.STANDING_S) > self._queue_low_s:
+            is_draining = now_s - self._fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
         busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
@@ -327,29 +319,33 @@ class Estimator:
         counters, now_s = observation.counters, observation.now_s
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
-        p, believed, sent = self._parameters, self._capacities, self._local.sent_bytes_per_second()
+        believed, sent = self._capacities, self._local.sent_bytes_per_second()
         blocked = self._local.blocked_rate(observation)
         if (rate := self._local.busy_rate or blocked) is not None:
             believed.wait(now_s)
             believed.delivered_busy(rate)
             self._belief.kind = CapacityKind.LOCAL
-        elif self._local.is_empty and now_s - self._queued_here_s < p.queued_here_s and sent > p.used * self._capacity:
+        elif (
+            self._local.is_empty
+            and now_s - self._queued_here_s < parameters.QUEUED_HERE_S
+            and sent > parameters.USED * self._capacity
+        ):
             believed.wait(now_s)
-            believed.ping(sent, was_idle=True, weight=p.look_weight)
+            believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
         if self._belief.kind is CapacityKind.LOCAL:
             capacity = self._capacities.stated
-            if abs(capacity / self._capacity - 1.0) > self._parameters.noticed:
+            if abs(capacity / self._capacity - 1.0) > parameters.NOTICED:
                 self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.stands or blocked is not None else LinkState.APP_LIMITED
 
     @property
     def _outage_s(self) -> float:
         """Silence that is an outage: longer than one lost report explains (s)."""
-        return max(self._parameters.outage_s, 1.6 * self._schedule.quiet_s)
+        return max(parameters.OUTAGE_S, 1.6 * self._schedule.quiet_s)
 
     @property
     def _queue_low_s(self) -> float:
-        return self._parameters.queue_low_s + self._burst_s
+        return parameters.QUEUE_LOW_S + self._burst_s
 
     # -- results
 
@@ -365,7 +361,7 @@ class Estimator:
     def _surprise(self, now_s: float) -> float | None:
         """Return what the last train saw, if that is far from the capacity (bytes/s)."""
         last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
-        return last[0] if last and abs(last[0] / self._capacity - 1) > self._parameters.surprise else None
+        return last[0] if last and abs(last[0] / self._capacity - 1) > parameters.SURPRISE else None
 
     def _estimate(self, observation: Observation) -> LinkEstimate:
         assert self._started_at_s is not None
@@ -376,7 +372,6 @@ class Estimator:
             since_s=since_s,
             pinned=self._settings.capacity_bytes_per_second,
             radio=observation.radio_bytes_per_second,
-            radio_share=self._parameters.radio_share,
         )
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
@@ -385,7 +380,7 @@ class Estimator:
             state=self._state,
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
-            standing_delay_s=self._stays_s(self._parameters.standing_s),
+            standing_delay_s=self._stays_s(parameters.STANDING_S),
             cautious_ratio=self._capacities.cautious_ratio if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.estimate.parameters import LOCAL_WINDOW_S
 from arpd.model.endpoints import Direction
 
 if TYPE_CHECKING:
@@ -29,15 +30,9 @@ class _Look:
 
 
 class LocalQueue:
-    """Queue of this host's interface, where the kernel shows one, and what leaves while it stands.
+    """Queue of this host's interface, where the kernel shows one, and what leaves while it stands."""
 
-    Parameters
-    ----------
-    window_s : span over which sending is averaged when no peer measures it (s)
-    """
-
-    def __init__(self, window_s: float) -> None:
-        self._window_s = window_s
+    def __init__(self) -> None:
         self._backlog = StandingQueue()
         self._since: _Look | None = None
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
@@ -103,11 +98,11 @@ class LocalQueue:
         )
         since = self._since
         # Longer than two windows ago a peer measured, or the interface was down, so the look does not count.
-        if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * self._window_s:
+        if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * LOCAL_WINDOW_S:
             self._since = look
             return None
         span_s = look.at_s - since.at_s
-        if span_s < self._window_s:
+        if span_s < LOCAL_WINDOW_S:
             return None
         self._since = look
         sent = look.sent_bytes - since.sent_bytes

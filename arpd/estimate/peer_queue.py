@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
+from arpd.estimate import parameters
 from arpd.estimate.local_queue import StandingQueue
 from arpd.observe.receiver import PROMPT_S
 
 if TYPE_CHECKING:
-    from arpd.estimate.parameters import EstimatorParameters
     from arpd.model.probing import PeerReport
 
 _BYTES_ARE_FRESH_S = 0.3
@@ -56,8 +56,7 @@ class QueueGauge:
     The way back has one witness: the one-way delay of a report above its least of the last 10 s. Commands wait as long.
     """
 
-    def __init__(self, parameters: EstimatorParameters) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self.reported_s = -math.inf
         self.delay_s = 0.0
         self.return_delay_s: float | None = None
@@ -107,7 +106,7 @@ class QueueGauge:
             self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
         while (
             len(self._deliveries) > 1
-            and now_s - self._deliveries[0][0] > self._parameters.delivery_window_s - report.interval_s / 2
+            and now_s - self._deliveries[0][0] > parameters.DELIVERY_WINDOW_S - report.interval_s / 2
         ):
             self._deliveries.popleft()
         if self._since_ping is not None:
@@ -129,7 +128,7 @@ class QueueGauge:
             self._backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
-        if report.delays_s and self.delay_s < self._parameters.queue_low_s:
+        if report.delays_s and self.delay_s < parameters.QUEUE_LOW_S:
             self._in_flight.append(outstanding)
         # Some bytes are on the way even without a queue, and some arrivals since the ping are not counted yet.
         backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
@@ -164,7 +163,7 @@ class QueueGauge:
     def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
         """Note a one-way delay with its unknown offset, and return its excess over the recent least (s)."""
         delays.append((now_s, delay_s))
-        while now_s - delays[0][0] > self._parameters.delay_window_s:
+        while now_s - delays[0][0] > parameters.DELAY_WINDOW_S:
             delays.popleft()
         return delay_s - min(delay for _, delay in delays)
 
@@ -183,7 +182,7 @@ class QueueGauge:
                 # At worst, all bytes of a report that was held arrived after its ping.
                 later = float(report.rx_bytes) if report.interval_s < _HELD_INTERVAL_S else 0.0
                 self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, later)
-        while self._round_trips and now_s - self._round_trips[0][0] > self._parameters.delay_window_s:
+        while self._round_trips and now_s - self._round_trips[0][0] > parameters.DELAY_WINDOW_S:
             self._round_trips.popleft()
         return round_trip_s
 
@@ -192,7 +191,7 @@ class QueueGauge:
         if self._since_ping is None or probe.handed_bytes is None:
             return
         handed, received = self._since_ping
-        if (sent := probe.handed_bytes - handed) > self._parameters.burst_bytes:
+        if (sent := probe.handed_bytes - handed) > parameters.BURST_BYTES:
             self._missing.append(1.0 - received / sent)
 
     @property
@@ -237,8 +236,7 @@ class QueueGauge:
 class PeerGauges:
     """Gauges of all peers: what they receive adds up, and the longest queue counts."""
 
-    def __init__(self, parameters: EstimatorParameters) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self._gauges: dict[str, QueueGauge] = {}  # by name, the one heard for longest first
 
     def __len__(self) -> int:
@@ -249,9 +247,9 @@ class PeerGauges:
         self._gauges = {
             name: gauge
             for name, gauge in self._gauges.items()
-            if report.received_at_s - gauge.reported_s <= self._parameters.outage_forget_s or name == report.peer
+            if report.received_at_s - gauge.reported_s <= parameters.OUTAGE_FORGET_S or name == report.peer
         }
-        gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge(self._parameters))
+        gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge())
         # With several peers, bytes that one did not receive may be another's.
         gauge.digest(report, handed_bytes=handed_bytes if len(self._gauges) == 1 else None)
         return gauge
@@ -280,7 +278,7 @@ class PeerGauges:
             (
                 max(gauge.projected_s(now_s, handed_bytes=handed_bytes, capacity=capacity), gauge.overdue_s(now_s))
                 for gauge in self._gauges.values()
-                if newest_s - gauge.reported_s <= self._parameters.outage_s
+                if newest_s - gauge.reported_s <= parameters.OUTAGE_S
             ),
             default=0.0,
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.probing import PeerReport, ProbeRequest
@@ -16,50 +15,21 @@ if TYPE_CHECKING:
 _QUIET_PINGS = 1.2  # periods of the pings; a peer that receives a ping in time sends nothing in between
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ProbeParameters:
-    """Shares, sizes and periods of the probes.
-
-    Parameters
-    ----------
-    share : part of the capacity for probes and the reports they cause
-    pings_share : part of the capacity for pings and their reports alone
-    report_bytes : a report on the wire (bytes)
-    ping_s, ping_most_s : least and most time between pings (s)
-    ping_bytes : payload of a ping (bytes)
-    outage_ping_s, outage_ping_bytes : time between pings, and their payload, while the link is out
-    packet_bytes, small_packet_bytes : payload of the packets of a train, and of a train of small packets (bytes)
-    train_s, train_least_packets, train_most_packets : length of a train in link time (s), and its bounds
-    small_packets : packets of a train of small ones
-    first_s, calm_s, urgent_s, confirm_s : least time between trains before any measurement, in general, while the
-        capacity is doubtful, and after a train that contradicts it (s)
-    train_most_s : most time between trains at any cost, because only a train shows that a link became better (s)
-    saved_s : span of the budget that can be saved (s)
-    small_every, pair_s : one in so many large trains is followed by one of small packets, after this time (s)
-    """
-
-    share: float = 0.008
-    pings_share: float = 0.0035
-    report_bytes: int = 230
-    ping_s: float = 0.09
-    ping_most_s: float = 0.55
-    ping_bytes: int = 16
-    outage_ping_s: float = 0.5
-    outage_ping_bytes: int = 200
-    packet_bytes: int = 1_200  # and 16 bytes of layout: just one datagram, `arpd.model.wire.FRAGMENT_BYTES`
-    small_packet_bytes: int = 16
-    train_s: float = 0.005
-    train_least_packets: int = 4
-    train_most_packets: int = 24
-    small_packets: int = 16
-    calm_s: float = 2.5
-    urgent_s: float = 0.5
-    confirm_s: float = 0.08
-    first_s: float = 0.25
-    train_most_s: float = 15.0
-    saved_s: float = 5.0
-    small_every: int = 10
-    pair_s: float = 0.15
+SHARE, PINGS_SHARE = 0.008, 0.0035  # parts of the capacity: for probes and the reports they cause; for pings alone
+REPORT_BYTES = 230  # a report on the wire
+PING_S, PING_MOST_S = 0.09, 0.55  # least and most time between pings
+PING_BYTES = 16  # payload
+OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # the same while the link is out
+PACKET_BYTES = 1_200  # payload in a train; with 16 bytes of layout one datagram, `arpd.model.wire.FRAGMENT_BYTES`
+TRAIN_S, TRAIN_LEAST_PACKETS, TRAIN_MOST_PACKETS = 0.005, 4, 24  # length of a train in link time, and its bounds
+SMALL_PACKETS, SMALL_PACKET_BYTES = 16, 16  # a train of small packets
+# One in so many large trains is followed by one of small packets, after this time.
+SMALL_EVERY, PAIR_S = 10, 0.15
+# Least time between trains: before any measurement, in general, while the capacity is doubtful, and after a train that
+# contradicts it.
+FIRST_S, CALM_S, URGENT_S, CONFIRM_S = 0.25, 2.5, 0.5, 0.08
+TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
+SAVED_S = 5.0  # span of the budget that can be saved
 
 
 class ProbeSchedule:
@@ -69,8 +39,7 @@ class ProbeSchedule:
     trains are worth most.
     """
 
-    def __init__(self, parameters: ProbeParameters | None = None) -> None:
-        self._parameters = parameters or ProbeParameters()
+    def __init__(self) -> None:
         self._last_s = -math.inf
         self._saved_bytes = 0.0
         self._ping_at_s = -math.inf
@@ -106,31 +75,30 @@ class ProbeSchedule:
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
         """
-        p = self._parameters
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
-        ping_bytes = copies * probe_wire_bytes(p.ping_bytes) + copies * p.report_bytes
-        ping_s = min(p.ping_most_s, max(p.ping_s, ping_bytes / (p.pings_share * capacity_bytes_per_second)))
+        ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
+        ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity_bytes_per_second)))
         self.quiet_s = _QUIET_PINGS * ping_s
-        share = max(0.1 * p.share, p.share - ping_bytes / ping_s / capacity_bytes_per_second)
+        share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
         budget = share * capacity_bytes_per_second
         is_surprised = surprise_bytes_per_second is not None
         # A train that confirms another one is long enough for the capacity that one saw.
         expected = max(capacity_bytes_per_second, surprise_bytes_per_second or 0.0)
-        packets = math.ceil(p.train_s * expected / p.packet_bytes)
-        packets = max(p.train_least_packets, min(p.train_most_packets, packets))
-        cost = copies * packets * probe_wire_bytes(p.packet_bytes)
+        packets = math.ceil(TRAIN_S * expected / PACKET_BYTES)
+        packets = max(TRAIN_LEAST_PACKETS, min(TRAIN_MOST_PACKETS, packets))
+        cost = copies * packets * probe_wire_bytes(PACKET_BYTES)
         # Savings of a better link stay: right after a fall they pay for the trains that see the link return.
-        room = max(2.0 * cost, p.saved_s * budget, self._saved_bytes)
+        room = max(2.0 * cost, SAVED_S * budget, self._saved_bytes)
         self._saved_bytes = min(self._saved_bytes + budget * elapsed_s, room)
         if now_s >= self._ping_at_s:
-            self._ping_at_s = now_s + (p.outage_ping_s if is_out else ping_s)
-            yield self._request(1, p.outage_ping_bytes if is_out else p.ping_bytes)
+            self._ping_at_s = now_s + (OUTAGE_PING_S if is_out else ping_s)
+            yield self._request(1, OUTAGE_PING_BYTES if is_out else PING_BYTES)
         if is_out or not is_free:
             return
         if now_s >= self._small_at_s:
             self._small_at_s = math.inf
-            self._spend(copies * p.small_packets * probe_wire_bytes(p.small_packet_bytes), is_measured=is_measured)
-            yield self._request(p.small_packets, p.small_packet_bytes)
+            self._spend(copies * SMALL_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
+            yield self._request(SMALL_PACKETS, SMALL_PACKET_BYTES)
         elif now_s - self._train_at_s >= self._pause_s(
             cost, is_measured=is_measured, is_urgent=is_urgent, is_surprised=is_surprised
         ):
@@ -138,9 +106,9 @@ class ProbeSchedule:
             self._is_confirming = is_surprised  # the first confirmation is on credit
             self._spend(cost, is_measured=is_measured)
             self._trains += 1
-            if needs_pair or self._trains % p.small_every == 0:
-                self._small_at_s = now_s + p.pair_s
-            yield self._request(packets, p.packet_bytes)
+            if needs_pair or self._trains % SMALL_EVERY == 0:
+                self._small_at_s = now_s + PAIR_S
+            yield self._request(packets, PACKET_BYTES)
 
     def _spend(self, cost: float, *, is_measured: bool) -> None:
         # The first trains may exceed the budget, and this debt is not paid back.
@@ -148,15 +116,14 @@ class ProbeSchedule:
 
     def _pause_s(self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool) -> float:
         """Return the least time between two trains (s)."""
-        p = self._parameters
         if not is_measured:
-            return p.first_s
+            return FIRST_S
         can_pay = self._saved_bytes >= cost
         if is_surprised and (can_pay or not self._is_confirming):
-            return p.confirm_s
+            return CONFIRM_S
         if is_urgent and can_pay:
-            return p.urgent_s
-        return p.calm_s if can_pay else p.train_most_s
+            return URGENT_S
+        return CALM_S if can_pay else TRAIN_MOST_S
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:
         self._probes += 1

@@ -7,6 +7,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.estimate.parameters import TRAIN_MEMORY_S
+
 if TYPE_CHECKING:
     from arpd.model.probing import Train
 
@@ -38,14 +40,9 @@ class TrainLog:
     T_large·s_small) / (s_large − s_small). Other traffic between the packets only makes a train longer, so the least
     recent T_large counts. Among the pairs the second least t_ovh counts: a link that changes inside one pair may make
     that pair read too little.
-
-    Parameters
-    ----------
-    memory_s : age at which a reading is forgotten (s)
     """
 
-    def __init__(self, memory_s: float) -> None:
-        self._memory_s = memory_s
+    def __init__(self) -> None:
         self._large: deque[_Reading] = deque()
         self.count = 0  # readings of large packets so far
         self._taken = 0
@@ -118,5 +115,5 @@ class TrainLog:
         ]
 
     def _forget(self, now_s: float) -> None:
-        while now_s - self._large[0].at_s > self._memory_s:
+        while now_s - self._large[0].at_s > TRAIN_MEMORY_S:
             self._large.popleft()

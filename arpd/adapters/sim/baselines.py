@@ -1,4 +1,7 @@
-"""Estimators to compare arpd's with: an oracle, and two that look at throughput only."""
+"""Estimators to compare arpd's with: an oracle, and two that look at throughput only.
+
+The governor sees delivery rates, outages and queues by the same definitions as with arpd's estimator.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.estimate.parameters import EstimatorParameters
+from arpd.estimate import parameters
 from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import wire_size
@@ -20,8 +23,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import LinkSettings
 
 _FIRST_S = 1.0  # reports of this time come before the first plan
-# The governor sees delivery rates, outages and queues by the same definitions as with arpd's estimator.
-_ARPD = EstimatorParameters()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,13 +71,13 @@ class Oracle:
         capacity = max(1.0, truth.capacity_bytes_per_second)
         crossing = [p.payload_bytes for p in observation.publishers if p.direction is not Direction.LOCAL]
         largest_bytes = max(crossing, default=0.0)
-        burst_s = min(_ARPD.burst_cap_s, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
+        burst_s = min(parameters.BURST_CAP_S, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
             kind=CapacityKind.CONFIGURED,
             state=LinkState.OUTAGE if truth.is_out else LinkState.STEADY,
             queue_delay_s=truth.queue_delay_s,
-            queue_allowance_s=_ARPD.queue_low_s + burst_s,
+            queue_allowance_s=parameters.QUEUE_LOW_S + burst_s,
             delivery_rate_bytes_per_second=truth.delivered_bytes_per_second,
             age_s=0.0,
             evidence="the truth",
@@ -118,7 +119,7 @@ class _FromThroughput:
         return LinkEstimate(
             capacity_bytes_per_second=max(1.0, self._capacity),
             kind=CapacityKind.PEER,
-            state=LinkState.OUTAGE if _ARPD.outage_s < silent_s < math.inf else LinkState.STEADY,
+            state=LinkState.OUTAGE if parameters.OUTAGE_S < silent_s < math.inf else LinkState.STEADY,
             queue_delay_s=0.0,
             delivery_rate_bytes_per_second=self._delivery_rate,
             age_s=silent_s,
@@ -138,13 +139,14 @@ class _FromThroughput:
         return sum(report.rx_bytes for report in self._reports) / covered_s if covered_s > 0 else 0.0
 
     def _note(self, report: PeerReport) -> None:
-        if report.received_at_s - self._last_at_s > _ARPD.outage_s:
+        if report.received_at_s - self._last_at_s > parameters.OUTAGE_S:
             self._reports.clear()  # the lost reports leave a gap
         self._first_at_s = min(self._first_at_s, report.received_at_s)
         self._last_at_s = report.received_at_s
         self._reports.append(report)
         while (
-            sum(report.interval_s for report in self._reports) - self._reports[0].interval_s >= _ARPD.delivery_window_s
+            sum(report.interval_s for report in self._reports) - self._reports[0].interval_s
+            >= parameters.DELIVERY_WINDOW_S
         ):
             self._reports.popleft()
         self._learn(report)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arpd.estimate import parameters
 from arpd.estimate.estimator import Estimator
-from arpd.estimate.parameters import EstimatorParameters
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState
 from arpd.model.link import MOST_YIELDED, CapacityKind, EstimatorEvent, LinkState
@@ -18,7 +18,6 @@ from arpd.model.wire import probe_wire_bytes
 from tests.sample_link import INTERFACE, LINK, observation
 from tests.sample_publishers import publisher
 
-PARAMETERS = EstimatorParameters()
 FIRST = 2.0e6
 FALLEN = {"rate": 5e5, "delay_s": 0.3}  # a quarter of it, behind a queue
 SIZE, PACKETS = 14_900, 10  # bytes of a train and the packets they are in
@@ -125,7 +124,7 @@ def test_three_trains_are_the_first_evidence(capacity):
     assert link.estimator.has_evidence
 
 
-@pytest.mark.parametrize(("peers", "wait_s"), [(None, PARAMETERS.first_wait_s), (1, PARAMETERS.peer_lost_s)])
+@pytest.mark.parametrize(("peers", "wait_s"), [(None, parameters.FIRST_WAIT_S), (1, parameters.PEER_LOST_S)])
 def test_without_reports_the_first_plan_waits(peers, wait_s):
     """Without anyone to measure, planning begins after three seconds; a peer in the graph makes it wait longer."""
     link = Link()
@@ -200,7 +199,7 @@ def test_hole_2_samples_that_stay_on_the_host_are_no_bursts():
     }
     without = Link().measured().tick().queue_allowance_s
     assert allowances[Direction.LOCAL] == without
-    assert without < allowances[Direction.SENSING] <= without + PARAMETERS.burst_cap_s
+    assert without < allowances[Direction.SENSING] <= without + parameters.BURST_CAP_S
 
 
 # -- silence
@@ -379,10 +378,10 @@ def test_alone_the_radio_bounds_the_belief():
     """Before a peer has measured, the capacity is at most a share of the radio's bit rate, and the evidence says so."""
     link = Link()
     estimate = link.ticks(200, silent=True, radio=RADIO)
-    assert (estimate.capacity_bytes_per_second, estimate.kind) == (PARAMETERS.radio_share * RADIO, CapacityKind.RADIO)
+    assert (estimate.capacity_bytes_per_second, estimate.kind) == (parameters.RADIO_SHARE * RADIO, CapacityKind.RADIO)
     assert estimate.cautious_ratio == 1.0
     assert "radio" in estimate.evidence
-    for fast_enough in (None, FIRST / PARAMETERS.radio_share, 1e9):
+    for fast_enough in (None, FIRST / parameters.RADIO_SHARE, 1e9):
         estimate = link.tick(silent=True, radio=fast_enough)
         assert (estimate.capacity_bytes_per_second, estimate.kind) == (FIRST, CapacityKind.CONFIGURED)
     estimate = Link().measured().tick(radio=RADIO)

@@ -13,7 +13,6 @@ from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
 
 TICK_S = 0.1
-WINDOW_S = 1.0
 BURST = 15_000.0
 RATE = 500_000.0  # bytes/s
 PUBLISHER = publisher("/n", "/t")
@@ -23,7 +22,7 @@ class Host:
     """An interface that sends at `RATE`, read every 100 ms."""
 
     def __init__(self):
-        self.queue = LocalQueue(WINDOW_S)
+        self.queue = LocalQueue()
         self.now_s = 300.0
         self.sent = 5_000_000
         self.dropped = 0

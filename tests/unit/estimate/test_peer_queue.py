@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.parameters import EstimatorParameters
+from arpd.estimate import parameters
 from arpd.estimate.peer_queue import PeerGauges, QueueGauge, SentProbe
 from arpd.model.probing import PeerReport
 
-PARAMETERS = EstimatorParameters()
 RATE = 500_000.0  # bytes/s, of the link
 IDLE_S = 0.004  # one way with nothing in front
 
@@ -19,7 +18,7 @@ class Fifo:
     """A sender, a link of `RATE`, and a peer that reports whenever a ping arrives."""
 
     def __init__(self, *, clock_s=0.0, is_counted=True):
-        self.gauge = QueueGauge(PARAMETERS)
+        self.gauge = QueueGauge()
         self.clock_s = clock_s  # lead of the peer's clock
         self.now_s = 100.0
         self.queue = 0.0  # bytes that stand before the link
@@ -213,7 +212,7 @@ def test_a_link_that_was_never_idle_shows_its_exact_capacity(loads_s):
 
 def test_bytes_that_arrived_before_a_held_report_do_not_wait():
     """A report that waited after its ping has bytes of later messages, so a link that is idle then is not slow."""
-    gauge, handed, late = QueueGauge(PARAMETERS), 0, 0
+    gauge, handed, late = QueueGauge(), 0, 0
     # Samples leave and arrive after a report; one leaves after a ping and arrives while its report is held for 20 ms.
     rounds = [*[(0.1, 0, 30_000)] * 5, (0.1, 0, 0), (0.02, 30_000, 0), (0.1, 0, 0)]
     for number, (interval_s, early, next_late) in enumerate(rounds, 1):
@@ -295,7 +294,7 @@ def steadily(rate, now_s, interval_s):
 
 def fed(rates, *, interval_s=0.1):
     """Return a gauge after one report per rate, the last one at the time 0."""
-    gauge = QueueGauge(PARAMETERS)
+    gauge = QueueGauge()
     for place, rate in enumerate(rates, 1):
         gauge.digest(steadily(rate, (place - len(rates)) * interval_s, interval_s), handed_bytes=None)
     return gauge
@@ -310,7 +309,7 @@ def test_delivery_is_bytes_over_the_time_they_took(interval_s, reports, rate):
 
 def test_delivery_follows_within_its_window():
     """One window after a change the old rate does not count, after a pause at once, and never before a moment."""
-    steps = round(PARAMETERS.delivery_window_s / 0.1) + 1
+    steps = round(parameters.DELIVERY_WINDOW_S / 0.1) + 1
     gauge = fed([4e5] * 10 + [1e5] * (steps - 1) + [3e5])
     assert gauge.delivery()[0] < 3e5
     assert gauge.delivery(-0.15)[0] == pytest.approx(3e5)
@@ -355,7 +354,7 @@ def answer(gauge, number, *, way_back_s, clock_s):
 @given(ways_back_s=st.lists(st.floats(0.001, 0.05), min_size=1, max_size=90), clock_s=CLOCKS)
 def test_the_way_back_is_measured_above_its_least(ways_back_s, clock_s):
     """A queue on the way back shows at any clock offset, and shows none on the way there."""
-    gauge = QueueGauge(PARAMETERS)
+    gauge = QueueGauge()
     for number, way_back_s in enumerate(ways_back_s, 1):
         excess_s = answer(gauge, number, way_back_s=way_back_s, clock_s=clock_s)
     assert excess_s == pytest.approx(ways_back_s[-1] - min(ways_back_s), abs=2e-6)
@@ -364,7 +363,7 @@ def test_the_way_back_is_measured_above_its_least(ways_back_s, clock_s):
 
 def test_without_a_return_delay_the_way_back_is_unknown():
     """The way back is unknown before a report with a return delay, and after `forget`."""
-    gauge = QueueGauge(PARAMETERS)
+    gauge = QueueGauge()
     gauge.digest(steadily(1e5, 1.0, 0.1), handed_bytes=None)
     assert gauge.return_delay_s is None
     assert answer(gauge, 20, way_back_s=0.004, clock_s=0.0) == 0.0
@@ -375,7 +374,7 @@ def test_without_a_return_delay_the_way_back_is_unknown():
 @pytest.mark.parametrize(("waited_s", "after_s", "counts"), [(2.0, 0.2, False), (0.1, 0.2, True), (2.0, 5.0, True)])
 def test_a_report_that_waited_out_an_outage_delivers_nothing(waited_s, after_s, counts):
     """Its bytes belong to the link before; much later such a delay may come from a clock that was set."""
-    gauge = QueueGauge(PARAMETERS)
+    gauge = QueueGauge()
 
     def report(number, now_s, return_delay_s):
         gauge.note_sent(SentProbe(number=number, sent_s=now_s - 0.01, handed_bytes=None))
@@ -394,7 +393,7 @@ def test_a_report_that_waited_out_an_outage_delivers_nothing(waited_s, after_s, 
 
 def test_a_peer_that_died_has_no_queue():
     """While another peer answers, overdue pings of a silent one are no queue; when all are silent, they are."""
-    gauges = PeerGauges(PARAMETERS)
+    gauges = PeerGauges()
     longest_s: dict[str, float] = {}
     for tick in range(1, 31):
         now_s, heard = 0.1 * tick, "ab" if tick <= 10 else "a" if tick <= 20 else ""

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeParameters, ProbeSchedule
+from arpd.estimate import probes
+from arpd.estimate.probes import ProbeSchedule
 from arpd.model.wire import probe_wire_bytes
 
-PARAMETERS = ProbeParameters()
 MBIT = 125_000.0  # bytes/s
 CALM = {
     "is_measured": True,
@@ -27,7 +27,7 @@ class Probing:
     """A schedule that ticks, and the times and probes it sent."""
 
     def __init__(self, capacity=20 * MBIT, *, tick_s=0.1, **options):
-        self.schedule = ProbeSchedule(PARAMETERS)
+        self.schedule = ProbeSchedule()
         self.now_s = 800.0
         self.tick_s = tick_s
         self.options = CALM | {"capacity_bytes_per_second": capacity} | options
@@ -44,7 +44,7 @@ class Probing:
 
     def known(self):
         """Pass the first trains."""
-        self.run(4 * PARAMETERS.first_s, is_measured=False)
+        self.run(4 * probes.FIRST_S, is_measured=False)
         self.options["is_measured"] = True
         return self
 
@@ -52,7 +52,7 @@ class Probing:
 def cost(sent, *, copies=1):
     """Return the link bytes of probes and of the reports that answer pings."""
     return copies * sum(
-        request.packets * probe_wire_bytes(request.packet_bytes) + (request.packets == 1) * PARAMETERS.report_bytes
+        request.packets * probe_wire_bytes(request.packet_bytes) + (request.packets == 1) * probes.REPORT_BYTES
         for _, request in sent
     )
 
@@ -63,9 +63,9 @@ def trains(sent):
 
 def allowed(capacity, *, copies=1):
     """Return the share of a capacity, or the cost of the rarest pings and trains if that is more (bytes/s)."""
-    pings = (probe_wire_bytes(PARAMETERS.ping_bytes) + PARAMETERS.report_bytes) / PARAMETERS.ping_most_s
-    trains = PARAMETERS.train_least_packets * probe_wire_bytes(PARAMETERS.packet_bytes) / PARAMETERS.train_most_s
-    return max(PARAMETERS.share * capacity, copies * (pings + trains) + 0.1 * PARAMETERS.share * capacity)
+    pings = (probe_wire_bytes(probes.PING_BYTES) + probes.REPORT_BYTES) / probes.PING_MOST_S
+    trains = probes.TRAIN_LEAST_PACKETS * probe_wire_bytes(probes.PACKET_BYTES) / probes.TRAIN_MOST_S
+    return max(probes.SHARE * capacity, copies * (pings + trains) + 0.1 * probes.SHARE * capacity)
 
 
 @settings(deadline=None, max_examples=40)
@@ -88,7 +88,7 @@ def test_savings_are_bounded(capacity, urgent_s):
     probing.tick_s = 0.1
     sent = probing.run(urgent_s, is_urgent=True, surprise_bytes_per_second=1.5e6)
     largest = max(cost([each]) for each in sent)
-    assert cost(sent) <= allowed(capacity) * (urgent_s + PARAMETERS.saved_s) + 4 * largest
+    assert cost(sent) <= allowed(capacity) * (urgent_s + probes.SAVED_S) + 4 * largest
 
 
 @pytest.mark.parametrize("blocked", [{"is_out": True}, {"is_free": False}])
@@ -111,8 +111,8 @@ def test_no_train_goes_where_it_would_only_wait(blocked, capacity, is_measured, 
 def test_an_outage_is_pinged_rarely_with_larger_packets():
     """Two larger packets a second show when the link is back."""
     sent = Probing().known().run(20.0, is_out=True)
-    assert len(sent) == pytest.approx(20.0 / PARAMETERS.outage_ping_s, abs=1)
-    assert {request.packet_bytes for _, request in sent[1:]} == {PARAMETERS.outage_ping_bytes}
+    assert len(sent) == pytest.approx(20.0 / probes.OUTAGE_PING_S, abs=1)
+    assert {request.packet_bytes for _, request in sent[1:]} == {probes.OUTAGE_PING_BYTES}
 
 
 @settings(deadline=None, max_examples=30)
@@ -123,8 +123,8 @@ def test_pings_keep_their_distance(capacity, copies, tick_s):
         at_s for at_s, request in Probing(capacity, tick_s=tick_s, copies=copies).run(10.0) if request.packets == 1
     ]
     gaps = [after - before for before, after in pairwise(pings)]
-    assert min(gaps) >= PARAMETERS.ping_s - 1e-9
-    assert max(gaps) <= PARAMETERS.ping_most_s + tick_s + 1e-9
+    assert min(gaps) >= probes.PING_S - 1e-9
+    assert max(gaps) <= probes.PING_MOST_S + tick_s + 1e-9
 
 
 def test_a_fast_link_is_pinged_at_every_tick():
@@ -137,7 +137,7 @@ def test_the_first_trains_do_not_wait_for_savings(mbit):
     """Before any measurement three trains of at least a few packets leave within a second."""
     sent = trains(Probing(mbit * MBIT, is_measured=False).run(1.0))
     assert len(sent) >= 3
-    assert min(request.packets for request in sent) >= PARAMETERS.train_least_packets
+    assert min(request.packets for request in sent) >= probes.TRAIN_LEAST_PACKETS
 
 
 def test_urgent_trains_spend_what_calm_ones_saved():
@@ -168,23 +168,23 @@ def test_a_train_is_as_long_as_the_link_is_fast():
     first = [trains(Probing(mbit * MBIT, is_measured=False).run(0.5))[0] for mbit in (0.2, 5, 10, 20, 50, 200)]
     sizes = [request.packets for request in first]
     assert sizes == sorted(sizes)
-    assert (sizes[0], sizes[-1]) == (PARAMETERS.train_least_packets, PARAMETERS.train_most_packets)
+    assert (sizes[0], sizes[-1]) == (probes.TRAIN_LEAST_PACKETS, probes.TRAIN_MOST_PACKETS)
 
 
 def test_small_packets_follow_large_ones():
     """While the overhead is unknown, a train of small packets follows every large one."""
     sent = [each for each in Probing(needs_pair=True).known().run(30.0) if each[1].packets > 1]
     sizes = [request.packet_bytes for _, request in sent]
-    assert sizes[:20:2] == [PARAMETERS.packet_bytes] * 10 or sizes[1:21:2] == [PARAMETERS.packet_bytes] * 10
+    assert sizes[:20:2] == [probes.PACKET_BYTES] * 10 or sizes[1:21:2] == [probes.PACKET_BYTES] * 10
     for (large_s, _), (small_s, request) in pairwise(sent):
-        if request.packet_bytes == PARAMETERS.small_packet_bytes:
-            assert small_s - large_s == pytest.approx(PARAMETERS.pair_s, abs=0.1)
+        if request.packet_bytes == probes.SMALL_PACKET_BYTES:
+            assert small_s - large_s == pytest.approx(probes.PAIR_S, abs=0.1)
 
 
 def test_small_packets_are_rare_once_the_overhead_is_known():
     """Later the overhead is measured again now and then, because a radio may change."""
     sent = trains(Probing().known().run(120.0))
-    assert 1 <= sum(request.packet_bytes == PARAMETERS.small_packet_bytes for request in sent) <= len(sent) // 5
+    assert 1 <= sum(request.packet_bytes == probes.SMALL_PACKET_BYTES for request in sent) <= len(sent) // 5
 
 
 def test_numbers_count_up():
@@ -199,15 +199,15 @@ def test_even_the_slowest_link_is_looked_at_now_and_then(mbit, copies):
     """A train leaves at least every 15 s at any cost, because only it shows a better link."""
     sent = Probing(mbit * MBIT, copies=copies).known().run(60.0)
     times = [at_s for at_s, request in sent if request.packets > 1]
-    assert len(times) >= 60.0 // PARAMETERS.train_most_s
-    assert max(after - before for before, after in pairwise(times)) <= PARAMETERS.train_most_s + 0.5
+    assert len(times) >= 60.0 // probes.TRAIN_MOST_S
+    assert max(after - before for before, after in pairwise(times)) <= probes.TRAIN_MOST_S + 0.5
 
 
 def test_a_ping_says_how_rare_reports_may_be():
     """Rare pings allow rare reports."""
     slow, fast = (Probing(mbit * MBIT).known().run(5.0)[-1][1].quiet_s for mbit in (0.2, 20.0))
     assert slow > fast
-    assert slow >= PARAMETERS.ping_most_s
+    assert slow >= probes.PING_MOST_S
 
 
 @pytest.mark.parametrize("mbit", [1.5, 3, 5, 10, 50])

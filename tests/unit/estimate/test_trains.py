@@ -6,15 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeParameters
+from arpd.estimate import probes
+from arpd.estimate.parameters import TRAIN_MEMORY_S
 from arpd.estimate.trains import TrainLog
 from arpd.model.probing import Train
 from arpd.model.wire import probe_wire_bytes
 
-PROBES = ProbeParameters()
-LARGE = probe_wire_bytes(PROBES.packet_bytes)
-SMALL = probe_wire_bytes(PROBES.small_packet_bytes)
-MEMORY_S = 30.0
+LARGE = probe_wire_bytes(probes.PACKET_BYTES)
+SMALL = probe_wire_bytes(probes.SMALL_PACKET_BYTES)
 PAIRS = 6  # enough to be believed
 CAPACITIES = st.floats(1e4, 1.25e8)  # bytes/s: 80 kbit/s to 1 Gbit/s
 
@@ -23,7 +22,7 @@ class Link:
     """A link on which s bytes take t_ovh + s/C, and a log of its trains."""
 
     def __init__(self, capacity, overhead_s=0.0):
-        self.log = TrainLog(MEMORY_S)
+        self.log = TrainLog()
         self.capacity, self.overhead_s = capacity, overhead_s
         self.now_s = 50.0
 
@@ -148,7 +147,7 @@ def test_readings_grow_old():
     link.train(LARGE, after_s=10.0)
     assert link.log.capacities(first_s + 1.0, packet_overhead_s=0.0) == pytest.approx([2e6])
     assert link.log.newest_s == link.now_s
-    link.train(LARGE, after_s=MEMORY_S - 9.0)
+    link.train(LARGE, after_s=TRAIN_MEMORY_S - 9.0)
     assert link.capacities == pytest.approx([2e6, 2e6])
 
 
@@ -193,7 +192,7 @@ def test_each_train_is_taken_once():
 )
 def test_any_trains_give_values_within_bounds(trains):
     """A train of nothing does not count; the overhead is at most 0.8 of a packet's time, so C rises fivefold."""
-    log = TrainLog(MEMORY_S)
+    log = TrainLog()
     for number, train in enumerate(trains):
         before = log.count
         log.note(train, 0.3 * number)

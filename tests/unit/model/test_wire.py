@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import ProbeParameters
+from arpd.estimate.probes import PACKET_BYTES
 from arpd.model.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
@@ -65,5 +65,5 @@ def test_a_probe_costs_less_than_a_reliable_sample_of_its_size(data_bytes):
 
 def test_a_probe_packet_of_a_train_is_the_captured_frame():
     """The packets of a train need no fragments, so each is one arrival of 1390 bytes."""
-    assert probe_wire_bytes(ProbeParameters().packet_bytes) == 1390
-    assert ProbeParameters().packet_bytes + 16 <= FRAGMENT_BYTES
+    assert probe_wire_bytes(PACKET_BYTES) == 1390
+    assert PACKET_BYTES + 16 <= FRAGMENT_BYTES
