@@ -11,7 +11,7 @@ from arpd.estimate.belief import Belief
 from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue
-from arpd.estimate.peer_queue import PeerGauges, SentProbe
+from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
@@ -150,10 +150,9 @@ class Estimator:
             self._cross_traffic.note_probe(request, now_s, peers=self._copies)
             if request.packets > 1:
                 self._train = now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes)
-            probe = SentProbe(
-                number=request.number, sent_s=now_s, handed_bytes=self._local.handed_bytes, is_ping=request.packets == 1
-            )
-            self._peers.note_sent(probe)
+            else:
+                ping = SentPing(number=request.number, sent_s=now_s, handed_bytes=self._local.handed_bytes)
+                self._peers.note_sent(ping)
             self._loss.note_sent(request)
         return requests
 
@@ -186,9 +185,7 @@ class Estimator:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        backlog_s = self._peers.backlog_s(
-            now_s, burst_bytes=self._burst_bytes, capacity_bytes_per_second=self._capacity
-        )
+        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)

@@ -76,7 +76,7 @@ class LocalQueue:
         self.is_empty = counters.backlog_bytes == 0
         self.handed_bytes = counters.tx_bytes + backlog
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
-        self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity)
+        self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
 
     def blocked_rate(self, observation: Observation) -> float | None:
         """Return what left while publishers waited for room, once per window; None when they did not (bytes/s).
@@ -168,13 +168,13 @@ class StandingQueue:
         self._looks.clear()
         self.busy_rate = None
 
-    def delay_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
+    def delay_s(self, now_s: float, *, burst_bytes: float, capacity: float) -> float:
         """Return how long the waiting bytes will take to leave; 0 while a burst of messages may explain them (s).
 
         Parameters
         ----------
         burst_bytes : bytes that may stand without being a queue
-        capacity_bytes_per_second : capacity that is believed
+        capacity : the one that is believed (bytes/s)
         """
         looks = self._looks
         if not looks or now_s - looks[-1].at_s > self._fresh_s:
@@ -183,4 +183,4 @@ class StandingQueue:
         if not _STANDING_S <= span_s <= self._fresh_s or min(look.waiting_bytes for look in looks) <= burst_bytes:
             return 0.0
         rate = (sum(look.left_bytes for look in looks) - looks[0].left_bytes) / span_s
-        return looks[-1].waiting_bytes / max(rate, _LEAST_RATE * capacity_bytes_per_second)
+        return looks[-1].waiting_bytes / max(rate, _LEAST_RATE * capacity)

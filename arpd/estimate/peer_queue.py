@@ -28,20 +28,12 @@ _RESUMING_S = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SentProbe:
-    """Probe that left.
-
-    Parameters
-    ----------
-    number, sent_s : its number and departure (s)
-    handed_bytes : bytes handed to the interface before it, None = unknown
-    is_ping : True for a single packet, which is reported as soon as it arrives
-    """
+class SentPing:
+    """Ping that left: its number, its departure (s), and the bytes handed to the interface before; None = unknown."""
 
     number: int
     sent_s: float
     handed_bytes: float | None
-    is_ping: bool = True
 
 
 class QueueGauge:
@@ -54,45 +46,38 @@ class QueueGauge:
       Lost bytes look the same until the next ping arrives, so bytes may only raise an alarm.
 
     The way back has one witness: the one-way delay of a report above its least of the last 10 s. Commands wait as long.
+
+    Parameters
+    ----------
+    before : gauge of the same peer whose measurements are forgotten
     """
 
-    def __init__(self) -> None:
-        self.reported_s = -math.inf
+    def __init__(self, before: QueueGauge | None = None) -> None:
+        self.reported_s: float = before.reported_s if before else -math.inf
         self.delay_s = 0.0
         self.return_delay_s: float | None = None
+        self.backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S, least_span_s=_LEAST_INTERVAL_S)
         self._delays: deque[tuple[float, float]] = deque()
         self._return_delays: deque[tuple[float, float]] = deque()
-        self._usual_return_s = math.inf  # least return delay before the last `forget`
-        self._resumed_s: float | None = -math.inf  # first report after `forget`, None until it comes
+        self._usual_return_s: float = before.least_return_s if before else math.inf
+        self._resumed_s = None if before else -math.inf  # first report after ``before``, None until it comes
         self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
-        self._under_way: deque[SentProbe] = deque(maxlen=100)
+        self._under_way: deque[SentPing] = deque(maxlen=100)  # trains are not: their reports wait for further probes
         self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
         self._since_ping: tuple[float, float] | None = None  # bytes handed before it, received after it
-        self._last_ping: SentProbe | None = None
+        self._last_ping: SentPing | None = None
         # Bytes on the way when pings that met no queue arrived.
         self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)
         self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # as parts of the bytes handed over
-        self._backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S, least_span_s=_LEAST_INTERVAL_S)
 
-    def note_sent(self, probe: SentProbe) -> None:
-        """Note a probe that leaves."""
-        self._under_way.append(probe)
+    def note_sent(self, ping: SentPing) -> None:
+        """Note a ping that leaves."""
+        self._under_way.append(ping)
 
-    def forget(self) -> None:
-        """Forget all measurements: they describe another link, or another queue."""
-        self._usual_return_s = min((delay for _, delay in self._return_delays), default=self._usual_return_s)
-        self._resumed_s = None
-        self.delay_s = 0.0
-        self.return_delay_s = None
-        self._delays.clear()
-        self._return_delays.clear()
-        self._deliveries.clear()
-        self._under_way.clear()
-        self._round_trips.clear()
-        self._since_ping = self._last_ping = None
-        self._missing.clear()
-        self._in_flight.clear()
-        self._backlog.clear()
+    @property
+    def least_return_s(self) -> float:
+        """Least recent one-way delay of a report, with its unknown offset (s)."""
+        return min((delay for _, delay in self._return_delays), default=self._usual_return_s)
 
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
         """Note a report.
@@ -111,7 +96,7 @@ class QueueGauge:
             self._deliveries.popleft()
         if self._since_ping is not None:
             self._since_ping = self._since_ping[0], self._since_ping[1] + report.rx_bytes
-        self._backlog.busy_rate = None
+        self.backlog.busy_rate = None
         round_trip_s = self._arrived(report)
         # A delay that no ping of ours explains says nothing: it may come from a second peer of the same name.
         if report.delays_s and round_trip_s < math.inf:
@@ -125,7 +110,7 @@ class QueueGauge:
         if handed_bytes is None or self._since_ping is None:
             return
         if self._missing and median(self._missing) > _MOST_MISSING:
-            self._backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
+            self.backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
         if report.delays_s and self.delay_s < parameters.QUEUE_LOW_S:
@@ -135,10 +120,10 @@ class QueueGauge:
         # While the report waited on its way back, more was handed over, and as much arrived.
         late_s = max(0.0, self.return_delay_s or 0.0)
         backlog -= 1.5 * late_s * report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
-        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
+        self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
         way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
         if self._overlaps or report.interval_s < way_s:
-            self._backlog.busy_rate = None  # what is on a long way looks like what waits
+            self.backlog.busy_rate = None  # what is on a long way looks like what waits
 
     @property
     def _overlaps(self) -> bool:
@@ -168,36 +153,29 @@ class QueueGauge:
         return delay_s - min(delay for _, delay in delays)
 
     def _arrived(self, report: PeerReport) -> float:
-        """Settle every probe up to that of a report, and return the round trip of the last ping (s)."""
+        """Settle every ping up to the probe of a report, and return the round trip of the last ping (s)."""
         round_trip_s, now_s = math.inf, report.received_at_s
         while self._under_way and self._under_way[0].number <= report.last_probe:
-            probe = self._under_way.popleft()
-            if not probe.is_ping:
-                continue  # the report of a train waits for further probes
-            round_trip_s = now_s - probe.sent_s
+            ping = self._under_way.popleft()
+            round_trip_s = now_s - ping.sent_s
             self._round_trips.append((now_s, round_trip_s))
-            if probe.number == report.last_probe:
-                self._last_ping = probe
-                self._note_missing(probe)
+            if ping.number == report.last_probe:
+                self._last_ping = ping
+                self._note_missing(ping)
                 # At worst, all bytes of a report that was held arrived after its ping.
                 later = float(report.rx_bytes) if report.interval_s < _HELD_INTERVAL_S else 0.0
-                self._since_ping = None if probe.handed_bytes is None else (probe.handed_bytes, later)
+                self._since_ping = None if ping.handed_bytes is None else (ping.handed_bytes, later)
         while self._round_trips and now_s - self._round_trips[0][0] > parameters.DELAY_WINDOW_S:
             self._round_trips.popleft()
         return round_trip_s
 
-    def _note_missing(self, probe: SentProbe) -> None:
+    def _note_missing(self, ping: SentPing) -> None:
         """Note the part of the bytes between two pings that did not arrive between them: in a FIFO, no queue."""
-        if self._since_ping is None or probe.handed_bytes is None:
+        if self._since_ping is None or ping.handed_bytes is None:
             return
         handed, received = self._since_ping
-        if (sent := probe.handed_bytes - handed) > parameters.BURST_BYTES:
+        if (sent := ping.handed_bytes - handed) > parameters.BURST_BYTES:
             self._missing.append(1.0 - received / sent)
-
-    @property
-    def busy_rate(self) -> float | None:
-        """Capacity over the last report, None where the link may have idled (bytes/s)."""
-        return self._backlog.busy_rate
 
     def projected_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
         """Return the queue now: the one that the last ping met, what came since, less what the link carried (s)."""
@@ -212,19 +190,12 @@ class QueueGauge:
 
         A queue delays the pings that measure it, so a missing ping is the earliest evidence.
         """
-        oldest = next((probe for probe in self._under_way if probe.is_ping), None)
-        if oldest is None or not self._round_trips:
+        if not self._under_way or not self._round_trips:
             return 0.0
         usual_s = median(round_trip_s for _, round_trip_s in self._round_trips)
-        return max(0.0, now_s - oldest.sent_s - usual_s)
+        return max(0.0, now_s - self._under_way[0].sent_s - usual_s)
 
-    def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
-        """Return how long the missing bytes will take to arrive; see `StandingQueue.delay_s` (s)."""
-        return self._backlog.delay_s(
-            now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second
-        )
-
-    def delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
+    def delivery(self, since_s: float) -> tuple[float, float]:
         """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""
         counted = [each for each in self._deliveries if each[0] - each[1] >= since_s]
         covered_s = sum(interval_s for _, interval_s, _, _ in counted)
@@ -258,15 +229,14 @@ class PeerGauges:
         """Return whether no other peer has been heard for longer."""
         return next(iter(self._gauges), "") == name
 
-    def note_sent(self, probe: SentProbe) -> None:
-        """Note a probe that leaves; it crosses the link once per peer."""
+    def note_sent(self, ping: SentPing) -> None:
+        """Note a ping that leaves; it crosses the link once per peer."""
         for gauge in self._gauges.values():
-            gauge.note_sent(probe)
+            gauge.note_sent(ping)
 
     def forget(self) -> None:
-        """Forget all measurements of every peer."""
-        for gauge in self._gauges.values():
-            gauge.forget()
+        """Forget all measurements of every peer: they describe another link, or another queue."""
+        self._gauges = {name: QueueGauge(gauge) for name, gauge in self._gauges.items()}
 
     def delay_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
         """Return the longest queue now by the pings, also by one that has not arrived yet (s).
@@ -287,13 +257,12 @@ class PeerGauges:
     def busy_rate(self) -> float | None:
         """Capacity over the last report of the only peer, None where the link may have idled (bytes/s)."""
         gauges = tuple(self._gauges.values())
-        return gauges[0].busy_rate if len(gauges) == 1 else None
+        return gauges[0].backlog.busy_rate if len(gauges) == 1 else None
 
-    def backlog_s(self, now_s: float, *, burst_bytes: float, capacity_bytes_per_second: float) -> float:
+    def backlog_s(self, now_s: float, *, burst_bytes: float, capacity: float) -> float:
         """Return how long the missing bytes of the longest queue will take to arrive (s)."""
         each = (
-            gauge.backlog_s(now_s, burst_bytes=burst_bytes, capacity_bytes_per_second=capacity_bytes_per_second)
-            for gauge in self._gauges.values()
+            gauge.backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity) for gauge in self._gauges.values()
         )
         return max(each, default=0.0)
 
