@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from itertools import pairwise
-from operator import add
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from arpd.model.endpoints import Direction
 from arpd.model.wire import probe_wire_bytes, wire_size
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from numpy.typing import NDArray
 
     from arpd.model.endpoints import PublisherState
     from arpd.model.interface import LinkCounters
@@ -71,32 +71,27 @@ class CrossTraffic:
 
     def note_outage(self, start_s: float, end_s: float) -> None:
         """Note that nothing arrived in a span of time: writers send its samples again now."""
-        before, after = self._sent_by([start_s, end_s])
+        before, after = self._sent_by(np.array([start_s, end_s]))
         self._extra.jump(end_s, after - before)
 
     def _measure(self, carried: _Curve, end_s: float) -> float:
         """Return the bytes of the window without topics, debts and allowances (bytes/s)."""
         steps = int(min(_MEMORY_S, end_s - carried.oldest_s) / _STEP_S + 1e-6)
-        moments = [end_s - step * _STEP_S for step in range(steps, -1, -1)]
+        moments = np.array([end_s - step * _STEP_S for step in range(steps, -1, -1)])
         sent = self._sent_by(moments)
-        curves = zip(carried.each_at(moments), sent, self._extra.each_at(moments), strict=True)
-        surplus = [seen - topics - extra for seen, topics, extra in curves]
         owed, unexplained = 0.0, list[float]()
-        for before, after in pairwise(surplus):
-            balance = after - before - owed
+        for surplus in np.diff(carried.each_at(moments) - sent - self._extra.each_at(moments)).tolist():
+            balance = surplus - owed
             owed = max(0.0, -balance)
             unexplained.append(max(0.0, balance))
         window = round(_WINDOW_S / _STEP_S)
         in_window = sum(unexplained[-window:])
-        allowed = _TOPICS_ALLOWANCE * (sent[-1] - sent[-1 - window])
+        allowed = _TOPICS_ALLOWANCE * float(sent[-1] - sent[-1 - window])
         return max(0.0, (in_window - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
 
-    def _sent_by(self, moments: Sequence[float]) -> list[float]:
-        """Return the bytes that all topics put on the link up to each of ascending moments."""
-        sent = [0.0] * len(moments)
-        for topic in self._topics.values():
-            sent = list(map(add, sent, topic.sent_by(moments)))
-        return sent
+    def _sent_by(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the bytes that all topics put on the link up to each moment; only differences mean something."""
+        return sum((topic.sent_by(moments) for topic in self._topics.values()), np.zeros_like(moments))
 
     def _note_interface(self, counters: LinkCounters | None, now_s: float) -> None:
         if counters is None:
@@ -117,16 +112,16 @@ class CrossTraffic:
             topic = self._topics[key] = _TopicTraffic(publisher, at_s)
         else:
             topic.note(publisher, at_s)
-        return topic.announced_s
+        return topic.samples.newest_s
 
     def _forget(self, before_s: float) -> None:
         self._extra.forget(before_s)
         if self._carried is not None:
             self._carried.forget(before_s)
         # A publisher that left stays for as long as its samples matter.
-        self._topics = {key: topic for key, topic in self._topics.items() if topic.announced_s >= before_s}
+        self._topics = {key: topic for key, topic in self._topics.items() if topic.samples.newest_s >= before_s}
         for topic in self._topics.values():
-            topic.forget(before_s)
+            topic.samples.forget(before_s)
 
 
 class _TopicTraffic:
@@ -145,35 +140,25 @@ class _TopicTraffic:
         rate_hz = min(publisher.rate_hz, publisher.source_rate_hz)
         steady_s = min(_MEMORY_S, publisher.published / rate_hz) if rate_hz > 0 else 0.0
         self._published = publisher.published
-        self._samples = _Curve(at_s - steady_s)
-        self._samples.grow(at_s, steady_s * rate_hz)
+        self.samples = _Curve(at_s - steady_s)
+        self.samples.grow(at_s, steady_s * rate_hz)
         self._costs = deque([_wire_bytes(publisher, rate_hz)], maxlen=_REMEMBERED_COSTS)
-
-    @property
-    def announced_s(self) -> float:
-        """Time of the last announcement (s)."""
-        return self._samples.newest_s
 
     def note(self, publisher: PublisherState, at_s: float) -> None:
         """Note an announcement; a repeated one changes nothing."""
-        if at_s <= self.announced_s + 1e-3:  # an age is a difference of clocks, so it is never quite the same
+        if at_s <= self.samples.newest_s + 1e-3:  # an age is a difference of clocks, so it is never quite the same
             return
         if publisher.published >= self._published:
             samples = publisher.published - self._published
         else:
             samples = publisher.published  # the node restarted and counts from zero
         self._published = publisher.published
-        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.announced_s)))
-        self._samples.grow(at_s, samples)
+        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.samples.newest_s)))
+        self.samples.grow(at_s, samples)
 
-    def sent_by(self, moments: Sequence[float]) -> list[float]:
-        """Return its bytes on the link up to each of ascending moments; only differences mean something."""
-        cost = max(self._costs)
-        return [samples * cost for samples in self._samples.each_at(moments)]
-
-    def forget(self, before_s: float) -> None:
-        """Forget what only moments before ``before_s`` need."""
-        self._samples.forget(before_s)
+    def sent_by(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return its bytes on the link up to each moment; only differences mean something."""
+        return max(self._costs) * self.samples.each_at(moments)
 
 
 class _Curve:
@@ -201,19 +186,9 @@ class _Curve:
         self.grow(at_s, 0.0)
         self.grow(at_s, amount)
 
-    def each_at(self, moments: Sequence[float]) -> list[float]:
-        """Return the sum at each of ascending moments; it is constant before the first and after the last known one."""
-        times, sums = self._times, self._sums
-        i, end, found = bisect_right(times, moments[0]), len(times), []
-        for t_s in moments:
-            while i < end and times[i] <= t_s:
-                i += 1
-            if i in {0, end}:
-                found.append(sums[0 if i == 0 else -1])
-            else:
-                since_s, before = times[i - 1], sums[i - 1]
-                found.append(before + (sums[i] - before) * (t_s - since_s) / (times[i] - since_s))
-        return found
+    def each_at(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum at each moment; it is constant before the first and after the last known one."""
+        return np.interp(moments, self._times, self._sums)
 
     def forget(self, before_s: float) -> None:
         """Forget what only moments before ``before_s`` need."""
