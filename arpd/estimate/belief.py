@@ -54,8 +54,7 @@ class Belief:
         Parameters
         ----------
         since_s : time of the newest evidence, even if it changed nothing (s)
-        pinned : capacity that the configuration pins; it overrides everything (bytes/s)
-        radio : bit rate of the radio, if known (bytes/s)
+        pinned, radio : capacity that the configuration pins, over everything; bit rate of the radio (bytes/s)
         """
         if pinned is not None:
             return pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0

@@ -58,7 +58,7 @@ class Estimator:
         self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
         self._fell_at_s = -math.inf
         self._state = LinkState.APP_LIMITED
-        self._started_at_s: float | None = None
+        self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
         self._peers = PeerGauges()
         self._loss = ProbeLoss()
@@ -68,7 +68,6 @@ class Estimator:
         self._local = LocalQueue()
         self._cross_traffic = CrossTraffic()
         self._silence = Silence()
-        self._cross_traffic_rate = 0.0
         self._burst_s = 0.0  # link time of the largest message; so much is no queue
         self._burst_bytes = 0.0
         self._pinged: list[float] = []
@@ -84,7 +83,7 @@ class Estimator:
         return (
             self._belief.kind in _MEASURED
             or self._settings.capacity_bytes_per_second is not None
-            or (self._started_at_s is not None and self._last_s - self._started_at_s > self._first_wait_s)
+            or self._last_s - self._started_at_s > self._first_wait_s
         )
 
     def reconfigure(self, settings: LinkSettings) -> None:
@@ -99,14 +98,12 @@ class Estimator:
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return the estimate."""
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
-        if self._started_at_s is None:
-            self._started_at_s = now_s
-        self._last_s = now_s
+        self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._expect_bursts(observation)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
-        self._cross_traffic_rate = self._cross_traffic.update(observation)
+        cross_traffic = self._cross_traffic.update(observation)
         self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
         if self._local.busy_rate is not None:
             self._queued_here_s = now_s
@@ -127,7 +124,7 @@ class Estimator:
             self._state = self._judge_alone(observation)
         if self._state is LinkState.OUTAGE and not was_out:
             self._belief.note(EstimatorEvent.OUTAGE)
-        return self._estimate(observation)
+        return self._estimate(observation, cross_traffic)
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
         """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable."""
@@ -236,21 +233,23 @@ class Estimator:
         if now_s <= self._learns_from_s:
             return
         stays = self._stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + 1.5 * (self._peers.return_delay_s or 0.0)
-        delivered = self._delivered(now_s - parameters.RECENT_S if stays else -math.inf)
+        most = self._most_delivered
+        hears_others = self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * most
+        # Bytes from other senders are no evidence.
+        delivered = min(self._peers.delivery(now_s - parameters.RECENT_S if stays else -math.inf)[0], most)
         busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
-        hears_others = self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * self._most_delivered
-        if not busy and stays and has_reports and delivered > 0 and not hears_others:
+        if not busy and not stays and delivered > 0:
+            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports)
+        elif not busy and has_reports and delivered > 0 and hears_others:
+            believed.wait(now_s)
+            believed.filled_by(delivered)
+            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
+        elif not busy and has_reports and delivered > 0:
             busy = [delivered]
         for rate in busy:
             believed.wait(now_s)
             believed.delivered_busy(rate, overhead=self._overhead_of(rate))
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
-        if stays and hears_others and not busy and has_reports and delivered > 0:
-            believed.wait(now_s)
-            believed.filled_by(delivered)
-            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
-        elif not busy and not stays and delivered > 0:
-            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports)
         self._state_capacity(now_s, why or "carried without a queue")
 
     def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool) -> None:
@@ -285,10 +284,6 @@ class Estimator:
                 self._fell_at_s = now_s
             event = EstimatorEvent.DOWN if capacity < self._capacity else EstimatorEvent.UP
             self._belief.change(event, now_s, capacity, why)
-
-    def _delivered(self, since_s: float) -> float:
-        """Return what this host sent and peers received since then; bytes from other senders are no evidence."""
-        return min(self._peers.delivery(since_s)[0], self._most_delivered)
 
     @property
     def _most_delivered(self) -> float:
@@ -330,10 +325,10 @@ class Estimator:
             believed.wait(now_s)
             believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
         if self._belief.kind is CapacityKind.LOCAL:
-            capacity = self._capacities.stated
+            capacity = believed.stated
             if abs(capacity / self._capacity - 1.0) > parameters.NOTICED:
                 self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
-        return LinkState.CONGESTED if self._local.stands or blocked is not None else LinkState.APP_LIMITED
+        return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
 
     @property
     def _outage_s(self) -> float:
@@ -360,16 +355,11 @@ class Estimator:
         last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
         return last[0] if last and abs(last[0] / self._capacity - 1) > parameters.SURPRISE else None
 
-    def _estimate(self, observation: Observation) -> LinkEstimate:
-        assert self._started_at_s is not None
+    def _estimate(self, observation: Observation, cross_traffic: float) -> LinkEstimate:
         now_s = observation.now_s
-        since_s = max(self._trains.newest_s or -math.inf, self._started_at_s)
-        capacity, kind, evidence, age_s = self._belief.stated(
-            now_s,
-            since_s=since_s,
-            pinned=self._settings.capacity_bytes_per_second,
-            radio=observation.radio_bytes_per_second,
-        )
+        since_s = max(self._trains.newest_s, self._started_at_s)
+        pinned, radio = self._settings.capacity_bytes_per_second, observation.radio_bytes_per_second
+        capacity, kind, evidence, age_s = self._belief.stated(now_s, since_s=since_s, pinned=pinned, radio=radio)
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
@@ -382,7 +372,7 @@ class Estimator:
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,
-            cross_traffic_bytes_per_second=self._cross_traffic_rate,
+            cross_traffic_bytes_per_second=cross_traffic,
             packet_overhead_s=self._overhead_s,
             # In an outage nobody knows whether unanswered probes are lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),

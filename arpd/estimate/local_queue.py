@@ -37,13 +37,8 @@ class LocalQueue:
         self._since: _Look | None = None
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
         self.handed_bytes: float | None = None
-        self.backlog_s = 0.0
+        self.backlog_s = 0.0  # more when the queue stood at every recent look, so the interface was never idle
         self.is_empty = False
-
-    @property
-    def stands(self) -> bool:
-        """True when the queue stood at every recent look, so the interface was never idle."""
-        return self.backlog_s > 0.0
 
     @property
     def busy_rate(self) -> float | None:

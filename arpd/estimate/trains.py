@@ -64,7 +64,8 @@ class TrainLog:
             self._large.append(reading)
             self.count += 1
             self._last = reading
-            self._forget(now_s)
+            while now_s - self._large[0].at_s > TRAIN_MEMORY_S:
+                self._large.popleft()
         elif now_s - large.at_s <= _PAIR_S:
             least = min(each.packet_s for each in list(self._large)[-_LATE:])
             if reading.packet_s > least:
@@ -102,9 +103,9 @@ class TrainLog:
         return [each for each in self._overheads if each[2] <= _SLOWER * last.packet_s]
 
     @property
-    def newest_s(self) -> float | None:
+    def newest_s(self) -> float:
         """Time of the newest report of a train of large packets (s)."""
-        return self._large[-1].at_s if self._large else None
+        return self._large[-1].at_s if self._large else -math.inf
 
     def capacities(self, since_s: float, *, packet_overhead_s: float) -> list[float]:
         """Return the capacities that large trains since then saw, newest last: C = s / (T − t_ovh) (bytes/s)."""
@@ -113,7 +114,3 @@ class TrainLog:
             for reading in self._large
             if reading.at_s >= since_s
         ]
-
-    def _forget(self, now_s: float) -> None:
-        while now_s - self._large[0].at_s > TRAIN_MEMORY_S:
-            self._large.popleft()

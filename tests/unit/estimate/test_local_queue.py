@@ -62,9 +62,8 @@ class Host:
 def test_a_queue_that_stands_is_as_long_as_it_takes_to_leave():
     """A queue seen at every look lasts as long as its bytes take to leave; one look shows no queue."""
     host = Host()
-    assert not host.look(100_000).stands
+    assert host.look(100_000).backlog_s == 0.0
     queue = host.looks(4, 100_000)
-    assert queue.stands
     assert queue.backlog_s == pytest.approx(100_000 / RATE, rel=1e-3)
     assert queue.handed_bytes == host.sent + 100_000
     # At a standstill it is long, and not endless.
@@ -79,8 +78,7 @@ def test_a_queue_that_was_short_a_moment_ago_does_not_stand(peaks):
     for first, second in peaks:
         host.look(first)
         host.look(second)
-        assert not host.look(round(BURST)).stands
-        assert host.queue.backlog_s == 0.0
+        assert host.look(round(BURST)).backlog_s == 0.0
 
 
 @pytest.mark.parametrize("state", [InterfaceState.DOWN, InterfaceState.NO_CARRIER, None])
@@ -90,10 +88,10 @@ def test_an_interface_that_is_gone_has_no_queue(state):
     host.looks(5, 100_000)
     host.state = state or InterfaceState.UP
     queue = host.look(100_000, is_there=state is not None)
-    assert (queue.stands, queue.backlog_s, queue.handed_bytes, queue.is_empty) == (False, 0.0, None, False)
+    assert (queue.backlog_s, queue.handed_bytes, queue.is_empty) == (0.0, None, False)
     assert (queue.busy_rate, queue.sent_bytes_per_second()) == (None, 0.0)
     host.state = InterfaceState.UP
-    assert not host.look(100_000).stands
+    assert host.look(100_000).backlog_s == 0.0
 
 
 def test_counters_that_restart_are_no_rate():
@@ -102,7 +100,7 @@ def test_counters_that_restart_are_no_rate():
     host.looks(5, 100_000)
     host.sent = 0
     queue = host.look(100_000)
-    assert (queue.stands, queue.busy_rate, queue.sent_bytes_per_second()) == (False, None, 0.0)
+    assert (queue.backlog_s, queue.busy_rate, queue.sent_bytes_per_second()) == (0.0, None, 0.0)
     queue = host.looks(4, 100_000)
     assert queue.backlog_s == pytest.approx(100_000 / RATE, rel=1e-3)
     assert queue.sent_bytes_per_second() == pytest.approx(RATE, rel=1e-3)
@@ -120,7 +118,7 @@ def test_a_queue_is_empty_when_nothing_waits():
     """One look tells; where the kernel shows no backlog, there is neither an empty queue nor one that stands."""
     host = Host()
     queue = host.looks(5, None)
-    assert (queue.is_empty, queue.stands, queue.handed_bytes) == (False, False, host.sent)
+    assert (queue.is_empty, queue.backlog_s, queue.handed_bytes) == (False, 0.0, host.sent)
     assert host.look(0).is_empty
     assert not host.look(1).is_empty
     assert host.look(0).is_empty

@@ -155,7 +155,7 @@ def test_a_cleared_log_keeps_the_overhead():
     """The overhead depends on the radio, so the next train after a fall is read with it."""
     link = with_overhead(1e6, 0.4).pairs()
     link.log.clear()
-    assert (link.capacities, link.log.newest_s) == ([], None)
+    assert (link.capacities, link.log.newest_s) == ([], -math.inf)
     assert link.log.packet_overhead_s == pytest.approx(link.overhead_s)
     link.train(LARGE)
     assert link.capacities == pytest.approx([1e6])
