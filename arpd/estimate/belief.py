@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.estimate.parameters import RADIO_SHARE
-from arpd.model.link import CapacityKind, EstimatorEvent
+from arpd.model.link import CapacityKind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from arpd.model.link import EstimatorEvent
 
 
 class Belief:
@@ -27,24 +26,13 @@ class Belief:
         self.kind = CapacityKind.CONFIGURED
         self.changed_at_s = -math.inf
         self.evidence = "no evidence yet"
-        self._events: Counter[str] = Counter()
-
-    @property
-    def events_by_kind(self) -> Mapping[str, int]:
-        """Number of events of each kind."""
-        return MappingProxyType(dict(self._events))
+        self.events_by_kind: Counter[str] = Counter()
 
     def change(self, event: EstimatorEvent, now_s: float, capacity: float, why: str) -> None:
         """Believe a capacity from now on (bytes/s)."""
-        before, self.capacity = self.capacity, max(capacity, 1.0)
-        self.changed_at_s = now_s
+        self.capacity, self.changed_at_s = capacity, now_s
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
-        # Without a peer the capacity is stated again and again, mostly unchanged.
-        self._events[event] += event is not EstimatorEvent.LOCAL or self.capacity != before
-
-    def note(self, event: EstimatorEvent) -> None:
-        """Count an event that changes no capacity."""
-        self._events[event] += 1
+        self.events_by_kind[event] += 1
 
     def stated(
         self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
@@ -104,7 +105,7 @@ class Estimator:
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         cross_traffic = self._cross_traffic.update(observation)
-        self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
+        self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._belief.capacity)
         if self._local.busy_rate is not None:
             self._queued_here_s = now_s
         for report in observation.reports:
@@ -123,7 +124,7 @@ class Estimator:
             self._forget_queue()
             self._state = self._judge_alone(observation)
         if self._state is LinkState.OUTAGE and not was_out:
-            self._belief.note(EstimatorEvent.OUTAGE)
+            self._belief.events_by_kind[EstimatorEvent.OUTAGE] += 1
         return self._estimate(observation, cross_traffic)
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
@@ -133,7 +134,7 @@ class Estimator:
         requests = tuple(
             self._schedule.wanted(
                 now_s,
-                capacity_bytes_per_second=self._capacity,
+                capacity_bytes_per_second=self._belief.capacity,
                 is_measured=self._belief.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
@@ -165,7 +166,7 @@ class Estimator:
         train_bytes = self._train[1] if observation.now_s - self._train[0] < parameters.TRAIN_IS_NEAR_S else 0.0
         largest = max(sizes, default=0.0)
         self._burst_bytes = max(parameters.BURST_BYTES, parameters.BURST_SHARE * largest) + train_bytes
-        self._burst_s = min(parameters.BURST_CAP_S, largest / self._capacity)
+        self._burst_s = min(parameters.BURST_CAP_S, largest / self._belief.capacity)
 
     def _digest(self, report: PeerReport) -> None:
         now_s = report.received_at_s
@@ -182,11 +183,11 @@ class Estimator:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
+        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._belief.capacity)
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
-        pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._capacity)
+        pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._belief.capacity)
         self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
         self._queues.append((now_s, self._queue_delay_s))
         while len(self._queues) > 1 and now_s - self._queues[1][0] >= parameters.BUSY_AFTER_S:
@@ -256,7 +257,7 @@ class Estimator:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
         believed, overhead = self._capacities, self._overhead_of(delivered)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
-        if overhead + delivered / self._capacity <= parameters.USED:
+        if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
         believed.wait(now_s)
         if has_reports:
@@ -279,10 +280,10 @@ class Estimator:
             if self._trains.count >= _ENOUGH_TRAINS:
                 self._belief.kind = CapacityKind.PEER
                 self._belief.change(EstimatorEvent.FIRST, now_s, capacity, f"first {self._trains.count} trains")
-        elif abs(capacity / self._capacity - 1.0) > parameters.NOTICED:
-            if capacity < parameters.FALLEN * self._capacity:
+        elif abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
+            if capacity < parameters.FALLEN * self._belief.capacity:
                 self._fell_at_s = now_s
-            event = EstimatorEvent.DOWN if capacity < self._capacity else EstimatorEvent.UP
+            event = EstimatorEvent.DOWN if capacity < self._belief.capacity else EstimatorEvent.UP
             self._belief.change(event, now_s, capacity, why)
 
     @property
@@ -303,7 +304,7 @@ class Estimator:
         if self._stays_s(parameters.STANDING_S) > self._queue_low_s:
             is_draining = now_s - self._fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
-        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
+        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._belief.capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
     def _judge_alone(self, observation: Observation) -> LinkState:
@@ -320,13 +321,13 @@ class Estimator:
         elif (
             self._local.is_empty
             and now_s - self._queued_here_s < parameters.QUEUED_HERE_S
-            and sent > parameters.USED * self._capacity
+            and sent > parameters.USED * self._belief.capacity
         ):
             believed.wait(now_s)
             believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
         if self._belief.kind is CapacityKind.LOCAL:
             capacity = believed.stated
-            if abs(capacity / self._capacity - 1.0) > parameters.NOTICED:
+            if abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
                 self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
 
@@ -342,10 +343,6 @@ class Estimator:
     # -- results
 
     @property
-    def _capacity(self) -> float:
-        return self._belief.capacity
-
-    @property
     def _overhead_s(self) -> float:
         pinned = self._settings.packet_overhead_s
         return self._trains.packet_overhead_s if pinned is None else pinned
@@ -353,7 +350,7 @@ class Estimator:
     def _surprise(self, now_s: float) -> float | None:
         """Return what the last train saw, if that is far from the capacity (bytes/s)."""
         last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
-        return last[0] if last and abs(last[0] / self._capacity - 1) > parameters.SURPRISE else None
+        return last[0] if last and abs(last[0] / self._belief.capacity - 1) > parameters.SURPRISE else None
 
     def _estimate(self, observation: Observation, cross_traffic: float) -> LinkEstimate:
         now_s = observation.now_s
@@ -377,5 +374,5 @@ class Estimator:
             # In an outage nobody knows whether unanswered probes are lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),
             return_delay_s=None if is_out else self._peers.return_delay_s,
-            events_by_kind=self._belief.events_by_kind,
+            events_by_kind=MappingProxyType(dict(self._belief.events_by_kind)),
         )
