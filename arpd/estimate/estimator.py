@@ -270,7 +270,7 @@ class Estimator:
             is_idle = delay_s < parameters.IDLE_S
             weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
-        if not has_reports and self._local.is_empty and now_s - self._queued_here_s < parameters.QUEUED_HERE_S:
+        if not has_reports and self._local.is_empty and self._is_queued_here:
             believed.ping(delivered, was_idle=True, weight=parameters.LOOK_WEIGHT, overhead=overhead)
 
     def _state_capacity(self, now_s: float, why: str) -> None:
@@ -287,11 +287,15 @@ class Estimator:
             self._belief.change(event, now_s, capacity, why)
 
     @property
+    def _is_queued_here(self) -> bool:
+        """True when a queue was seen before this host's interface lately, so it is the one of the link."""
+        return self._last_s - self._queued_here_s < parameters.QUEUED_HERE_S
+
+    @property
     def _most_delivered(self) -> float:
         """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
         window_s = parameters.DELIVERY_WINDOW_S
-        is_here = self._last_s - self._queued_here_s < parameters.QUEUED_HERE_S
-        span_s = window_s + (0.0 if is_here else min(2.0, self._queue_delay_s))
+        span_s = window_s + (0.0 if self._is_queued_here else min(2.0, self._queue_delay_s))
         return self._local.sent_bytes_per_second(span_s) * span_s / window_s or math.inf
 
     def _overhead_of(self, rate: float) -> float:
@@ -318,11 +322,7 @@ class Estimator:
             believed.wait(now_s)
             believed.delivered_busy(rate)
             self._belief.kind = CapacityKind.LOCAL
-        elif (
-            self._local.is_empty
-            and now_s - self._queued_here_s < parameters.QUEUED_HERE_S
-            and sent > parameters.USED * self._belief.capacity
-        ):
+        elif self._local.is_empty and self._is_queued_here and sent > parameters.USED * self._belief.capacity:
             believed.wait(now_s)
             believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
         if self._belief.kind is CapacityKind.LOCAL:

@@ -17,7 +17,7 @@ LOCAL_WINDOW_S = 1.0  # span over which sending is averaged without a peer
 USED = 0.5  # part of the capacity from which on the absence of a queue shows that there is more
 # Evidence in a ping, and in a look at an empty queue of this host: several meet one burst.
 PING_WEIGHT, LOOK_WEIGHT = 0.8, 0.3
-QUEUED_HERE_S = 5.0  # such a look counts for so long after a queue was seen there, so it is the one of the link
+QUEUED_HERE_S = 5.0  # such a look counts for so long after a queue was seen there
 RECENT_S = 0.15  # span of the delivery that counts while a queue stays
 CAUTION = 0.95  # part of what arrived that counts as carried
 FOREIGN = 1.1  # a peer that receives this multiple of what this host sends hears others, too
