@@ -148,11 +148,9 @@ class _TopicTraffic:
         """Note an announcement; a repeated one changes nothing."""
         if at_s <= self.samples.newest_s + 1e-3:  # an age is a difference of clocks, so it is never quite the same
             return
-        if publisher.published >= self._published:
-            samples = publisher.published - self._published
-        else:
-            samples = publisher.published  # the node restarted and counts from zero
-        self._published = publisher.published
+        if publisher.published < self._published:
+            self._published = 0  # the node restarted and counts from zero
+        samples, self._published = publisher.published - self._published, publisher.published
         self._costs.append(_wire_bytes(publisher, samples / (at_s - self.samples.newest_s)))
         self.samples.grow(at_s, samples)
 

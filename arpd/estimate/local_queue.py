@@ -81,16 +81,13 @@ class LocalQueue:
         if observation.counters is None:
             self._since = None
             return None
-        look = _Look(
-            at_s=observation.now_s,
-            sent_bytes=observation.counters.tx_bytes,
-            # Publishers on other hosts wait for their own interfaces.
-            blocked_s={
-                (publisher.node, publisher.topic): publisher.blocked_s
-                for publisher in observation.publishers
-                if publisher.direction is Direction.SENSING
-            },
-        )
+        # Publishers on other hosts wait for their own interfaces.
+        blocked_s = {
+            (publisher.node, publisher.topic): publisher.blocked_s
+            for publisher in observation.publishers
+            if publisher.direction is Direction.SENSING
+        }
+        look = _Look(at_s=observation.now_s, sent_bytes=observation.counters.tx_bytes, blocked_s=blocked_s)
         since = self._since
         # Longer than two windows ago a peer measured, or the interface was down, so the look does not count.
         if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * LOCAL_WINDOW_S:

@@ -89,10 +89,8 @@ class QueueGauge:
         now_s = self.reported_s = report.received_at_s
         if not self._waited_out(report):
             self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
-        while (
-            len(self._deliveries) > 1
-            and now_s - self._deliveries[0][0] > parameters.DELIVERY_WINDOW_S - report.interval_s / 2
-        ):
+        window_s = parameters.DELIVERY_WINDOW_S - report.interval_s / 2
+        while len(self._deliveries) > 1 and now_s - self._deliveries[0][0] > window_s:
             self._deliveries.popleft()
         if self._since_ping is not None:
             self._since_ping = self._since_ping[0], self._since_ping[1] + report.rx_bytes

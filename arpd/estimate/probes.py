@@ -15,14 +15,15 @@ if TYPE_CHECKING:
 _QUIET_PINGS = 1.2  # periods of the pings; a peer that receives a ping in time sends nothing in between
 
 
-SHARE, PINGS_SHARE = 0.008, 0.0035  # parts of the capacity: for probes and the reports they cause; for pings alone
+SHARE = 0.008  # part of the capacity for probes and the reports they cause
+PINGS_SHARE = 0.0035  # part of it for pings and their reports alone
 REPORT_BYTES = 230  # a report on the wire
 PING_S, PING_MOST_S = 0.09, 0.55  # least and most time between pings
-PING_BYTES = 16  # payload
-OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # the same while the link is out
+PING_BYTES = 16  # payload of a ping
+OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # time between pings, and their payload, while the link is out
 PACKET_BYTES = 1_200  # payload in a train; with 16 bytes of layout one datagram, `arpd.model.wire.FRAGMENT_BYTES`
 TRAIN_S, TRAIN_LEAST_PACKETS, TRAIN_MOST_PACKETS = 0.005, 4, 24  # length of a train in link time, and its bounds
-SMALL_PACKETS, SMALL_PACKET_BYTES = 16, 16  # a train of small packets
+SMALL_PACKETS, SMALL_PACKET_BYTES = 16, 16  # number and payload of the packets of a train of small ones
 # One in so many large trains is followed by one of small packets, after this time.
 SMALL_EVERY, PAIR_S = 10, 0.15
 # Least time between trains: before any measurement, in general, while the capacity is doubtful, and after a train that

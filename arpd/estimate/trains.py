@@ -46,7 +46,7 @@ class TrainLog:
         self._large: deque[_Reading] = deque()
         self.count = 0  # readings of large packets so far
         self._taken = 0
-        self._last: _Reading | None = None  # of a large packet; outlives `clear`
+        self._last_packet_s = 0.0  # of the last large train; outlives `clear`
         # t_ovh s, whether it is that or less, and the time of a large packet then s
         self._overheads: deque[tuple[float, bool, float]] = deque(maxlen=_PAIRS)
 
@@ -63,7 +63,7 @@ class TrainLog:
         if large is None or reading.packet_bytes > _SMALL * large.packet_bytes:
             self._large.append(reading)
             self.count += 1
-            self._last = reading
+            self._last_packet_s = reading.packet_s
             while now_s - self._large[0].at_s > TRAIN_MEMORY_S:
                 self._large.popleft()
         elif now_s - large.at_s <= _PAIR_S:
@@ -86,21 +86,22 @@ class TrainLog:
     @property
     def packet_overhead_s(self) -> float:
         """t_ovh; 0 until it is known, and while jitter may explain it (s)."""
-        if (last := self._last) is None or len(known := self._known(last)) < _LEAST_PAIRS:
+        if len(self._known) < _LEAST_PAIRS:
             return 0.0
-        overhead_s, is_bound, _ = sorted(known)[1]
-        if is_bound or overhead_s < max(_LEAST_OVERHEAD_S, _LEAST_OVERHEAD * last.packet_s):
+        overhead_s, is_bound, _ = sorted(self._known)[1]
+        if is_bound or overhead_s < max(_LEAST_OVERHEAD_S, _LEAST_OVERHEAD * self._last_packet_s):
             return 0.0
-        return min(overhead_s, _MOST_OVERHEAD * last.packet_s)
+        return min(overhead_s, _MOST_OVERHEAD * self._last_packet_s)
 
     @property
     def needs_pairs(self) -> bool:
         """True while too few pairs show the overhead on a link of this speed."""
-        return not self._large or len(self._known(self._large[-1])) < _LEAST_PAIRS
+        return not self._large or len(self._known) < _LEAST_PAIRS
 
-    def _known(self, last: _Reading) -> list[tuple[float, bool, float]]:
-        """Return the pairs of a link as fast as now: jitter on a slow link is as long as the overhead on a fast one."""
-        return [each for each in self._overheads if each[2] <= _SLOWER * last.packet_s]
+    @property
+    def _known(self) -> list[tuple[float, bool, float]]:
+        """Pairs of a link as fast as now: jitter on a slow link is as long as the overhead on a fast one."""
+        return [each for each in self._overheads if each[2] <= _SLOWER * self._last_packet_s]
 
     @property
     def newest_s(self) -> float:
