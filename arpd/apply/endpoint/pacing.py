@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 # and loses nothing. No window of T seconds sees more than rate·T + max(2, rate·50 ms) samples.
 _LEAST_BURST = 2.0
 _BURST_S = 0.05
+_FULL = 1.0 - 1e-9  # credit of one sample; sums of small parts may lack a few of the last digits
 _PATIENCE = 1.5  # source periods that a sample waits for a fresher one: by then its source may have stopped
 _GAP_WEIGHT = 0.1
 _LONGEST_GAP_S = 5.0  # a longer one is a silence
@@ -81,14 +82,14 @@ class Pacer:
         self._note_arrival(now_s)
         self._queue.append(sample)
         self._shed()
-        self._is_due = self._credit >= 1.0 and self._rate_hz > 0
+        self._is_due = self._credit >= _FULL and self._rate_hz > 0
 
     def admits(self, now_s: float) -> bool:
         """Return whether a sample may leave without being queued, and spend its credit."""
         if self._queue:
             return False
         self._earn(now_s)
-        if self._credit < 1.0 or self._rate_hz <= 0:
+        if self._credit < _FULL or self._rate_hz <= 0:
             return False
         self._note_arrival(now_s)
         self._credit -= 1.0
@@ -99,7 +100,7 @@ class Pacer:
         if not self._queue or self._rate_hz <= 0:
             return math.inf
         self._earn(now_s)
-        due_s = now_s if self._credit >= 1.0 else now_s + (1.0 - self._credit) / self._rate_hz
+        due_s = now_s if self._credit >= _FULL else now_s + (1.0 - self._credit) / self._rate_hz
         if self._waits_for_fresher:
             return max(due_s, self._arrived_s + _PATIENCE * self._gap_s)
         return due_s

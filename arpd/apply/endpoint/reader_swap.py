@@ -110,7 +110,7 @@ class ReaderSwap(Generic[Q, S]):
     @property
     def will_create(self) -> bool:
         """True if the next `step` makes a reader, which takes some milliseconds."""
-        return self._wanted is not None and self._wanted != self._qos
+        return self._wanted is not None and self._wanted != self.qos
 
     def request(self, qos: Q) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""

@@ -5,7 +5,7 @@ from itertools import accumulate, pairwise
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.pacing import Pacer
@@ -125,6 +125,7 @@ def test_a_conflated_sample_leaves_as_it_arrives_and_the_rate_stays(share, sourc
 
 
 @settings(deadline=None)
+@example(477.5, [0.0, 1.2e-38, 1.2e-38])
 @given(RATES, GAPS)
 def test_the_last_sample_leaves_whatever_came_before(rate_hz, gaps):
     """When the source stops, its newest sample leaves after a period of the rate or 1.5 of the source."""
