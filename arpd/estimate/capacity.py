@@ -108,15 +108,16 @@ class CapacityBelief:
         likelihood = np.maximum(_NEVER_IDLE, 1.0 - used) if was_idle else np.maximum(_ALWAYS_DELAYED, used)
         self._weigh(likelihood**weight)
 
-    @property
-    def stated(self) -> float:
-        """Capacity to state: about as likely exceeded as not (bytes/s)."""
-        return self._quantile(_STATED)
+    def stated(self, before: float) -> float:
+        """Return the capacity to state: about as likely exceeded as not, and what was stated before while it may be so.
 
-    @property
-    def cautious_ratio(self) -> float:
-        """Part of the stated capacity that the link most likely exceeds; 1 when the evidence is sharp."""
-        return min(1.0, 1.06 * self._quantile(_CAUTIOUS) / self.stated)
+        A link that may have recovered or not has two likely capacities, and what lies between is none of them (bytes/s).
+        """
+        return min(max(before, self._quantile(_CAUTIOUS)), self._quantile(_STATED))
+
+    def cautious_ratio(self, stated: float) -> float:
+        """Return the part of a stated capacity that the link most likely exceeds; 1 when the evidence is sharp."""
+        return min(1.0, 1.06 * self._quantile(_CAUTIOUS) / stated)
 
     def _weigh(self, likelihood: NDArray[np.float64]) -> None:
         p = self._p * likelihood

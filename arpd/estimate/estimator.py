@@ -216,7 +216,7 @@ class Estimator:
             self._fell_at_s = now_s
             self._capacities.scatter(0.7)
             why = f"reports resumed after {silent_s:.1f} s of silence"
-            self._belief.change(EstimatorEvent.RESUME, now_s, self._capacities.stated, why)
+            self._belief.change(EstimatorEvent.RESUME, now_s, self._capacities.stated(self._belief.capacity), why)
 
     # -- the capacity
 
@@ -275,7 +275,7 @@ class Estimator:
 
     def _state_capacity(self, now_s: float, why: str) -> None:
         """State what is believed now, if that is news."""
-        capacity = self._capacities.stated
+        capacity = self._capacities.stated(self._belief.capacity)
         if self._belief.kind is not CapacityKind.PEER:
             if self._trains.count >= _ENOUGH_TRAINS:
                 self._belief.kind = CapacityKind.PEER
@@ -326,7 +326,7 @@ class Estimator:
             believed.wait(now_s)
             believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
         if self._belief.kind is CapacityKind.LOCAL:
-            capacity = believed.stated
+            capacity = believed.stated(self._belief.capacity)
             if abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
                 self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
@@ -365,7 +365,7 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             standing_delay_s=self._stays_s(parameters.STANDING_S),
-            cautious_ratio=self._capacities.cautious_ratio if kind in _MEASURED else 1.0,
+            cautious_ratio=self._capacities.cautious_ratio(capacity) if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             age_s=age_s,
             evidence=evidence,

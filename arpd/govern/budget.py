@@ -17,6 +17,7 @@ _OUT, _OUT_HALF_S, _OUT_MOST_S = 0.05, 1.0, 10.0  # part that goes on in an outa
 _LEVEL_S, _MOVES_S = 1.0, 6.0
 # Mean distance from the level of the last second, of the logarithm: noise of the estimate, and a link that never rests.
 _RESTING, _RESTLESS = 0.03, 0.12
+_SPENT = 0.8  # part of the reserve that such a link gets to carry; the rest bounds the queue of the next fall
 _LASTING_S = 30.0
 _LASTING_STEP_S = 0.5
 _LASTING_SHARE = 0.1
@@ -49,7 +50,7 @@ class Budget:
         self._carried_at_s = now_s
         queue_s = max(link.standing_delay_s, link.queue_delay_s - link.queue_allowance_s)
         drained = max(0.0, 1.0 + (_TARGET_S - queue_s) / _DRAIN_S)
-        share = headroom + (1.0 - headroom) * self._unrest(now_s, available)
+        share = headroom + (1.0 - headroom) * _SPENT * self._unrest(now_s, available)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
             self._past.append((now_s, available))
             while now_s - self._past[0][0] > _LASTING_S:
