@@ -1,7 +1,5 @@
 """The paper's experiment: the figures of a turn, void turns, and whether the optimum wins."""
 
-from array import array
-
 import pytest
 
 from scripts.bench.paper_cells import (
@@ -22,17 +20,18 @@ from scripts.bench.paper_report import markdown, nonsense, table, voids
 from scripts.bench.paper_summary import summary
 from scripts.bench.paper_verdict import FULL, SPREAD, UNFILLED, UNKNOWN, cells, verdicts, why_lossier, why_slower
 from scripts.bench.record import conditions
+from tests.unit.scripts.paper_files import PaperFiles
 
 MS = 1_000_000
 SECONDS = 1.0
 IDLE = {"process_cpu_s": 0.3, "cpu_s": 0.1, "core_wait_s": 0.01, "wall_s": 1.2, "publish_s": 0.1}
 
 
-class Files:
+class Files(PaperFiles):
     """Files as the processes leave them: each sensor publishes at 22 Hz for a second, and two samples are answered."""
 
     def __init__(self, folder):
-        self.folder = folder
+        super().__init__(folder)
         self.left = {index: [index + number * 45 * MS for number in range(22)] for index in range(SENSORS)}
         self.arrived = {index: [(n, at + 2 * MS) for n, at in enumerate(left)] for index, left in self.left.items()}
         self.commands = [n for n in range(22) for index in range(SENSORS) if n % SENSORS == index]
@@ -54,17 +53,6 @@ class Files:
         }
         cell = Configuration(depth=10, deadline_hz=22, payload_bytes=100)
         return summary(cell, SECONDS, told, arrived, self.pairs("actuated", self.actuated))
-
-    def pairs(self, name, pairs):
-        return {
-            "numbers": self.keep(f"{name}-n", [n for n, _ in pairs]),
-            "received": self.keep(f"{name}-r", [at for _, at in pairs]),
-        }
-
-    def keep(self, name, values):
-        path = self.folder / f"{name}.i64"
-        path.write_bytes(array("q", values).tobytes())
-        return str(path)
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
-
 import numpy as np
 import pytest
 
@@ -21,17 +19,18 @@ from scripts.bench.paper_cells import (
 from scripts.bench.paper_live_report import live_markdown, live_table
 from scripts.bench.paper_report import nonsense, voids
 from scripts.bench.paper_summary import live_summary
+from tests.unit.scripts.paper_files import PaperFiles
 
 MS = 1_000_000
 WARM, MEASURED = 20, 40  # samples that each source offers; pacing lets every second one leave
 SPENT = {"process_cpu_s": 0.3, "cpu_s": 0.1, "core_wait_s": 0.01, "wall_s": 1.2, "publish_s": 0.1}
 
 
-class Files:
+class Files(PaperFiles):
     """Files as the processes leave them: what leaves arrives after 2 ms, and every command after 5 ms."""
 
     def __init__(self, folder):
-        self.folder = folder
+        super().__init__(folder)
         self.left = {index: [index + n * 10 * MS for n in range(WARM + MEASURED)] for index in range(SENSORS)}
         self.arrived = {
             index: [(n, at + 2 * MS) for n, at in enumerate(left) if n % 2 == 0] for index, left in self.left.items()
@@ -62,17 +61,6 @@ class Files:
         }
         cell = Configuration(depth=0, deadline_hz=MEASURED, payload_bytes=1000)
         return live_summary(cell, 1.0, told, arrived, self.pairs("actuated", self.actuated))
-
-    def pairs(self, name, pairs):
-        return {
-            "numbers": self.keep(f"{name}-n", [n for n, _ in pairs]),
-            "received": self.keep(f"{name}-r", [at for _, at in pairs]),
-        }
-
-    def keep(self, name, values):
-        path = self.folder / f"{name}.i64"
-        path.write_bytes(array("q", values).tobytes())
-        return str(path)
 
 
 @pytest.fixture
