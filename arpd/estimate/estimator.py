@@ -234,16 +234,17 @@ class Estimator:
         if now_s <= self._learns_from_s:
             return
         stays = self._stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + 1.5 * (self._peers.return_delay_s or 0.0)
-        most = self._most_delivered
-        hears_others = self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * most
         # Bytes from other senders are no evidence.
-        delivered = min(self._peers.delivery(now_s - parameters.RECENT_S if stays else -math.inf)[0], most)
+        recent = self._peers.delivery(now_s - parameters.RECENT_S if stays else -math.inf)[0]
+        delivered = min(recent, self._most_delivered)
         busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
         if not busy and not stays and delivered > 0:
             self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports)
-        elif not busy and has_reports and delivered > 0 and hears_others:
+        elif not busy and has_reports and delivered > 0 and self._hears_others:
+            if (growth := self._queue_growth) < -0.5:
+                return  # the queue drains, because less is sent than the link carries
             believed.wait(now_s)
-            believed.filled_by(delivered)
+            believed.filled_by(delivered / (1.0 + growth))
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
         elif not busy and has_reports and delivered > 0:
             busy = [delivered]
@@ -260,7 +261,8 @@ class Estimator:
         if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
         believed.wait(now_s)
-        if has_reports:
+        # What this host sent beside others' traffic may still wait in a hidden queue, unless a ping met none.
+        if has_reports and (not self._hears_others or self._queue_delay_s < parameters.IDLE_S):
             believed.carried(parameters.CAUTION * delivered, overhead=overhead)
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
         if self._burst_s <= 2.0 * parameters.IDLE_S:
@@ -297,6 +299,17 @@ class Estimator:
         window_s = parameters.DELIVERY_WINDOW_S
         span_s = window_s + (0.0 if self._is_queued_here else min(2.0, self._queue_delay_s))
         return self._local.sent_bytes_per_second(span_s) * span_s / window_s or math.inf
+
+    @property
+    def _hears_others(self) -> bool:
+        """True while the peer receives more than this host sent."""
+        return self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * self._most_delivered
+
+    @property
+    def _queue_growth(self) -> float:
+        """How fast the queue grew lately (s/s)."""
+        (before_s, before), (now_s, now) = self._queues[0], self._queues[-1]
+        return (now - before) / (now_s - before_s) if now_s > before_s else 0.0
 
     def _overhead_of(self, rate: float) -> float:
         """Return the part of the time that packets of the recent size cost beyond their bytes at this rate."""
