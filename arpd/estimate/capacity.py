@@ -111,7 +111,7 @@ class CapacityBelief:
     def stated(self, before: float) -> float:
         """Return the capacity to state: about as likely exceeded as not, and what was stated before while it may be so.
 
-        A link that may have recovered or not has two likely capacities, and what lies between is none of them (bytes/s).
+        A link that may have recovered has two likely capacities, and what lies between is none of them (bytes/s).
         """
         return min(max(before, self._quantile(_CAUTIOUS)), self._quantile(_STATED))
 

@@ -298,7 +298,9 @@ class Estimator:
         """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
         window_s = parameters.DELIVERY_WINDOW_S
         span_s = window_s + (0.0 if self._is_queued_here else min(2.0, self._queue_delay_s))
-        return self._local.sent_bytes_per_second(span_s) * span_s / window_s or math.inf
+        if self._local.handed_bytes is None:
+            return math.inf
+        return self._local.sent_bytes_per_second(span_s) * span_s / window_s
 
     @property
     def _hears_others(self) -> bool:

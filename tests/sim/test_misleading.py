@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 
 from arpd.adapters.sim.foreign import ForeignFlow
+from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic
 from arpd.model.endpoints import Direction
 from tests.sim.test_price import MBIT, QUEUE, ROBOT, at, goodput, play, queues
@@ -52,6 +53,17 @@ def test_a_download_into_the_peer_is_no_capacity():
     assert "up" not in played.plans(FALLS_S, LASTS_S)
     waits = queues(played, FALLS_S + 3.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.15
+
+
+@pytest.mark.parametrize("into_peer", [(), (DOWNLOAD,)], ids=["alone", "beside a download"])
+@pytest.mark.parametrize(("before", "after"), [(20, 6), (5, 1)])
+def test_what_waits_in_a_hidden_queue_has_not_arrived(before, after, into_peer):
+    """Beyond the host's sight, too, a queue drains after a fall, and what entered it is not taken for carried."""
+    played = falling(before, after, into_peer=into_peer, model=LinkModel(queue_bytes=0, firmware_bytes=1_500_000))
+    waits = queues(played, FALLS_S + 3.0, LASTS_S)
+    assert waits[len(waits) // 2] < 0.25
+    stated = sorted(estimates(played, FALLS_S + 3.0, LASTS_S))
+    assert stated[len(stated) // 2] < 1.2 * after
 
 
 def test_one_drop_without_a_peer_starves_nobody():
