@@ -27,10 +27,9 @@ class Budget:
     """Total rate of all topics, closed-loop on delay.
 
     The estimate feeds it forward: the headroom's part of what the link carries, less while that is uncertain, and more
-    on a link that never rests, where a fixed reserve would only be lost. A queue
-    that stands feeds back: the total is what the link carries, less what drains the queue. The law is that of a
-    delay-target controller, C·(1 + (target − queue)/T), as in SCReAM (RFC 8298) and Copa (Arun and Balakrishnan, NSDI
-    2018).
+    on a link that never rests, where a fixed reserve would only be lost. A queue that stands feeds back: the total is
+    what the link carries, less what drains the queue. The law is that of a delay-target controller,
+    C·(1 + (target − queue)/T), as in SCReAM (RFC 8298) and Copa (Arun and Balakrishnan, NSDI 2018).
     """
 
     def __init__(self) -> None:
