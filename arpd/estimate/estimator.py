@@ -235,12 +235,15 @@ class Estimator:
             return
         stays = self._stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + 1.5 * (self._peers.return_delay_s or 0.0)
         # Bytes from other senders are no evidence.
-        recent = self._peers.delivery(now_s - parameters.RECENT_S if stays else -math.inf)[0]
-        delivered = min(recent, self._most_delivered)
+        received, most = self._peers.delivery(-math.inf)[0], self._most_delivered
+        delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
+        hears_others = received > parameters.FOREIGN * most
         busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
         if not busy and not stays and delivered > 0:
-            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports)
-        elif not busy and has_reports and delivered > 0 and self._hears_others:
+            # What this host sent beside others' traffic may still wait in a hidden queue, unless a ping met none.
+            has_arrived = has_reports and (not hears_others or self._queue_delay_s < parameters.IDLE_S)
+            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports, has_arrived=has_arrived)
+        elif not busy and has_reports and delivered > 0 and hears_others:
             if (growth := self._queue_growth) < -0.5:
                 return  # the queue drains, because less is sent than the link carries
             believed.wait(now_s)
@@ -254,15 +257,16 @@ class Estimator:
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
         self._state_capacity(now_s, why or "carried without a queue")
 
-    def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool) -> None:
+    def _weigh_idleness(
+        self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool, has_arrived: bool
+    ) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
         believed, overhead = self._capacities, self._overhead_of(delivered)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
         if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
         believed.wait(now_s)
-        # What this host sent beside others' traffic may still wait in a hidden queue, unless a ping met none.
-        if has_reports and (not self._hears_others or self._queue_delay_s < parameters.IDLE_S):
+        if has_arrived:
             believed.carried(parameters.CAUTION * delivered, overhead=overhead)
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
         if self._burst_s <= 2.0 * parameters.IDLE_S:
@@ -301,11 +305,6 @@ class Estimator:
         if self._local.handed_bytes is None:
             return math.inf
         return self._local.sent_bytes_per_second(span_s) * span_s / window_s
-
-    @property
-    def _hears_others(self) -> bool:
-        """True while the peer receives more than this host sent."""
-        return self._peers.delivery(-math.inf)[0] > parameters.FOREIGN * self._most_delivered
 
     @property
     def _queue_growth(self) -> float:
