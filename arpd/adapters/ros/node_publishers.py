@@ -21,6 +21,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.announcement import to_status
+from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.bounds import (
     MOST_DEPTH,
     checked_deadline_ns,
@@ -56,15 +57,12 @@ from arpd.model.plan import TopicPlan
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rclpy.context import Context
     from rclpy.node import Node
 
     from arpd.model.endpoints import PublisherState, WriterQos
     from arpd.model.price import Price
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
-_ATTRIBUTE = "_arpd_publishers"
-_CLOCK_ATTRIBUTE = "_arpd_link_clock"
 _ANNOUNCE_S = 1.0
 _EARLY_S = 0.4  # least time between two announcements of finished swaps: the daemon takes four a second, of any kind
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
@@ -127,7 +125,7 @@ class NodePublishers:
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
-        self.link = _link_clock(node.context)
+        self.link = attached(node.context, LinkClock, LinkClock)  # all nodes of a process share the link
         self._publishers: dict[str, Paced] = {}
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
@@ -162,11 +160,7 @@ class NodePublishers:
     @classmethod
     def of(cls, node: Node) -> NodePublishers:
         """Return the node's own, made on first use and stored on the node."""
-        shared = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(shared, NodePublishers):
-            shared = cls(node)
-            setattr(node, _ATTRIBUTE, shared)
-        return shared
+        return attached(node, cls, lambda: cls(node))
 
     def adopt(self, publisher: Paced) -> None:
         """Declare the publisher's parameters and begin to pace it."""
@@ -358,15 +352,6 @@ class NodePublishers:
                         own_deadline_ns=publisher.baseline.deadline_ns,
                     )
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
-
-
-def _link_clock(context: Context) -> LinkClock:
-    """Return the link clock of a process, kept on its context: all nodes there share the link."""
-    clock = getattr(context, _CLOCK_ATTRIBUTE, None)
-    if not isinstance(clock, LinkClock):
-        clock = LinkClock()
-        setattr(context, _CLOCK_ATTRIBUTE, clock)
-    return clock
 
 
 _CHECKS: dict[str, Callable[[Any], int | float]] = {

@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.announcement import reader_to_status
+from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
 from arpd.adapters.ros.grant import Grant
 from arpd.adapters.ros.names import PRICE_TOPIC, READERS_GENERATION_PARAMETER, READERS_LEASE_PARAMETER, READERS_TOPIC
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
 
-_ATTRIBUTE = "_arpd_subscriptions"
 _ANNOUNCE_S = 1.0
 _CALM = 3  # without news only every third announcement is sent, because most readers live across the link
 _WARN_EVERY_S = 5.0
@@ -82,11 +82,7 @@ class NodeSubscriptions:
     @classmethod
     def of(cls, node: Node) -> NodeSubscriptions:
         """Return the node's own, made on first use and stored on the node."""
-        shared = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(shared, NodeSubscriptions):
-            shared = cls(node)
-            setattr(node, _ATTRIBUTE, shared)
-        return shared
+        return attached(node, cls, lambda: cls(node))
 
     def adopt(self, subscription: Announced) -> None:
         """Announce a subscription from now on."""

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 
+from arpd.adapters.ros.attached import attached
+
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-_ATTRIBUTE = "_arpd_parameters"
 _KINDS = ("new_parameters", "changed_parameters", "deleted_parameters")
 
 
@@ -38,11 +39,7 @@ class OwnParameters:
     @classmethod
     def of(cls, node: Node) -> OwnParameters:
         """Return the node's own, made on first use and stored on the node."""
-        own = getattr(node, _ATTRIBUTE, None)
-        if not isinstance(own, OwnParameters):
-            own = cls(node)
-            setattr(node, _ATTRIBUTE, own)
-        return own
+        return attached(node, cls, lambda: cls(node))
 
     def declare(self, name: str, value: float, description: str) -> None:
         """Declare a parameter, as `Node.declare_parameter` does."""
