@@ -150,21 +150,48 @@ class HttpSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TopicGroup:
+    """Topics whose samples with one header stamp are thinned together; ``name`` stands for them in the program."""
+
+    name: str
+    topics: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RelaySettings:
-    """Topics that the relay carries for nodes whose code is not yours.
+    """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends.
 
     Parameters
     ----------
-    topics : topics to carry, by name
-    prefix : the carried topic is ``prefix + name``
+    topics : topics to carry under the prefix, by name; with two ends, topics with an overflow or a depth of their own
+    prefix : with one end, the carried topic is ``prefix + name``
     overflow : treatment of samples above the paced rate, by topic; ``latest`` when not named
     depths : KEEP_LAST depth before the first plan, by topic; 10 when not named
+    link_domain : ROS domain in which only arpd's processes live; None = one end, with the prefix
+    robot, ceddp : address of each end on the link; None = unknown, then the other one must be known
+    namespace : stands before all of the robot's names on the CEDDP; empty = none
+    to_ceddp, to_robot : patterns of the topics that may cross in each direction
+    deny : patterns of names that cross in neither
+    services, actions : patterns of those that may be called across the link, from either side
+    groups : topics thinned together
+    call_timeout_s : time after which a service call without an answer has failed (s)
     """
 
     topics: tuple[str, ...] = ()
     prefix: str = "/link"
     overflow: dict[str, Overflow] = field(default_factory=dict)
     depths: dict[str, int] = field(default_factory=dict)
+    link_domain: int | None = None
+    robot: str | None = None
+    ceddp: str | None = None
+    namespace: str = ""
+    to_ceddp: tuple[str, ...] = ("/**",)
+    to_robot: tuple[str, ...] = ("/**",)
+    deny: tuple[str, ...] = ()
+    services: tuple[str, ...] = ()
+    actions: tuple[str, ...] = ()
+    groups: tuple[TopicGroup, ...] = ()
+    call_timeout_s: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

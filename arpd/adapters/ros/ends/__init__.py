@@ -1,0 +1,1 @@
+"""A relay with two ends: both run this code, in their own ROS domain and in the domain of the link."""

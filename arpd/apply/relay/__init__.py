@@ -1,0 +1,1 @@
+"""A relay with two ends, one on each side of the link: pure."""

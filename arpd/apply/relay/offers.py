@@ -1,0 +1,139 @@
+"""State that each end of the relay tells the other: its offers, its wishes and its refusals."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import asdict, dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+VERSION = 1
+_MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
+
+
+class OtherVersionError(ValueError):
+    """A state of a version that this arpd does not know."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WriterOffer:
+    """One writer of an offered topic, as the graph shows it.
+
+    Parameters
+    ----------
+    number : stands for it in the samples
+    node : its node
+    gid : its DDS GUID, in hexadecimal digits
+    is_reliable, is_latched : its reliability and durability
+    deadline_ns, lifespan_ns, lease_ns : its periods, 0 = infinite (ns)
+    is_manual : whether it asserts its liveliness by topic
+    """
+
+    number: int
+    node: str
+    gid: str
+    is_reliable: bool = True
+    is_latched: bool = False
+    deadline_ns: int = 0
+    lifespan_ns: int = 0
+    lease_ns: int = 0
+    is_manual: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicOffer:
+    """A topic that the other side may read: its type and its writers."""
+
+    type_name: str
+    writers: tuple[WriterOffer, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ServiceOffer:
+    """A service that the other side may call: its type, ``example_interfaces/srv/AddTwoInts``, and its node."""
+
+    type_name: str
+    node: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EndState:
+    """Everything one end tells the other; all names are those on the robot.
+
+    Parameters
+    ----------
+    session : random digits, new with each process
+    number : counts the states of the session
+    host : its host name
+    arpd : its version of arpd
+    topics, services : what it offers
+    wants : topics of the other end that somebody reads here
+    refused : topics of the other end that it does not carry, and the reason
+    """
+
+    session: str
+    number: int
+    host: str = ""
+    arpd: str = ""
+    topics: Mapping[str, TopicOffer] = field(default_factory=lambda: MappingProxyType({}))
+    services: Mapping[str, ServiceOffer] = field(default_factory=lambda: MappingProxyType({}))
+    wants: frozenset[str] = frozenset()
+    refused: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def encode_state(state: EndState) -> bytes:
+    """Return the state as compressed JSON."""
+    document = {
+        "version": VERSION,
+        "session": state.session,
+        "number": state.number,
+        "host": state.host,
+        "arpd": state.arpd,
+        "topics": {name: asdict(topic) for name, topic in state.topics.items()},
+        "services": {name: asdict(service) for name, service in state.services.items()},
+        "wants": sorted(state.wants),
+        "refused": dict(state.refused),
+    }
+    return zlib.compress(json.dumps(document, separators=(",", ":")).encode())
+
+
+def decode_state(data: bytes) -> EndState:
+    """Return the state from its bytes.
+
+    Raises
+    ------
+    OtherVersionError
+        If the other end speaks another version.
+    ValueError
+        If the bytes are no state.
+    """
+    try:
+        expand = zlib.decompressobj()
+        text = expand.decompress(data, _MOST_BYTES)
+        if expand.unconsumed_tail:
+            raise ValueError(f"a state of more than {_MOST_BYTES} bytes")
+        document = json.loads(text)
+        if (version := document["version"]) != VERSION:
+            words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
+            raise OtherVersionError(f"{words}; install one arpd on both ends")
+        return EndState(
+            session=str(document["session"]),
+            number=int(document["number"]),
+            host=str(document["host"]),
+            arpd=str(document["arpd"]),
+            topics={str(name): _topic(topic) for name, topic in document["topics"].items()},
+            services={str(name): ServiceOffer(**service) for name, service in document["services"].items()},
+            wants=frozenset(map(str, document["wants"])),
+            refused={str(name): str(reason) for name, reason in document["refused"].items()},
+        )
+    except (zlib.error, KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as fault:
+        raise ValueError(f"no state of a relay ({fault})") from fault
+
+
+def _topic(document: Any) -> TopicOffer:
+    writers = tuple(WriterOffer(**writer) for writer in document["writers"])
+    return TopicOffer(type_name=str(document["type_name"]), writers=writers)
