@@ -158,6 +158,14 @@ class TopicGroup:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LinkDomain:
+    """ROS domain of the link, and the address of the other end, empty = it finds this one."""
+
+    domain_id: int
+    peer: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RelaySettings:
     """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends.
 
@@ -192,6 +200,17 @@ class RelaySettings:
     actions: tuple[str, ...] = ()
     groups: tuple[TopicGroup, ...] = ()
     call_timeout_s: float = 10.0
+
+    def link(self, *, is_far: bool) -> LinkDomain | None:
+        """Return the link as one end sees it; None for a relay with one end.
+
+        Parameters
+        ----------
+        is_far : whether that end is the CEDDP's
+        """
+        if self.link_domain is None:
+            return None
+        return LinkDomain(domain_id=self.link_domain, peer=(self.robot if is_far else self.ceddp) or "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

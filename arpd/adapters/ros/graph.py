@@ -53,7 +53,7 @@ class Crossing:
     Parameters
     ----------
     direction : a topic with writers on both sides counts as sensing
-    remote_readers : participants on the far side that read it; each receives a unicast copy
+    remote_readers : participants across the link from a writer that read it; each receives a unicast copy
     requests : node and requested deadline of every reader (ns, 0 = infinite)
     offers_ns : deadlines its writers offer, each once (ns, 0 = infinite)
     writers : nodes that write it; the empty name is a node whose name is unknown
@@ -129,11 +129,16 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
         direction = Direction.LOCAL  # between two other hosts
     return Crossing(
         direction=direction,
-        remote_readers=len(remote) if direction is not Direction.LOCAL else 0,
+        remote_readers=_copies(writer_hosts, readers) if direction is not Direction.LOCAL else 0,
         requests=_requests(readers),
         offers_ns=_offers_ns(writers),
         writers=_nodes(writers),
     )
+
+
+def _copies(writer_hosts: Collection[bytes], readers: Collection[Endpoint]) -> int:
+    """Count the copies of a sample that cross the link: with writers on both sides, those of the side with more."""
+    return max(len({reader.participant for reader in readers if reader.host != host}) for host in writer_hosts)
 
 
 def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:

@@ -212,7 +212,7 @@ def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
         # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 
-        executor = SingleThreadedExecutor()
+        executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
         peer = Peer(node, reader=reader, name=name)
         log.info("reporting what arrives on %s as %s", reader.name, name)

@@ -351,7 +351,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
     link = settings.link.interface
     addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
     with ros_node(node_name or default_node_name(platform.node())) as node:
-        executor = best_executor()
+        executor = best_executor(node.context)
         executor.add_node(node)
         Relay(node, settings.relay, on_change=notifier.status)
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415 - ROS is checked in ros_node

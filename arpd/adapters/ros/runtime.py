@@ -17,20 +17,27 @@ if TYPE_CHECKING:
 
     from arpd.adapters.host.addresses import Addresses
     from arpd.adapters.systemd.notify import Watchdog
+    from arpd.model.settings import LinkDomain
 
 log = logging.getLogger(__name__)
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 
 
-def prepare_environment() -> None:
+def prepare_environment(profile: Path = FASTDDS_PROFILE) -> None:
     """Give Fast DDS arpd's default profile (short heartbeats), unless the user has chosen one."""
     if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(FASTDDS_PROFILE)
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
 
 
 @contextmanager
-def ros_node(name: str) -> Iterator[Any]:
+def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
+
+    Parameters
+    ----------
+    name : its name
+    link : domain that it joins; the host's own domain when None
 
     Raises
     ------
@@ -45,11 +52,14 @@ def ros_node(name: str) -> Iterator[Any]:
         raise RosUnavailableError(
             f"ROS 2 cannot be imported ({error}); source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
         ) from error
+    context = rclpy.get_default_context() if link is None else rclpy.Context()
     try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(name)
+        with _discovery(link):
+            domain_id = None if link is None else link.domain_id
+            rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(name, context=context)
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=context)
         raise RosUnavailableError(
             f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
         ) from error
@@ -57,15 +67,40 @@ def ros_node(name: str) -> Iterator[Any]:
         yield node
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=context)
 
 
 @contextmanager
-def control_node(name: str) -> Iterator[Any]:
+def control_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
     """Run a node as `ros_node` does, with writes that never wait for the link (`send_without_waiting`)."""
     send_without_waiting()
-    with ros_node(name) as node:
+    with ros_node(name, link) as node:
         yield node
+
+
+@contextmanager
+def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
+    """Let a context that is initialised meanwhile look for others on the link by unicast only.
+
+    With a list of peers Fast DDS announces a participant to those alone, at the first four ports of the domain, and not
+    by multicast. LOCALHOST would announce it at 32 ports of each (rmw_fastrtps, participant.cpp), every three seconds.
+    rcl reads these variables at each initialisation.
+    """
+    if link is None:
+        yield
+        return
+    peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
+    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": peers}
+    before = {name: environment.get(name) for name in own}
+    environment.update(own)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del environment[name]
+            else:
+                environment[name] = value
 
 
 @contextmanager
@@ -88,7 +123,7 @@ def spinning_alone(node: Any) -> Iterator[None]:
     """Spin a node in a thread of its own, one callback at a time."""
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415 - ROS is checked in ros_node
 
-    executor = SingleThreadedExecutor()
+    executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     with spinning(executor):
         yield

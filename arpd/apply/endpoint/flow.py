@@ -42,6 +42,7 @@ class Flow(Generic[W]):
     on_swap : called with the result of every swap and the QoS it was about
     timing : timeouts of a swap
     link : shared by all flows of the process; its own one sees only this flow
+    source_of : as in `Pacer`
 
     Notes
     -----
@@ -59,6 +60,7 @@ class Flow(Generic[W]):
         on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
         timing: SwapTiming | None = None,
         link: LinkClock | None = None,
+        source_of: Callable[[bytes], bytes] | None = None,
     ) -> None:
         self._clock = clock
         self._link = link or LinkClock()
@@ -67,7 +69,7 @@ class Flow(Generic[W]):
         self._swaps: Counter[str] = Counter()
         self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
         self._may_conflate = overflow is Overflow.LATEST
-        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
+        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld, source_of=source_of)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._price: Price | None = None
         self._slow_start = SlowStart()

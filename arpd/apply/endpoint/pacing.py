@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from arpd.model.endpoints import DropCause
@@ -36,14 +36,23 @@ class Pacer:
     overflow : which samples are dropped when they come faster than they may leave
     depth : most samples the queue holds (samples); ``latest`` holds one
     on_withheld : called with the number of dropped samples and the cause, once per call that drops any
+    source_of : names the source of a sample; ``latest`` then keeps the newest of each, and none drives another out
 
     Notes
     -----
     Not thread-safe; the publisher's lock guards it. Times are seconds of one monotonic clock.
     """
 
-    def __init__(self, *, overflow: Overflow, depth: int, on_withheld: Callable[[int, DropCause], None]) -> None:
+    def __init__(
+        self,
+        *,
+        overflow: Overflow,
+        depth: int,
+        on_withheld: Callable[[int, DropCause], None],
+        source_of: Callable[[bytes], bytes] | None = None,
+    ) -> None:
         self._overflow = overflow
+        self._source_of = source_of
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
@@ -157,10 +166,25 @@ class Pacer:
         if self._may_replace:
             # Samples that are due wait only for the thread that writes them, as unpaced ones do: keep those.
             bound = max(1, int(self._credit)) if self._is_due else 1
-        excess = len(self._queue) - bound
-        if excess > 0:
-            for _ in range(excess):
-                self._queue.popleft()
+        if (excess := self._drop_oldest(bound)) > 0:
             # At full credit the next sample has been due for a whole period, so pacing does not hold it.
             is_held = self._rate_hz <= 0 or self._credit < self._most_credit or self._waits_for_fresher
             self._on_withheld(excess, self._limit if is_held else DropCause.BLOCKED)
+
+    def _drop_oldest(self, bound: int) -> int:
+        """Keep the newest ones, or the newest ones of each source; return how many are dropped."""
+        excess = len(self._queue) - bound
+        if excess <= 0:
+            return 0
+        if self._source_of is None or not self._may_replace:
+            for _ in range(excess):
+                self._queue.popleft()
+            return excess
+        kept: deque[bytes] = deque()
+        held: Counter[bytes] = Counter()
+        for sample in reversed(self._queue):
+            held[source := self._source_of(sample)] += 1
+            if held[source] <= bound:
+                kept.appendleft(sample)
+        excess, self._queue = len(self._queue) - len(kept), kept
+        return excess

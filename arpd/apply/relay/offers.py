@@ -46,10 +46,20 @@ class WriterOffer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicOffer:
-    """A topic that the other side may read: its type and its writers."""
+    """A topic that the other side may read.
+
+    Parameters
+    ----------
+    type_name : its type
+    writers : its writers
+    link_name : name under which it crosses the link; all topics of a group have one
+    member : its place in the group, 0 without one
+    """
 
     type_name: str
     writers: tuple[WriterOffer, ...]
+    link_name: str
+    member: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,4 +146,9 @@ def decode_state(data: bytes) -> EndState:
 
 def _topic(document: Any) -> TopicOffer:
     writers = tuple(WriterOffer(**writer) for writer in document["writers"])
-    return TopicOffer(type_name=str(document["type_name"]), writers=writers)
+    return TopicOffer(
+        type_name=str(document["type_name"]),
+        writers=writers,
+        link_name=str(document["link_name"]),
+        member=int(document["member"]),
+    )

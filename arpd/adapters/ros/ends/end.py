@@ -1,0 +1,334 @@
+"""One end of the two-ended relay: what it offers, what it wants, and what it refuses."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import UInt8MultiArray
+
+from arpd import __version__
+from arpd.adapters.ros.ends.ghosts import GhostNodes
+from arpd.adapters.ros.ends.incoming import Incoming
+from arpd.adapters.ros.ends.outgoing import Names, Outgoing
+from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.ends.survey import Survey, own_prefix
+from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.raw_subscription import octets
+from arpd.apply.relay.envelope import wrap
+from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
+from arpd.apply.relay.partner import EVERY_S, Partner
+from arpd.apply.relay.selection import Selection, far_name, robot_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from rclpy.node import Node
+
+    from arpd.model.settings import RelaySettings
+
+log = logging.getLogger(__name__)
+_TICK_S = 0.05
+_LOOK_S = 0.5  # the graph of the local domain
+_SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
+_LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+_ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+_MOST_NAMED = 3  # topics in one part of the status line
+
+
+class End:
+    """Tells the other end what is offered and wanted here, and does what that one tells it.
+
+    Parameters
+    ----------
+    node, link_node : its nodes in the local domain and in that of the link; the executor of ``link_node`` calls it
+    settings : the relay's settings, the same on both ends
+    is_far : whether this is the CEDDP's end
+    host : name of this host
+    session : number of this process, 32 random bits
+    on_change : called with the status line at the start and whenever it changes
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        link_node: Node,
+        settings: RelaySettings,
+        *,
+        is_far: bool,
+        host: str,
+        session: int,
+        on_change: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._settings = settings
+        self._is_far = is_far
+        self._host = host
+        self._session = session
+        self._on_change = on_change
+        self._clock = clock
+        self._selection = Selection(settings)
+        self._names = Names(settings)
+        self._own_gids = own_prefix(node).hex()
+        self._partner = Partner()
+        self._partner_session = ""
+        self._fault = ""  # of the other end's messages
+        self._arrived: deque[tuple[bytes, bool]] = deque(maxlen=1000)  # states and signs of life
+        self._offers: dict[str, TopicOffer] = {}
+        self._offered_to_us: Mapping[str, TopicOffer] = {}
+        self._refused: dict[str, str] = {}
+        self._told = EndState(session="", number=0)
+        self._number = 0
+        self._begun_s = clock()
+        self._look_s = self._alive_s = self._begun_s
+        self._thread = ReadingThread()
+        self._nodes = GhostNodes(node)
+        self._node = node
+        self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
+        self.incoming = Incoming(
+            link_node=link_node,
+            nodes=self._nodes,
+            thread=self._thread,
+            local_name=self.local_name,
+            depths=settings.depths,
+            clock=clock,
+        )
+        self.outgoing = Outgoing(
+            node=node,
+            link_node=link_node,
+            survey=self.survey,
+            thread=self._thread,
+            local_name=self.local_name,
+            settings=settings,
+            session=session,
+        )
+        own, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
+        self._states = link_node.create_publisher(
+            UInt8MultiArray, f"/arpd/relay/{own}", _LATCHED, event_callbacks=no_publisher_events()
+        )
+        self._signs = link_node.create_publisher(
+            UInt8MultiArray, f"/arpd/relay/{own}/alive", _ALIVE, event_callbacks=no_publisher_events()
+        )
+        self._readers = [
+            self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, is_state=True),
+            self._listen(link_node, f"/arpd/relay/{other}/alive", _ALIVE, is_state=False),
+        ]
+        self._status = ""
+        # Steady time, so that a paused simulation does not stop the end from following the graph.
+        link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Destroy everything in both domains."""
+        for reader in self._readers:
+            reader.destroy()
+        self.outgoing.forget()
+        self.incoming.close()
+        self._thread.stop()
+        self._nodes.keep(set())
+
+    # -- names: the configuration and the link have those on the robot
+
+    def local_name(self, name: str) -> str:
+        """Return the name on this end's side."""
+        return far_name(name, self._settings.namespace) if self._is_far and name else name
+
+    def _robot_name(self, local: str) -> str | None:
+        return robot_name(local, self._settings.namespace) if self._is_far else local
+
+    def _may_leave(self, name: str) -> bool:
+        return self._selection.to_robot(name) if self._is_far else self._selection.to_ceddp(name)
+
+    def _may_enter(self, name: str) -> bool:
+        return self._selection.to_ceddp(name) if self._is_far else self._selection.to_robot(name)
+
+    def _is_of_interest(self, local: str) -> bool:
+        name = self._robot_name(local)
+        return name is not None and (name in self._offered_to_us or self._may_leave(name))
+
+    # -- one tick
+
+    def _tick(self) -> None:
+        now_s = self._clock()
+        self._hear(now_s)
+        if now_s >= self._look_s:
+            self._look_s = now_s + _LOOK_S
+            self.survey.look()
+            self._offers = self._survey_offers()
+            self._follow(now_s)
+        self.incoming.step()
+        self.outgoing.step(self._offers)
+        if now_s - self._begun_s >= _SETTLE_S:
+            self._tell(now_s)
+        self._report(now_s)
+
+    def _hear(self, now_s: float) -> None:
+        """Take what the other end has sent."""
+        is_new = False
+        while self._arrived:
+            data, is_state = self._arrived.popleft()
+            try:
+                octet = octets(data)
+                if is_state:
+                    state = decode_state(octet)
+                    self._partner.hear(state.session, now_s, state)
+                    is_new = True
+                else:
+                    self._partner.hear(octet[:16].decode(), now_s)
+                self._fault = ""
+            except OtherVersionError as fault:
+                self._note_fault(str(fault))
+            except ValueError as fault:
+                self._note_fault(f"its message is not understood ({fault})")
+        if is_new:
+            self._follow(now_s)
+
+    def _follow(self, now_s: float) -> None:
+        """Do what the newest state of the other end asks."""
+        self._partner.look(now_s)
+        state = self._partner.state
+        if state is None:
+            if self._partner_session:
+                self._partner_session = ""
+                self.outgoing.forget()
+                self._offered_to_us = {}
+                self.incoming.follow({}, session=0)
+            return
+        if state.session != self._partner_session:
+            self._partner_session = state.session
+            self.outgoing.forget()  # the new process has no samples yet
+            log.info("the other end is %s (arpd %s), session %s", state.host, state.arpd, state.session)
+        self._offered_to_us = state.topics
+        accepted = {}
+        refused = {}
+        for name, offer in state.topics.items():
+            if reason := self._reason_against(name, offer):
+                refused[name] = reason
+            else:
+                accepted[name] = offer
+        self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF)
+        self._nodes.keep(self.incoming.used_nodes)
+        self.outgoing.follow(state.wants, self._offers)
+        self._note_refusals({**refused, **self.incoming.refused, **self.outgoing.refused, **self._conflicts()})
+
+    def _reason_against(self, name: str, offer: TopicOffer) -> str:
+        """Return why a topic of the other side does not enter here; empty if it does."""
+        if not self._may_enter(name):
+            return "the configuration of this end does not let it in; give both ends one file"
+        here = self.survey.gids(self.local_name(name))
+        for writer in offer.writers:
+            if writer.gid in here:
+                return (
+                    f"{writer.node} of the other side is visible in this domain without the relay; give the two sides "
+                    "different ROS_DOMAIN_IDs, or its nodes ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+                )
+            if writer.gid.startswith(self._own_gids):
+                return "this end's own writer is visible on the other side; give the two sides different ROS_DOMAIN_IDs"
+        return ""
+
+    def _conflicts(self) -> Iterator[tuple[str, str]] | dict[str, str]:
+        found = {}
+        for local, types in self.survey.conflicts():
+            if (name := self._robot_name(local)) is not None:
+                found[name] = f"it has more than one type here: {', '.join(types)}"
+        return found
+
+    def _survey_offers(self) -> dict[str, TopicOffer]:
+        offers = {}
+        for local, surveyed in self.survey.topics.items():
+            name = self._robot_name(local)
+            if name is not None and surveyed.writers and self._may_leave(name):
+                link_name, member = self._names.of(name)
+                writers = tuple(sorted(surveyed.writers.values(), key=lambda writer: writer.number))
+                offers[name] = TopicOffer(
+                    type_name=surveyed.type_name, writers=writers, link_name=link_name, member=member
+                )
+        return offers
+
+    def _tell(self, now_s: float) -> None:
+        """Send this end's state if it has changed, and a sign of life once a second."""
+        state = EndState(
+            session=f"{self._session:016x}",
+            number=self._number,
+            host=self._host,
+            arpd=__version__,
+            topics=self._offers,
+            wants=self.incoming.wants,
+            refused=self._refused,
+        )
+        if state != self._told:
+            self._number += 1
+            self._told = state = EndState(
+                session=state.session,
+                number=self._number,
+                host=state.host,
+                arpd=state.arpd,
+                topics=state.topics,
+                wants=state.wants,
+                refused=state.refused,
+            )
+            self._send(self._states, encode_state(state))
+        if now_s >= self._alive_s:
+            self._alive_s = now_s + EVERY_S
+            self._send(self._signs, state.session.encode())
+
+    # -- status
+
+    def _report(self, now_s: float) -> None:
+        status = self.status_line(now_s)
+        if status != self._status:
+            self._status = status
+            self._on_change(status)
+
+    def status_line(self, now_s: float) -> str:
+        """Return one line for ``systemctl status``."""
+        here, there = ("CEDDP", "robot") if self._is_far else ("robot", "CEDDP")
+        state = self._partner.state
+        if self._fault:
+            return f"the {there}'s end is not understood: {self._fault}"
+        if state is None:
+            return f"waiting for the {there}'s end; {len(self._offers)} topics of the {here} could cross"
+        line = (
+            f"{len(self.outgoing.carried)} of {len(self._offers)} topics cross to the {there}, "
+            f"{len(self.incoming.wants)} of {len(state.topics)} to the {here}"
+        )
+        if not self._partner.is_reachable(now_s):
+            line = f"the {there}'s end is silent; {line}"
+        if others := self._partner.others(now_s):
+            line += f"; ignored another {there}'s end on {', '.join(others)}: one robot has one"
+        return line + _named("refused", self._refused) + _named(f"the {there}'s end refuses", state.refused)
+
+    def _note_fault(self, words: str) -> None:
+        if words != self._fault:
+            log.error("the other end: %s", words)
+        self._fault = words
+
+    def _note_refusals(self, refused: dict[str, str]) -> None:
+        for name, reason in refused.items():
+            if self._refused.get(name) != reason:
+                log.error("cannot carry %s: %s; the other topics are not affected", name, reason)
+        self._refused = refused
+
+    def _listen(self, link_node: Node, topic: str, qos: QoSProfile, *, is_state: bool) -> RawReader:
+        def deliver(sample: Sample) -> None:
+            self._arrived.append((sample.data, is_state))
+
+        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self._thread)
+
+    def _send(self, publisher: Any, data: bytes) -> None:
+        handle = publisher.handle
+        with handle:
+            handle.publish_raw(wrap(data))
+
+
+def _named(what: str, reasons: Mapping[str, str]) -> str:
+    """Return the first of them with its reason, and the names of some others; empty if there are none."""
+    if not reasons:
+        return ""
+    first, *more = sorted(reasons)
+    named = ", ".join(more[:_MOST_NAMED]) + (f" and {len(more) - _MOST_NAMED} more" if len(more) > _MOST_NAMED else "")
+    return f"; {what} {first}: {reasons[first]}" + (f"; also {named}" if more else "")

@@ -1,0 +1,151 @@
+"""Ghosts of the other side's nodes and writers, which make its topics look here as they look there."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+
+from arpd.adapters.ros.events import no_publisher_events
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from arpd.apply.relay.envelope import Record
+    from arpd.apply.relay.offers import WriterOffer
+
+_MATCH_S = 0.5  # a reader on this host finds a new writer sooner
+_MOST_HELD = 1000
+_NO_TYPE_DESCRIPTION = Parameter("start_type_description_service", value=False)
+
+
+class GhostNodes:
+    """Nodes of this process with the names of the other side's nodes, each made on first use.
+
+    Parameters
+    ----------
+    node : the end's own node; a ghost with its name, or a name that ROS refuses, is this node itself
+    add : called with each new node, so that an executor serves it
+    """
+
+    def __init__(self, node: Node, *, add: Callable[[Node], None] = lambda _node: None) -> None:
+        self._node = node
+        self._add = add
+        self._ghosts: dict[str, Node] = {}
+
+    def of(self, name: str) -> Node:
+        """Return the ghost of the node with this fully qualified name."""
+        if name in {"", self._node.get_fully_qualified_name()}:
+            return self._node
+        if name not in self._ghosts:
+            namespace, _, base = name.rpartition("/")
+            try:
+                ghost = rclpy.create_node(
+                    base,
+                    namespace=namespace or "/",
+                    context=self._node.context,
+                    use_global_arguments=False,
+                    enable_rosout=False,
+                    start_parameter_services=False,
+                    parameter_overrides=[_NO_TYPE_DESCRIPTION],
+                )
+            except (ValueError, RuntimeError):  # a foreign middleware may have names that rcl refuses
+                return self._node
+            self._ghosts[name] = ghost
+            self._add(ghost)
+        return self._ghosts[name]
+
+    def keep(self, names: set[str]) -> None:
+        """Destroy the ghosts of all other nodes; the caller has destroyed their endpoints."""
+        for name in self._ghosts.keys() - names:
+            self._ghosts.pop(name).destroy_node()
+
+
+class GhostWriter:
+    """The ghost of one writer: the same QoS, and every sample of that writer once and in its order.
+
+    Its readers find it some time after it is made. Until then it holds its samples, so that none is lost.
+
+    Parameters
+    ----------
+    node : ghost of the writer's node
+    msg_type, topic : as in `Node.create_publisher`
+    offer : QoS of the writer
+    depth : KEEP_LAST depth, which discovery does not tell (samples)
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        offer: WriterOffer,
+        *,
+        depth: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.offer = offer
+        self._node = node
+        self._clock = clock
+        self._publisher = node.create_publisher(
+            msg_type, topic, profile_of(offer, depth), event_callbacks=no_publisher_events()
+        )
+        self._made_s = clock()
+        self._is_found = False
+        self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
+        self._last = 0  # number of the newest sample
+
+    def matched(self) -> int:
+        """Count its readers."""
+        return int(self._publisher.get_subscription_count())
+
+    def write(self, record: Record) -> bool:
+        """Write a sample, unless it was written before; return whether it was new."""
+        if record.sequence <= self._last:
+            return False
+        self._last = record.sequence
+        if self._is_found or self._look():
+            self._publish(record.sample)
+        else:
+            self._held.append(record.sample)
+        return True
+
+    def look(self) -> None:
+        """Write the samples that it holds, once its readers have found it."""
+        if not self._is_found:
+            self._look()
+
+    def destroy(self) -> None:
+        """Destroy the writer."""
+        self._node.destroy_publisher(self._publisher)
+
+    def _look(self) -> bool:
+        self._is_found = self.matched() > 0 or self._clock() - self._made_s > _MATCH_S
+        while self._is_found and self._held:
+            self._publish(self._held.popleft())
+        return self._is_found
+
+    def _publish(self, sample: bytes) -> None:
+        handle = self._publisher.handle
+        with handle:
+            handle.publish_raw(sample)
+
+
+def profile_of(offer: WriterOffer, depth: int) -> QoSProfile:
+    """Return the QoS of a writer."""
+    return QoSProfile(
+        depth=depth,
+        reliability=QoSReliabilityPolicy.RELIABLE if offer.is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if offer.is_latched else QoSDurabilityPolicy.VOLATILE,
+        deadline=Duration(nanoseconds=offer.deadline_ns),
+        lifespan=Duration(nanoseconds=offer.lifespan_ns),
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if offer.is_manual else QoSLivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(nanoseconds=offer.lease_ns),
+    )

@@ -1,0 +1,230 @@
+"""Topics that the other side offers: their ghosts, who reads them here, and their samples from the link."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
+from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.relay import UnknownTypeError, message_class
+from arpd.apply.relay.envelope import Record, unpack
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from rclpy.node import Node
+
+    from arpd.apply.relay.offers import TopicOffer
+
+log = logging.getLogger(__name__)
+_LINK_DEPTH = 1000  # the reading thread takes samples at once, so this only bridges its scheduling
+_DEPTH = 10
+_LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
+_GRACE_S = 5.0  # samples of a writer that is gone may still be on their way, and an end that restarts knows none at first
+_MOST_HELD = 1000
+_HELD_S = 3.0
+
+
+class _Held(NamedTuple):
+    session: int
+    record: Record
+    at_s: float
+
+
+class _Topic:
+    """One topic that the other side offers."""
+
+    def __init__(self, name: str, offer: TopicOffer) -> None:
+        self.name = name
+        self.offer = offer
+        self.ghosts: dict[str, GhostWriter] = {}  # by the GUID of the original
+        self.by_number: dict[int, GhostWriter] = {}  # by its number in the session in force
+        self.gone_s: dict[str, float] = {}  # when an original was missed first
+        self.held: deque[_Held] = deque(maxlen=_MOST_HELD)  # samples of writers that no state has named yet
+        self.read_s = float("-inf")  # when somebody read it last
+
+
+class Incoming:
+    """Keeps a ghost of every offered writer, wants the topics that have readers, and writes what arrives.
+
+    Parameters
+    ----------
+    node, link_node : the end's nodes in the local domain and in that of the link
+    nodes : ghosts of the other side's nodes
+    thread : takes the samples
+    local_name : returns the local name of a topic or a node of the other side
+    depths : KEEP_LAST depth of ghosts, by topic
+    """
+
+    def __init__(
+        self,
+        *,
+        link_node: Node,
+        nodes: GhostNodes,
+        thread: ReadingThread,
+        local_name: Callable[[str], str],
+        depths: Mapping[str, int],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link_node = link_node
+        self._nodes = nodes
+        self._thread = thread
+        self._local_name = local_name
+        self._depths = depths
+        self._clock = clock
+        self._lock = threading.Lock()  # guards the topics: samples come in the reading thread
+        self._session = 0
+        self._topics: dict[str, _Topic] = {}
+        self._members: dict[tuple[str, int], _Topic] = {}
+        self._readers: dict[str, RawReader] = {}  # by the name on the link
+        self.refused: dict[str, str] = {}
+        self.wants: frozenset[str] = frozenset()
+        self.received = 0
+        self.doubled = 0
+        self.unknown = 0
+
+    def follow(self, offers: Mapping[str, TopicOffer], *, session: int) -> None:
+        """Make the ghosts of what is offered now, and remove those of what no longer is."""
+        now_s = self._clock()
+        with self._lock:
+            self._session = session
+            self.refused = {}
+            for name, offer in offers.items():
+                try:
+                    self._follow(name, offer)
+                except (UnknownTypeError, RuntimeError, ValueError) as fault:
+                    self.refused[name] = str(fault)
+            self._members = {(topic.offer.link_name, topic.offer.member): topic for topic in self._topics.values()}
+            for name, topic in list(self._topics.items()):
+                offer = offers.get(name)
+                self._retire(topic, {writer.gid for writer in offer.writers} if offer is not None else set(), now_s)
+                self._write_held(topic, now_s)
+            used = {ghost.offer.node for topic in self._topics.values() for ghost in topic.ghosts.values()}
+        self._used_nodes = used
+
+    @property
+    def used_nodes(self) -> set[str]:
+        """Local names of the ghost nodes that have writers."""
+        return {self._local_name(node) for node in getattr(self, "_used_nodes", set())}
+
+    def step(self) -> None:
+        """Look for readers, and open or close what they need."""
+        now_s = self._clock()
+        wants, links = set(), set()
+        with self._lock:
+            for topic in list(self._topics.values()):
+                for ghost in topic.ghosts.values():
+                    ghost.look()
+                if any(ghost.matched() for ghost in topic.ghosts.values()):
+                    topic.read_s = now_s
+                if now_s - topic.read_s < _LINGER_S:
+                    wants.add(topic.name)
+                    links.add(topic.offer.link_name)
+                if topic.gone_s:
+                    self._retire(topic, topic.ghosts.keys() - topic.gone_s.keys(), now_s)
+        for name in links - self._readers.keys():
+            self._readers[name] = self._reader(name)
+        for name in self._readers.keys() - links:
+            self._readers.pop(name).destroy()
+        self.wants = frozenset(wants)
+
+    def types(self) -> Iterator[tuple[str, str]]:
+        """Yield the local name and the type of every topic."""
+        for topic in self._topics.values():
+            yield self._local_name(topic.name), topic.offer.type_name
+
+    def close(self) -> None:
+        """Destroy everything."""
+        for reader in self._readers.values():
+            reader.destroy()
+        with self._lock:
+            for topic in self._topics.values():
+                for ghost in topic.ghosts.values():
+                    ghost.destroy()
+
+    def _reader(self, link_name: str) -> RawReader:
+        def deliver(sample: Sample) -> None:
+            self._deliver(link_name, sample)
+
+        return RawReader(
+            self._link_node, UInt8MultiArray, link_name, QoSProfile(depth=_LINK_DEPTH), deliver=deliver, thread=self._thread
+        )
+
+    def _deliver(self, link_name: str, sample: Sample) -> None:
+        try:
+            session, records = unpack(sample.data)
+        except ValueError as fault:
+            log.warning("ignored a sample of %s: %s", link_name, fault)
+            return
+        with self._lock:
+            for record in records:
+                topic = self._members.get((link_name, record.member))
+                if topic is None:
+                    self.unknown += 1
+                    continue
+                ghost = topic.by_number.get(record.writer) if session == self._session else None
+                if ghost is None:
+                    topic.held.append(_Held(session, record, self._clock()))
+                elif ghost.write(record):
+                    self.received += 1
+                else:
+                    self.doubled += 1
+
+    def _follow(self, name: str, offer: TopicOffer) -> None:
+        topic = self._topics.get(name)
+        if topic is not None and topic.offer.type_name != offer.type_name:
+            self._drop(topic)
+            topic = None
+        kind = message_class(offer.type_name)
+        if topic is None:
+            topic = self._topics[name] = _Topic(name, offer)
+        topic.offer = offer
+        topic.by_number = {}
+        for writer in offer.writers:
+            ghost = topic.ghosts.get(writer.gid)
+            if ghost is None:
+                ghost = topic.ghosts[writer.gid] = GhostWriter(
+                    self._nodes.of(self._local_name(writer.node)),
+                    kind,
+                    self._local_name(name),
+                    writer,
+                    depth=self._depths.get(name, _DEPTH),
+                    clock=self._clock,
+                )
+            topic.gone_s.pop(writer.gid, None)
+            topic.by_number[writer.number] = ghost
+
+    def _retire(self, topic: _Topic, present: set[str], now_s: float) -> None:
+        """Remove the ghosts of writers that have been gone for a while."""
+        for gid in topic.ghosts.keys() - present:
+            if now_s - topic.gone_s.setdefault(gid, now_s) >= _GRACE_S:
+                del topic.gone_s[gid]
+                ghost = topic.ghosts.pop(gid)
+                topic.by_number = {number: each for number, each in topic.by_number.items() if each is not ghost}
+                ghost.destroy()
+        if not topic.ghosts:
+            self._drop(topic)
+
+    def _drop(self, topic: _Topic) -> None:
+        for ghost in topic.ghosts.values():
+            ghost.destroy()
+        del self._topics[topic.name]
+
+    def _write_held(self, topic: _Topic, now_s: float) -> None:
+        """Write the samples of writers that are known now; forget those that stay unknown."""
+        for _ in range(len(topic.held)):
+            held = topic.held.popleft()
+            ghost = topic.by_number.get(held.record.writer) if held.session == self._session else None
+            if ghost is not None:
+                self.received += ghost.write(held.record)
+            elif now_s - held.at_s < _HELD_S:
+                topic.held.append(held)
+            else:
+                self.unknown += 1

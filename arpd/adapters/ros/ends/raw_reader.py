@@ -1,0 +1,206 @@
+"""Serialized samples with the identity of their writer, taken in a thread of their own, without an executor.
+
+rclpy's MessageInfo does not name the writer of a sample (7.1.6), and without it several writers of one topic cannot be
+told apart. So a sample is taken from rcl, through ctypes; the reader itself is rclpy's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import threading
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.type_support import check_for_type_support
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+
+log = logging.getLogger(__name__)
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed reader raises
+_MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
+_NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
+
+
+class _Allocator(ctypes.Structure):
+    _fields_ = (
+        ("allocate", ctypes.c_void_p),
+        ("deallocate", ctypes.c_void_p),
+        ("reallocate", ctypes.c_void_p),
+        ("zero_allocate", ctypes.c_void_p),
+        ("state", ctypes.c_void_p),
+    )
+
+
+class _Bytes(ctypes.Structure):
+    """rcutils_uint8_array_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+class _Info(ctypes.Structure):
+    """rmw_message_info_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("implementation_identifier", ctypes.c_char_p),
+        ("publisher_gid", ctypes.c_uint8 * 16),
+        ("from_intra_process", ctypes.c_bool),
+    )
+
+
+_NEW_SAMPLES = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
+
+
+class _Rcl:
+    """The four functions of rcl and rcutils that rclpy does not offer."""
+
+    def __init__(self) -> None:
+        rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # loaded by rclpy already
+        self.take = rcl.rcl_take_serialized_message
+        self.take.argtypes = [ctypes.c_void_p] * 4
+        self.notify = rcl.rcl_subscription_set_on_new_message_callback
+        self.notify.argtypes = [ctypes.c_void_p, _NEW_SAMPLES, ctypes.c_void_p]
+        self.forget_error = rcutils.rcutils_reset_error
+        self._init = rcutils.rcutils_uint8_array_init
+        self._init.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
+        self._allocator = rcutils.rcutils_get_default_allocator
+        self._allocator.restype = _Allocator
+
+    def buffer(self) -> _Bytes:
+        """Return an empty buffer, which rcl enlarges as needed."""
+        held, allocator = _Bytes(), self._allocator()
+        if self._init(ctypes.byref(held), 2048, ctypes.byref(allocator)) != 0:
+            raise MemoryError("rcutils_uint8_array_init")
+        return held
+
+
+class Sample(NamedTuple):
+    """One sample, serialized, with the GUID of its writer and its number there."""
+
+    data: bytes
+    writer: bytes
+    sequence: int
+
+
+class ReadingThread:
+    """Takes the samples of any number of `RawReader`; their functions are called in this thread."""
+
+    def __init__(self) -> None:
+        self._rcl = _Rcl()
+        self._buffer, self._info = self._rcl.buffer(), _Info()
+        self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
+        self._ready: SimpleQueue[RawReader | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; samples that wait are dropped."""
+        self._ready.put(None)
+        self._thread.join(timeout=2.0)
+
+    def watch(self, reader: RawReader) -> Any:
+        """Call for a reader's samples from now on; return an object that the reader keeps alive until `unwatch`."""
+
+        def on_new_samples(_data: int, _count: int) -> None:
+            if not reader.is_queued:
+                reader.is_queued = True
+                self._ready.put(reader)
+
+        callback = _NEW_SAMPLES(on_new_samples)
+        with reader.handle:
+            self._rcl.notify(reader.handle.pointer, callback, None)
+        return callback
+
+    def unwatch(self, reader: RawReader) -> None:
+        """Call for them no more."""
+        with reader.handle:
+            self._rcl.notify(reader.handle.pointer, _NEW_SAMPLES(), None)
+
+    def _run(self) -> None:
+        while (reader := self._ready.get()) is not None:
+            reader.is_queued = False  # before it is read: a sample that comes later queues the reader again
+            try:
+                if not self._read(reader):
+                    reader.is_queued = True
+                    self._ready.put(reader)
+            except InvalidHandle:
+                continue  # just destroyed
+            except Exception:
+                log.exception("reading %s failed; it goes on with the next sample", reader.topic)
+
+    def _read(self, reader: RawReader) -> bool:
+        """Take some samples; return whether that was all."""
+        info, buffer = self._info, self._buffer
+        for _ in range(_MOST_AT_ONCE):
+            with reader.handle:
+                result = self._rcl.take(reader.handle.pointer, *self._arguments, None)
+            if result != 0:
+                if result != _NOTHING:
+                    self._rcl.forget_error()
+                return True
+            reader.deliver(
+                Sample(
+                    ctypes.string_at(buffer.buffer, buffer.length),
+                    bytes(info.publisher_gid),
+                    info.publication_sequence_number,
+                )
+            )
+        return False
+
+
+class RawReader:
+    """A reader of one topic whose samples a `ReadingThread` takes.
+
+    Parameters
+    ----------
+    node : node it belongs to
+    msg_type : message class; no message is decoded
+    topic : fully qualified topic name
+    qos : its QoS
+    deliver : called with every sample, in the thread
+    thread : takes the samples
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        *,
+        deliver: Callable[[Sample], None],
+        thread: ReadingThread,
+    ) -> None:
+        self.topic = topic
+        self.deliver = deliver
+        self.is_queued = False
+        check_for_type_support(msg_type)
+        with node.handle:
+            # Not by Node.create_subscription: an executor would take the samples.
+            self.handle = rclpy_implementation.Subscription(node.handle, msg_type, topic, qos.get_c_qos_profile())
+        self._thread = thread
+        self._callback = thread.watch(self)
+
+    def matched(self) -> int:
+        """Count the matched writers."""
+        with self.handle:
+            return int(self.handle.get_publisher_count())
+
+    def destroy(self) -> None:
+        """Destroy the reader; a sample may still be delivered while this is called."""
+        self._thread.unwatch(self)
+        self.handle.destroy_when_not_in_use()

@@ -1,0 +1,155 @@
+"""Topics of the local domain that may cross the link, and their writers, read from the ROS graph."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import Counter
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSReliabilityPolicy
+
+from arpd.adapters.ros.graph import node_name_of
+from arpd.adapters.ros.names import INFINITE_NS, is_full_name
+from arpd.apply.relay.offers import WriterOffer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping
+
+    from rclpy.node import Node
+
+log = logging.getLogger(__name__)
+_EVERY_LOOK = 10  # every tenth look at a topic reads its writers, even when their number is unchanged
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
+_MOST_UNNAMED = 4  # looks; a writer made without ROS never has a node
+_SOON_S = 0.02
+_MOST_WRITERS = 65_000  # of one topic in one session: their numbers have 16 bits
+
+
+class Surveyed:
+    """One topic as it was read last: types and writers of other processes than this one."""
+
+    def __init__(self) -> None:
+        self.types: tuple[str, ...] = ()
+        self.writers: dict[str, WriterOffer] = {}  # by GUID
+        self.type_name = ""  # type that is offered
+        self.counted = -1
+        self.read_s = -math.inf
+        self._numbers = count()
+        self._unnamed: Counter[str] = Counter()  # reads in which a writer's node had no name
+
+    def read(self, infos: list[Any]) -> bool:
+        """Take the writers of the topic; return whether each has a node, or will never have one."""
+        waiting = [info for info in infos if _UNKNOWN in info.node_name and self._waits_for_name(info)]
+        infos = [info for info in infos if info not in waiting]
+        self.types = tuple(sorted({info.topic_type for info in infos}))
+        if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
+            self.type_name = self.types[0] if len(self.types) == 1 else ""
+        known = self.writers
+        self.writers = {}
+        for info in infos:
+            if info.topic_type == self.type_name:
+                gid = bytes(info.endpoint_gid).hex()
+                before = known.get(gid)
+                number = before.number if before is not None else next(self._numbers)
+                if number < _MOST_WRITERS:
+                    self.writers[gid] = _offer(info, gid, number)
+        return not waiting
+
+    def _waits_for_name(self, info: Any) -> bool:
+        gid = bytes(info.endpoint_gid).hex()
+        self._unnamed[gid] += 1
+        return self._unnamed[gid] <= _MOST_UNNAMED
+
+
+class Survey:
+    """Looks at the graph again and again; most looks only count the writers of each topic.
+
+    Parameters
+    ----------
+    node : the end's node in the local domain
+    own : first 12 bytes of the GUIDs of this process there
+    is_of_interest : returns whether to look at a topic, by its local name
+    """
+
+    def __init__(self, node: Node, *, own: bytes, is_of_interest: Callable[[str], bool]) -> None:
+        self._node = node
+        self._own = own
+        self._is_of_interest = is_of_interest
+        self._lock = threading.Lock()
+        self._looks = 0
+        self.topics: Mapping[str, Surveyed] = {}
+
+    def look(self) -> None:
+        """Read what has changed."""
+        self._looks += 1
+        found = {
+            topic
+            for topic, _types in self._node.get_topic_names_and_types()
+            if is_full_name(topic) and self._is_of_interest(topic)
+        }
+        topics = {topic: self.topics.get(topic) or Surveyed() for topic in sorted(found)}
+        self.topics = topics
+        for number, (topic, surveyed) in enumerate(topics.items()):
+            with self._node.handle:  # Node.count_publishers would check the name again
+                writers = self._node.handle.get_count_publishers(topic)
+            if writers != surveyed.counted or (self._looks + number) % _EVERY_LOOK == 0:
+                self.read(topic)
+
+    def read(self, topic: str) -> Surveyed | None:
+        """Read the writers of one topic now; for any thread."""
+        surveyed = self.topics.get(topic)
+        if surveyed is not None:
+            with self._lock:
+                infos = self._node.get_publishers_info_by_topic(topic)
+                others = [info for info in infos if bytes(info.endpoint_gid)[:12] != self._own]
+                surveyed.counted = len(infos) if surveyed.read(others) else -1
+                surveyed.read_s = time.monotonic()
+        return surveyed
+
+    def read_soon(self, topic: str) -> Surveyed | None:
+        """Read them unless that was done just now; for a caller that asks with every sample."""
+        surveyed = self.topics.get(topic)
+        if surveyed is not None and time.monotonic() - surveyed.read_s < _SOON_S:
+            return surveyed
+        return self.read(topic)
+
+    def gids(self, topic: str) -> Collection[str]:
+        """Return the GUIDs of the topic's writers, without those of this process."""
+        surveyed = self.topics.get(topic)
+        return surveyed.writers.keys() if surveyed is not None else ()
+
+    def conflicts(self) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """Yield the topics with more than one type, and the types."""
+        return ((topic, each.types) for topic, each in self.topics.items() if len(each.types) > 1)
+
+
+def own_prefix(node: Node) -> bytes:
+    """Return the first 12 bytes of the GUIDs of a node's process in its domain."""
+    for info in node.get_publishers_info_by_topic("/parameter_events"):
+        if node_name_of(info) == node.get_fully_qualified_name():
+            return bytes(info.endpoint_gid)[:12]
+    raise RuntimeError(f"{node.get_fully_qualified_name()} is not in its own graph")
+
+
+def _offer(info: Any, gid: str, number: int) -> WriterOffer:
+    qos = info.qos_profile
+    return WriterOffer(
+        number=number,
+        node="" if _UNKNOWN in info.node_name else node_name_of(info),
+        gid=gid,
+        is_reliable=qos.reliability == QoSReliabilityPolicy.RELIABLE,
+        is_latched=qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+        deadline_ns=_period_ns(qos.deadline),
+        lifespan_ns=_period_ns(qos.lifespan),
+        lease_ns=_period_ns(qos.liveliness_lease_duration),
+        is_manual=qos.liveliness == QoSLivelinessPolicy.MANUAL_BY_TOPIC,
+    )
+
+
+def _period_ns(duration: Any) -> int:
+    """Return a period of a QoS profile, 0 = infinite (ns)."""
+    return 0 if duration.nanoseconds >= INFINITE_NS else int(duration.nanoseconds)
