@@ -18,9 +18,9 @@ from arpd.adapters.ros.names import (
     READERS_TOPIC,
     REPORT_TOPIC,
     is_full_name,
-    is_internal,
 )
 from arpd.model.endpoints import Direction
+from arpd.model.names import is_internal
 from arpd.model.plan import is_kept
 
 if TYPE_CHECKING:

@@ -45,11 +45,6 @@ def reader_parameter_name(topic: str, setting: str) -> str:
     return f"qos_overrides.{topic}.subscription.{setting}"
 
 
-def is_internal(topic: str) -> bool:
-    """Return whether a topic belongs to ROS or arpd itself, and not to the robot."""
-    return topic in {"/rosout", "/parameter_events"} or topic.startswith("/arpd/")
-
-
 def is_full_name(name: str) -> bool:
     """Return whether ROS allows this as the fully qualified name of a node or a topic."""
     return len(name) <= _MOST_NAME and _FULL_NAME.fullmatch(name) is not None

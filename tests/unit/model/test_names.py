@@ -1,0 +1,98 @@
+"""Names that belong to ROS or arpd, and patterns of names."""
+
+from __future__ import annotations
+
+import re
+import time
+from functools import cache
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.names import compile_patterns, is_hidden, is_internal, is_pattern
+
+
+@pytest.mark.parametrize(
+    ("pattern", "matched", "unmatched"),
+    [
+        ("/scan", ["/scan"], ["/scans", "/scan/raw", "/robot/scan"]),
+        ("/camera/**", ["/camera/image", "/camera/left/image"], ["/camera", "/cameras/image", "/a/camera/image"]),
+        ("/**", ["/scan", "/camera/left/image"], []),
+        ("/*", ["/scan"], ["/camera/image"]),
+        ("/camera/*/image", ["/camera/left/image"], ["/camera/image", "/camera/left/raw/image"]),
+        ("/**/image", ["/image", "/camera/left/image"], ["/image/raw", "/camera/rawimage"]),
+        ("/a/**/b", ["/a/b", "/a/x/b", "/a/x/y/b", "/a/b/b"], ["/ab", "/a/b/c", "/b"]),
+        ("/**/a/**/b", ["/a/b", "/x/a/y/b", "/a/a/b/b"], ["/b/a", "/xa/b"]),
+        ("/cam*", ["/cam", "/camera"], ["/camera/image", "/scam"]),
+        ("/*_raw", ["/image_raw", "/_raw"], ["/raw", "/image_raw2"]),
+        ("/a*b*c", ["/abc", "/aXbbYc", "/abcbc"], ["/acb", "/ab/c"]),
+        ("/**/*", ["/a", "/a/b"], []),
+        ("/**/**", ["/a", "/a/b"], []),
+    ],
+)
+def test_a_pattern_matches_whole_levels(pattern, matched, unmatched):
+    """A star stays within its level, two stars stand for whole levels."""
+    assert is_pattern(pattern)
+    compiled = compile_patterns([pattern])
+    assert [name for name in [*matched, *unmatched] if compiled.fullmatch(name)] == matched
+
+
+def test_any_of_several_patterns_matches_and_none_of_none():
+    """Patterns are alternatives."""
+    assert compile_patterns(["/a", "/b/**"]).fullmatch("/b/c")
+    assert compile_patterns(["/a", "/b/**"]).fullmatch("/a")
+    assert not compile_patterns(["/a", "/b/**"]).fullmatch("/a/c")
+    assert not compile_patterns([]).fullmatch("/a")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "/", "scan", "/scan/", "//scan", "/a b", "/1a", "/a**", "/**a", "/a/***", "/[ab]", "/a?", "/é", "~/a"]
+)
+def test_what_is_no_pattern(text):
+    """Only stars are special, and two of them are a level of their own."""
+    assert not is_pattern(text)
+
+
+LEVELS = st.text(alphabet="ab*", min_size=1, max_size=4).filter(lambda level: "**" not in level) | st.just("**")
+PATTERNS = st.lists(LEVELS, min_size=1, max_size=5).map(lambda levels: "/" + "/".join(levels))
+NAMES = st.lists(st.text(alphabet="ab", min_size=1, max_size=5), min_size=1, max_size=6).map(tuple)
+
+
+@cache
+def matches(pattern, name):
+    """Match levels one by one and try every way."""
+    if not pattern:
+        return not name
+    first, rest = pattern[0], pattern[1:]
+    if first != "**":
+        is_level = bool(name) and re.fullmatch(first.replace("*", ".*"), name[0])
+        return bool(is_level) and matches(rest, name[1:])
+    least = 0 if rest else 1
+    return any(matches(rest, name[skipped:]) for skipped in range(least, len(name) + 1))
+
+
+@given(PATTERNS, NAMES)
+def test_a_pattern_agrees_with_a_search_that_tries_everything(pattern, name):
+    """The expression without a way back finds every match."""
+    assert is_pattern(pattern)
+    found = compile_patterns([pattern]).fullmatch("/" + "/".join(name))
+    assert bool(found) is matches(tuple(pattern.split("/")[1:]), name)
+
+
+@pytest.mark.parametrize("pattern", ["/" + "*a" * 100 + "*b", "/**/a" * 40 + "/b", "/**/*a*a*a" * 12 + "/b"])
+def test_no_pattern_takes_long(pattern):
+    """A pattern full of stars does not stop the relay."""
+    compiled = compile_patterns([pattern])
+    before_s = time.process_time()
+    for name in ("/" + "a" * 246, "/a" * 123):
+        assert not compiled.fullmatch(name)
+    assert time.process_time() - before_s < 1.0
+
+
+def test_internal_and_hidden_names():
+    """The names of ROS, of arpd, and those that ROS's tools hide."""
+    assert all(map(is_internal, ["/rosout", "/parameter_events", "/arpd/price", "/arpd/peer/report"]))
+    assert not any(map(is_internal, ["/scan", "/rosout_agg", "/arpdx", "/robot/rosout"]))
+    assert all(map(is_hidden, ["/_hidden", "/a/_action/status"]))
+    assert not any(map(is_hidden, ["/a_b", "/a/b_", "/a"]))
