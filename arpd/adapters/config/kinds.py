@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from pydantic_core import core_schema
 
+from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
 from arpd.model.quantities import (
     parse_duration,
     parse_rate,
@@ -27,8 +29,11 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-LONGEST_TOPIC = 247  # RMW_TOPIC_MAX_NAME_LENGTH: DDS's 255 less room for the prefixes of rmw
+NONE = "none"  # written where there is no value
+Written: TypeAlias = str | float | list[str]  # a value as the file has it
+
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
+_HOST = re.compile(r"(?=.{1,253}\Z)[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_])?", re.ASCII)
 
 
 class ValueKind(Protocol):
@@ -51,7 +56,7 @@ class ValueKind(Protocol):
             With ``what is wrong; what would be right``.
         """
 
-    def write(self, value: Any) -> str | float:
+    def write(self, value: Any) -> Written:
         """Turn the value of the settings into the value of the file."""
 
 
@@ -67,7 +72,7 @@ class _Reads:
         """Read the value of the file."""
         raise NotImplementedError
 
-    def write(self, value: Any) -> str | float:
+    def write(self, value: Any) -> Written:
         """Write the value as it is."""
         return str(value)
 
@@ -232,9 +237,116 @@ class TopicName(_Reads):
         if not _TOPIC.fullmatch(raw):
             hint = f"write /{raw}" if _TOPIC.fullmatch(f"/{raw}") else f"write {self.range}"
             raise ValueError(f"{shown(raw)} is not an absolute ROS name; {hint}")
-        if len(raw) > LONGEST_TOPIC:
-            raise ValueError(f"is {len(raw)} characters long; ROS allows {LONGEST_TOPIC}")
+        if len(raw) > LONGEST_NAME:
+            raise ValueError(f"is {len(raw)} characters long; ROS allows {LONGEST_NAME}")
         return raw
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupedTopic(TopicName):
+    """A topic of a group, which is named and not matched."""
+
+    def read(self, raw: Any) -> str:
+        """Read an absolute name without stars."""
+        if isinstance(raw, str) and "*" in raw and is_pattern(raw):
+            raise ValueError(f"{shown(raw)} is a pattern; name each topic of the group")
+        return super().read(raw)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Namespace(TopicName):
+    """An absolute name to put before others, or `none` for the empty one."""
+
+    range: str = f"an absolute ROS name such as /robot1, or {NONE}"
+
+    def read(self, raw: Any) -> str:
+        """Read an absolute name, or the word."""
+        if raw == NONE:
+            return ""
+        name = super().read(raw)
+        if is_hidden(name) or is_internal(f"{name}/"):
+            raise ValueError(f"{shown(raw)} is a name that never crosses the link; write one such as /robot1")
+        return name
+
+    def write(self, value: Any) -> str:
+        """Write the name, or the word."""
+        return str(value) or NONE
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamePattern(_Reads):
+    """An absolute name in which stars stand for other characters."""
+
+    range: str = "a name such as /scan or a pattern such as /camera/**"
+
+    def read(self, raw: Any) -> str:
+        """Read a pattern."""
+        if not isinstance(raw, str):
+            raise ValueError(f"{shown(raw)} is not a pattern; write {self.range}")
+        if not is_pattern(raw):
+            hint = f"write /{raw}" if is_pattern(f"/{raw}") else f"write {self.range}"
+            raise ValueError(f"{shown(raw)} is not a pattern of absolute ROS names; {hint}")
+        if len(raw) > LONGEST_NAME:
+            raise ValueError(f"is {len(raw)} characters long; ROS allows {LONGEST_NAME}")
+        return raw
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListOf(_Reads):
+    """A list, each item of which is of one kind.
+
+    Parameters
+    ----------
+    item : kind of the items
+    range : description of a right list
+    """
+
+    item: ValueKind
+    range: str
+
+    def read(self, raw: Any) -> tuple[Any, ...]:
+        """Read all items."""
+        if not isinstance(raw, list):
+            raise ValueError(f"{shown(raw)} is not a list; write {self.range}")
+        return tuple(map(self.item.read, raw))
+
+    def write(self, value: Any) -> list[str]:
+        """Write all items."""
+        return [str(self.item.write(item)) for item in value]
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: Any) -> core_schema.CoreSchema:
+        """Let each item be judged alone, so that a fault names its place."""
+        item = core_schema.no_info_plain_validator_function(self.item.read)
+        return core_schema.tuple_schema([item], variadic_item_index=0, strict=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Address(_Reads):
+    """An IP address or a host name, or `none` for an unknown one."""
+
+    range: str = f"an IP address, a host name or {NONE}"
+
+    def read(self, raw: Any) -> str | None:
+        """Read an address, or the word."""
+        if raw == NONE:
+            return None
+        if not isinstance(raw, str) or not _is_address(raw):
+            raise ValueError(f"{shown(raw)} is not an address; write {self.range}")
+        return raw
+
+    def write(self, value: Any) -> str:
+        """Write the address, or the word."""
+        return NONE if value is None else str(value)
+
+
+def _is_address(text: str) -> bool:
+    if not re.fullmatch(r"[0-9.]+|.*:.*", text):
+        return _HOST.fullmatch(text) is not None
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

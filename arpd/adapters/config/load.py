@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from arpd.adapters.config.kinds import reworded, shown
 from arpd.adapters.config.rules import broken_rules
-from arpd.adapters.config.schema import SECTIONS, Document, Section, flatten
+from arpd.adapters.config.schema import SECTIONS, Document, Section, flatten, spelled
 from arpd.adapters.config.yaml_source import Fault, config_error, dotted, read_source
 
 if TYPE_CHECKING:
@@ -26,13 +26,17 @@ _RESTART_ONLY = ("link.interface", "http.", "relay.")
 _ABSENT = "absent"
 
 
-def load_settings(path: Path, *, interfaces: Callable[[], Collection[str]] | None) -> Settings:
+def load_settings(
+    path: Path, *, interfaces: Callable[[], Collection[str]] | None, local_domain: int | None = None
+) -> Settings:
     """Read and check a configuration file.
 
     Parameters
     ----------
     path : YAML file
     interfaces : returns the names of this host's interfaces, None = do not check ``link.interface``
+    local_domain : ROS domain of this host's own nodes (`arpd.adapters.config.domain`), None = do not check
+        ``relay.link_domain`` against it
 
     Raises
     ------
@@ -46,7 +50,7 @@ def load_settings(path: Path, *, interfaces: Callable[[], Collection[str]] | Non
         document = Document.model_validate(source.data)
     except ValidationError as error:
         faults += (_reworded(details, source) for details in error.errors(include_url=False))
-    faults += broken_rules(source, interfaces=interfaces() if interfaces else None)
+    faults += broken_rules(source, interfaces=interfaces() if interfaces else None, local_domain=local_domain)
     if faults or document is None:
         raise config_error(path, faults)
     return document.settings()
@@ -54,7 +58,7 @@ def load_settings(path: Path, *, interfaces: Callable[[], Collection[str]] | Non
 
 def describe_change(old: Settings, new: Settings) -> list[str]:
     """Return one line ``key: old -> new`` for each key that differs."""
-    before, after = flatten(old), flatten(new)
+    before, after = ({key: spelled(value) for key, value in flatten(settings).items()} for settings in (old, new))
     return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
 
 
@@ -89,7 +93,7 @@ def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
         case "model_type":
             text = f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
         case "tuple_type":
-            text = f"{_shape(details['input'], 'a list')}; write items with `- name:`, or [] for none"
+            text = f"{_shape(details['input'], 'a list')}; {_items(location)}"
         case _:
             text = reworded(details)
     return source.fault(location, text)
@@ -113,6 +117,15 @@ def _nearest(location: Location) -> str:
 
 def _shape(value: Any, wanted: str) -> str:
     return "has no value" if value is None else f"{shown(value)} is not {wanted}"
+
+
+def _items(location: Location) -> str:
+    """Return how to write the list there."""
+    *above, last = location
+    if kind := _section(tuple(above)).kinds().get(str(last)):
+        return f"write {kind.range}"
+    required = next(key for key, field in _section(location).model_fields.items() if field.is_required())
+    return f"write items with `- {required}:`, or [] for none"
 
 
 def _keys(location: Location) -> str:

@@ -8,25 +8,31 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.kinds import LONGEST_TOPIC
-from arpd.adapters.config.schema import Link, Relay, RelayTopic, Section, TopicEntry, TopicPreferences
+from arpd.adapters.config.domain import shared_domain
+from arpd.adapters.config.kinds import NONE, GroupedTopic
+from arpd.adapters.config.schema import Link, Relay, RelayGroup, RelayTopic, Section, TopicEntry, TopicPreferences
 from arpd.adapters.config.yaml_source import Fault, Location, Place, dotted
+from arpd.model.names import LONGEST_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     from arpd.adapters.config.yaml_source import YamlSource
 
+_ONE_ENDED = frozenset({"link_domain", "prefix", "topics"})  # keys of `relay` that do not need two ends
 _PREFERENCE_PAIRS = (("min_rate_hz", "max_rate_hz"), ("min_depth", "max_depth"))
 
 
-def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> Iterator[Fault]:
+def broken_rules(
+    source: YamlSource, *, interfaces: Collection[str] | None, local_domain: int | None
+) -> Iterator[Fault]:
     """Yield the faults that no single value shows.
 
     Parameters
     ----------
     source : the file
     interfaces : names of this host's interfaces, None = unknown
+    local_domain : ROS domain of this host's own nodes, None = unknown
     """
     if interfaces is not None:
         yield from _missing_interface(source, interfaces)
@@ -36,7 +42,15 @@ def broken_rules(source: YamlSource, *, interfaces: Collection[str] | None) -> I
             yield from _unordered(source, location, TopicEntry, low, high, fallback=_mapping(source, ("defaults",)))
     yield from _repeated_names(source, ("topics",), TopicEntry)
     yield from _repeated_names(source, ("relay", "topics"), RelayTopic)
-    yield from _bad_relayed_names(source)
+    yield from _repeated_names(source, ("relay", "groups"), RelayGroup)
+    yield from _bad_groups(source)
+    relay = _mapping(source, ("relay",))
+    if relay.get("link_domain", NONE) == NONE:
+        yield from _bad_relayed_names(source)
+        yield from _unused_keys(source, relay)
+    elif (link_domain := _value(Relay, "link_domain", relay)) is not None:
+        yield from _bad_link_domain(source, relay, link_domain, local_domain)
+        yield from _long_far_names(source, relay)
 
 
 def _missing_interface(source: YamlSource, interfaces: Collection[str]) -> Iterator[Fault]:
@@ -96,8 +110,8 @@ def _bad_relayed_names(source: YamlSource) -> Iterator[Fault]:
         name = _value(RelayTopic, "name", _mapping(source, location))
         if not prefix or not name:
             continue
-        if (length := len(prefix) + len(name)) > LONGEST_TOPIC:
-            wrong = f"with its prefix is {length} characters long; ROS allows {LONGEST_TOPIC}"
+        if (length := len(prefix) + len(name)) > LONGEST_NAME:
+            wrong = f"with its prefix is {length} characters long; ROS allows {LONGEST_NAME}"
             yield source.fault((*location, "name"), wrong)
         if name == prefix:
             wrong = f"'{name}' is relay.prefix itself; name a topic, or change prefix"
@@ -107,12 +121,87 @@ def _bad_relayed_names(source: YamlSource) -> Iterator[Fault]:
             yield source.fault((*location, "name"), wrong)
 
 
+def _unused_keys(source: YamlSource, relay: dict[str, Any]) -> Iterator[Fault]:
+    """Yield the keys that say something about two ends, although there is one."""
+    default = Relay()
+    for key in Relay.model_fields.keys() - _ONE_ENDED:
+        value = _value(Relay, key, relay) if key in Relay.kinds() else tuple(_items(source, ("relay", key)))
+        if value is not None and value != getattr(default, key):
+            wrong = "needs relay.link_domain; give that a number, or remove this key"
+            yield source.fault(("relay", key), wrong)
+
+
+def _bad_link_domain(
+    source: YamlSource, relay: dict[str, Any], link_domain: int, local_domain: int | None
+) -> Iterator[Fault]:
+    """Yield a domain that this host's own nodes use, and ends of which neither knows the other's address."""
+    if wrong := shared_domain(link_domain, local_domain):
+        yield source.fault(("relay", "link_domain"), wrong)
+    if all(relay.get(end, NONE) == NONE for end in ("robot", "ceddp")):
+        wrong = "needs the address of one end, or nobody would find the other; give relay.robot or relay.ceddp"
+        yield source.fault(("relay", "link_domain"), wrong)
+
+
+def _long_far_names(source: YamlSource, relay: dict[str, Any]) -> Iterator[Fault]:
+    """Yield names that are too long on the CEDDP, where they have the namespace in front."""
+    namespace = _value(Relay, "namespace", relay) or ""
+    named = [(*location, "name") for location in _items(source, ("relay", "topics"))]
+    for location in (*named, *_grouped(source)):
+        name = source.value(location)
+        if isinstance(name, str) and len(name) <= LONGEST_NAME < (length := len(namespace) + len(name)):
+            wrong = f"with relay.namespace is {length} characters long; ROS allows {LONGEST_NAME}"
+            yield source.fault(location, wrong)
+
+
+def _bad_groups(source: YamlSource) -> Iterator[Fault]:
+    """Yield groups of fewer than two topics, topics of two groups, and groups named like a topic of another group."""
+    for location in _items(source, ("relay", "groups")):
+        topics = source.value((*location, "topics"))
+        if isinstance(topics, list) and len(topics) < 2:
+            count = "one topic" if topics else "no topic"
+            yield source.fault((*location, "topics"), f"has {count}; name at least two, or remove the group")
+    first: dict[str, Location] = {}
+    for location in _grouped(source):
+        name = source.value(location)
+        if not _is_topic(name):
+            continue
+        if name in first:
+            wrong = f"'{name}' is already in a group on line {source.place(first[name]).line}; keep one of the two"
+            yield source.fault(location, wrong)
+        else:
+            first[name] = location
+    for location in _items(source, ("relay", "groups")):
+        name = _value(RelayGroup, "name", _mapping(source, location))
+        if name in first and first[name][: len(location)] != location:
+            wrong = f"'{name}' is a topic of the group on line {source.place(first[name]).line}; choose another name"
+            yield source.fault((*location, "name"), wrong)
+
+
+def _grouped(source: YamlSource) -> list[Location]:
+    """Return the places of all topics of all groups."""
+    groups = _items(source, ("relay", "groups"))
+    return [
+        topic
+        for location in groups
+        if isinstance(source.value(location), dict)
+        for topic in _items(source, (*location, "topics"))
+    ]
+
+
+def _is_topic(name: Any) -> bool:
+    try:
+        GroupedTopic().read(name)
+    except ValueError:
+        return False
+    return True
+
+
 def _mapping(source: YamlSource, location: Location) -> dict[str, Any]:
     value = source.value(location)
     return value if isinstance(value, dict) else {}
 
 
-def _items(source: YamlSource, path: tuple[str, ...]) -> list[Location]:
+def _items(source: YamlSource, path: Location) -> list[Location]:
     value = source.value(path)
     return [(*path, index) for index in range(len(value))] if isinstance(value, list) else []
 

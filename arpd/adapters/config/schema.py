@@ -3,11 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from arpd.adapters.config.kinds import DURATION, RATE, SIZE, Choice, Count, Number, Quantity, Text, TopicName, ValueKind
+from arpd.adapters.config.kinds import (
+    DURATION,
+    NONE,
+    RATE,
+    SIZE,
+    Address,
+    Choice,
+    Count,
+    GroupedTopic,
+    ListOf,
+    NamePattern,
+    Namespace,
+    Number,
+    Quantity,
+    Text,
+    TopicName,
+    ValueKind,
+    Written,
+)
 from arpd.model.settings import (
     DEFAULT_RELAY_DEPTH,
     Backend,
@@ -22,16 +41,16 @@ from arpd.model.settings import (
     ProgramSettings,
     RelaySettings,
     Settings,
+    TopicGroup,
     TopicSettings,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-Written: TypeAlias = str | float  # a value as the file has it
-
 _DEFAULT = Settings()
 _RELAY_OVERFLOW = Overflow.LATEST  # the default of RelaySettings
+_PATTERNS = ListOf(item=NamePattern(), range="a list of names and patterns such as [/scan, /camera/**]")
 
 
 class Section(BaseModel):
@@ -166,17 +185,45 @@ class RelayTopic(Section):
     depth: Annotated[int | None, Count(low=1, high=5000)] = None
 
 
+class GroupBy(StrEnum):
+    """Feature that the samples of a set have in common."""
+
+    STAMP = "stamp"
+
+
+class RelayGroup(Section):
+    """One item of ``relay.groups``."""
+
+    name: Annotated[str | None, TopicName()] = None
+    topics: Annotated[
+        tuple[str, ...], ListOf(item=GroupedTopic(), range="a list of names such as [/left/image, /right/image]")
+    ]
+    by: Annotated[GroupBy, Choice(GroupBy)] = GroupBy.STAMP
+
+
 class Relay(Section):
     """``relay``."""
 
+    link_domain: Annotated[int | None, Count(low=0, high=232, word=NONE)] = _DEFAULT.relay.link_domain
+    robot: Annotated[str | None, Address()] = _DEFAULT.relay.robot
+    ceddp: Annotated[str | None, Address()] = _DEFAULT.relay.ceddp
+    namespace: Annotated[str, Namespace()] = _DEFAULT.relay.namespace
+    to_ceddp: Annotated[tuple[str, ...], _PATTERNS] = _DEFAULT.relay.to_ceddp
+    to_robot: Annotated[tuple[str, ...], _PATTERNS] = _DEFAULT.relay.to_robot
+    deny: Annotated[tuple[str, ...], _PATTERNS] = _DEFAULT.relay.deny
+    services: Annotated[tuple[str, ...], _PATTERNS] = _DEFAULT.relay.services
+    actions: Annotated[tuple[str, ...], _PATTERNS] = _DEFAULT.relay.actions
+    call_timeout: Annotated[float, Quantity(unit=DURATION, low="100ms", high="1h")] = _DEFAULT.relay.call_timeout_s
+    groups: Annotated[tuple[RelayGroup, ...], Field(strict=False)] = ()
     prefix: Annotated[str, TopicName()] = _DEFAULT.relay.prefix
     topics: Annotated[tuple[RelayTopic, ...], Field(strict=False)] = ()
 
     def settings(self) -> RelaySettings:
         """Return the relay's settings."""
         return RelaySettings(
+            **self.attributes(),
             topics=tuple(topic.name for topic in self.topics),
-            prefix=self.prefix,
+            groups=tuple(TopicGroup(name=group.name or group.topics[0], topics=group.topics) for group in self.groups),
             overflow={topic.name: topic.overflow for topic in self.topics if topic.overflow is not None},
             depths={topic.name: topic.depth for topic in self.topics if topic.depth is not None},
         )
@@ -224,6 +271,7 @@ SECTIONS: Mapping[tuple[str, ...], type[Section]] = {
     ("defaults",): TopicPreferences,
     ("topics",): TopicEntry,
     ("relay",): Relay,
+    ("relay", "groups"): RelayGroup,
     ("relay", "topics"): RelayTopic,
 }
 
@@ -243,6 +291,9 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
     for name, preferences in settings.topics.items():
         yield from _written(f"topics[{name}]", NamedTopicPreferences, preferences)
     yield from _written("relay", Relay, settings.relay)
+    for group in settings.relay.groups:
+        yield f"relay.groups[{group.name}].topics", list(group.topics)
+        yield f"relay.groups[{group.name}].by", str(GroupBy.STAMP)
     for name in settings.relay.topics:
         yield f"relay.topics[{name}].overflow", str(settings.relay.overflow.get(name, _RELAY_OVERFLOW))
         yield f"relay.topics[{name}].depth", settings.relay.depths.get(name, DEFAULT_RELAY_DEPTH)
@@ -253,3 +304,8 @@ def _rows(settings: Settings) -> Iterator[tuple[str, Written]]:
 def _written(path: str, section: type[Section], values: object) -> Iterator[tuple[str, Written]]:
     for key, kind in section.kinds().items():
         yield f"{path}.{key}", kind.write(getattr(values, key + kind.suffix))
+
+
+def spelled(value: Written) -> str:
+    """Return a value on one line, as the file has it: ``[/scan, /camera/**]``."""
+    return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)

@@ -11,8 +11,9 @@ import yaml
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import describe_change, load_settings, needs_restart, restart_only_changes
-from arpd.adapters.config.schema import SECTIONS, flatten
+from arpd.adapters.config.schema import SECTIONS, flatten, spelled
 from arpd.model.errors import ConfigError
 from arpd.model.settings import (
     Backend,
@@ -27,6 +28,7 @@ from arpd.model.settings import (
     ProgramSettings,
     RelaySettings,
     Settings,
+    TopicGroup,
     TopicSettings,
 )
 
@@ -74,7 +76,20 @@ defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 
 topics:
   - {name: /camera, max_rate_hz: source, latency_budget: 200ms}
   - {name: /scan, weight: 4, payload: 6kB, source_rate_hz: 12.5}
-relay: {prefix: /air, topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]}
+relay:
+  link_domain: 77
+  robot: robot1.local
+  ceddp: "fd00::2"
+  namespace: /r1
+  to_ceddp: [/camera/**, /scan]
+  to_robot: []
+  deny: [/camera/*/raw]
+  services: ["/map_server/*"]
+  actions: [/go]
+  call_timeout: 2s
+  groups: [{topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info], by: stamp}]
+  prefix: /air
+  topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]
 on_stop: keep
 on_lost: baseline
 lost_after: 1min
@@ -110,7 +125,24 @@ lost_after: 1min
             "/scan": replace(default_topic, weight=4.0, payload_bytes=6000.0, source_rate_hz=12.5),
         },
         relay=RelaySettings(
-            topics=("/camera", "/scan"), prefix="/air", overflow={"/camera": Overflow.QUEUE}, depths={"/camera": 20}
+            topics=("/camera", "/scan"),
+            prefix="/air",
+            overflow={"/camera": Overflow.QUEUE},
+            depths={"/camera": 20},
+            link_domain=77,
+            robot="robot1.local",
+            ceddp="fd00::2",
+            namespace="/r1",
+            to_ceddp=("/camera/**", "/scan"),
+            to_robot=(),
+            deny=("/camera/*/raw",),
+            services=("/map_server/*",),
+            actions=("/go",),
+            groups=(
+                TopicGroup(name="/left/image", topics=("/left/image", "/right/image")),
+                TopicGroup(name="/depth", topics=("/depth/image", "/depth/info")),
+            ),
+            call_timeout_s=2.0,
         ),
         on_stop=OnStop.KEEP,
         on_lost=OnLost.BASELINE,
@@ -142,14 +174,14 @@ def test_the_shipped_file_documents_every_key():
     for path, model in SECTIONS.items():
         for key, kind in model.kinds().items():
             dotted = ".".join((*path, key))
-            if path[-1:] == ("topics",):
+            if path[-1:] in {("topics",), ("groups",)}:
                 assert f"{key}:" in SHIPPED.read_text()
                 if path == ("topics",) and key not in {"name", *SECTIONS["defaults",].kinds()}:
                     described = rf"(?m)^#   {key} .* default: measured \| range: {re.escape(kind.range)}$"
                     assert re.search(described, SHIPPED.read_text()), dotted
                 continue
             value = defaults[dotted]
-            shown = f"{value:g}" if isinstance(value, float) else value
+            shown = f"{value:g}" if isinstance(value, float) else spelled(value)
             reload = "restart" if needs_restart(dotted) else "yes"
             assert documented[dotted] == f"# default: {shown} | range: {kind.range} | reload: {reload}", dotted
 
@@ -161,6 +193,10 @@ def test_the_examples_in_the_shipped_file_load(load):
     camera = load(topics).topics["/link/camera/image/compressed"]
     assert (camera.latency_budget_s, camera.payload_bytes, camera.source_rate_hz) == (0.2, 30_000.0, 30.0)
     assert load(f"relay:\n{relayed}").relay.topics == ("/camera/image/compressed",)
+    (block,) = re.findall(r"(?m)^ *#     groups:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
+    groups = re.sub(r"(?m)^ *#     ", "  ", block)
+    (group,) = load(f"relay:\n  link_domain: 77\n  ceddp: 10.0.0.2\n{groups}").relay.groups
+    assert (group.name, len(group.topics)) == ("/stereo", 4)
 
 
 ONE_FAULT = {
@@ -194,6 +230,103 @@ ONE_FAULT = {
     "relayed prefix": (
         "relay: {topics: [{name: /link}]}",
         "1:25: relay.topics[0].name: '/link' is relay.prefix itself; name a topic, or change prefix",
+    ),
+    "link domain out of range": (
+        "relay: {link_domain: 233, robot: a}",
+        "1:22: relay.link_domain: 233 is above 232; write 0..232 or none",
+    ),
+    "two ends that cannot find each other": (
+        "relay:\n  link_domain: 77\n",
+        (
+            "2:16: relay.link_domain: needs the address of one end, or nobody would find the other; "
+            "give relay.robot or relay.ceddp"
+        ),
+    ),
+    "a key of two ends": (
+        "relay: {robot: 10.0.0.1}",
+        "1:16: relay.robot: needs relay.link_domain; give that a number, or remove this key",
+    ),
+    "nothing to the robot of one end": (
+        "relay: {to_robot: []}",
+        "1:19: relay.to_robot: needs relay.link_domain; give that a number, or remove this key",
+    ),
+    "groups of one end": (
+        "relay:\n  groups:\n  - topics: [/a, /b]\n",
+        "3:3: relay.groups: needs relay.link_domain; give that a number, or remove this key",
+    ),
+    "no address": (
+        "relay: {link_domain: 77, robot: 10.0.0.256}",
+        "1:33: relay.robot: '10.0.0.256' is not an address; write an IP address, a host name or none",
+    ),
+    "relative namespace": (
+        "relay: {link_domain: 77, robot: a, namespace: r1}",
+        "1:47: relay.namespace: 'r1' is not an absolute ROS name; write /r1",
+    ),
+    "namespace of arpd": (
+        "relay: {link_domain: 77, robot: a, namespace: /arpd}",
+        "1:47: relay.namespace: '/arpd' is a name that never crosses the link; write one such as /robot1",
+    ),
+    "text for a list": (
+        "relay: {link_domain: 77, robot: a, deny: /x}",
+        "1:42: relay.deny: '/x' is not a list; write a list of names and patterns such as [/scan, /camera/**]",
+    ),
+    "bad pattern": (
+        "relay: {link_domain: 77, robot: a, to_ceddp: [/a, /b**]}",
+        (
+            "1:51: relay.to_ceddp[1]: '/b**' is not a pattern of absolute ROS names; "
+            "write a name such as /scan or a pattern such as /camera/**"
+        ),
+    ),
+    "relative pattern": (
+        "relay: {link_domain: 77, robot: a, services: [a/**]}",
+        "1:47: relay.services[0]: 'a/**' is not a pattern of absolute ROS names; write /a/**",
+    ),
+    "number for a pattern": (
+        "relay: {link_domain: 77, robot: a, actions: [1]}",
+        "1:46: relay.actions[0]: 1 is not a pattern; write a name such as /scan or a pattern such as /camera/**",
+    ),
+    "long pattern": (
+        f"relay: {{link_domain: 77, robot: a, deny: [/{'a' * 247}]}}",
+        "1:43: relay.deny[0]: is 248 characters long; ROS allows 247",
+    ),
+    "pattern in a group": (
+        "relay: {link_domain: 77, robot: a, groups: [{topics: [/left/image, /right/**]}]}",
+        "1:68: relay.groups[0].topics[1]: '/right/**' is a pattern; name each topic of the group",
+    ),
+    "group of one": (
+        "relay: {link_domain: 77, robot: a, groups: [{topics: [/left/image]}]}",
+        "1:54: relay.groups[0].topics: has one topic; name at least two, or remove the group",
+    ),
+    "group of none": (
+        "relay: {link_domain: 77, robot: a, groups: [{topics: []}]}",
+        "1:54: relay.groups[0].topics: has no topic; name at least two, or remove the group",
+    ),
+    "mapping for groups": (
+        "relay: {link_domain: 77, robot: a, groups: {topics: [/a, /b]}}",
+        "1:44: relay.groups: a mapping is not a list; write items with `- topics:`, or [] for none",
+    ),
+    "group by another feature": (
+        "relay: {link_domain: 77, robot: a, groups: [{topics: [/a, /b], by: time}]}",
+        "1:68: relay.groups[0].by: 'time' is not one of the choices; write stamp",
+    ),
+    "topic of two groups": (
+        "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - topics: [/a, /b]\n  - topics: [/c, /a]\n",
+        "6:18: relay.groups[1].topics[1]: '/a' is already in a group on line 5; keep one of the two",
+    ),
+    "name of two groups": (
+        (
+            "relay:\n  link_domain: 77\n  robot: a\n  groups:\n"
+            "  - {name: /g, topics: [/a, /b]}\n  - {name: /g, topics: [/c, /d]}\n"
+        ),
+        "6:12: relay.groups[1].name: '/g' is already given on line 5; keep one of the two",
+    ),
+    "group named like another's topic": (
+        "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - {topics: [/a, /b]}\n  - {name: /b, topics: [/c, /d]}\n",
+        "6:12: relay.groups[1].name: '/b' is a topic of the group on line 5; choose another name",
+    ),
+    "long name on the CEDDP": (
+        f"relay: {{link_domain: 77, robot: a, namespace: /r1, topics: [{{name: /{'a' * 244}}}]}}",
+        "1:68: relay.topics[0].name: with relay.namespace is 248 characters long; ROS allows 247",
     ),
     "unknown choice": ("on_stop: explode", "1:10: on_stop: 'explode' is not one of the choices; write restore or keep"),
     "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
@@ -357,6 +490,65 @@ def test_names_that_grow_too_long_with_the_relay_prefix_are_refused(faults):
     name = "/" + "a" * 244
     fault = f"1:25: relay.topics[0].name: with its prefix is {len(name) + 5} characters long; ROS allows 247"
     assert faults(f"relay: {{topics: [{{name: {name}}}]}}") == [fault]
+
+
+def test_the_link_domain_must_not_be_the_one_of_this_computers_nodes(tmp_path):
+    """In the domain of the robot's nodes the two ends would see their own copies."""
+    path = tmp_path / "arpd.yaml"
+    path.write_text("relay: {link_domain: 7, ceddp: 10.0.0.2}")
+    with pytest.raises(ConfigError) as refused:
+        load_settings(path, interfaces=None, local_domain=7)
+    fault = "1:22: relay.link_domain: 7 is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
+    assert refused.value.faults == [f"{path}:{fault}"]
+    for other in (0, None):
+        assert load_settings(path, interfaces=None, local_domain=other).relay.link_domain == 7
+
+
+@pytest.mark.parametrize(
+    ("environment", "domain"),
+    [
+        ({}, 0),
+        ({"ROS_DOMAIN_ID": ""}, 0),
+        ({"ROS_DOMAIN_ID": "42"}, 42),
+        ({"ROS_DOMAIN_ID": "0x10"}, 16),
+        ({"ROS_DOMAIN_ID": "x"}, None),
+    ],
+)
+def test_the_domain_of_this_computers_nodes(environment, domain):
+    """The local domain is the one that rcl reads from the environment."""
+    assert local_domain(environment) == domain
+
+
+def test_two_ends_carry_topics_under_any_name(load):
+    """The prefix means nothing to two ends, so its rules do not hold."""
+    loaded = load("relay: {link_domain: 77, ceddp: a, topics: [{name: /link}, {name: /link/scan}]}")
+    assert loaded.relay.topics == ("/link", "/link/scan")
+
+
+@pytest.mark.parametrize("address", ["10.0.0.2", "'fd00::2'", "robot", "robot-1.local", "a_b"])
+def test_an_end_has_an_address_or_a_host_name(load, address):
+    """Both kinds of IP addresses and any host name are fine."""
+    assert load(f"relay: {{link_domain: 77, robot: {address}}}").relay.robot == address.strip("'")
+
+
+def test_a_change_of_a_list_is_described_and_needs_a_restart():
+    """Lists read as in the file."""
+    old = Settings()
+    group = TopicGroup(name="/left/image", topics=("/left/image", "/right/image"))
+    relay = RelaySettings(
+        link_domain=77, ceddp="a", deny=("/x", "/y/**"), to_robot=(), namespace="/r1", groups=(group,)
+    )
+    new = Settings(relay=relay)
+    assert describe_change(old, new) == [
+        "relay.link_domain: none -> 77",
+        "relay.ceddp: none -> a",
+        "relay.namespace: none -> /r1",
+        "relay.to_robot: [/**] -> []",
+        "relay.deny: [] -> [/x, /y/**]",
+        "relay.groups[/left/image].topics: absent -> [/left/image, /right/image]",
+        "relay.groups[/left/image].by: absent -> stamp",
+    ]
+    assert restart_only_changes(old, new) == [line.partition(":")[0] for line in describe_change(old, new)]
 
 
 def test_what_a_topic_is_assumed_to_publish_is_its_own_and_may_be_left_to_measurement(load):
