@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd import __version__
+from arpd.cli.check import add_check
 from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
 from arpd.cli.top import add_top
 from arpd.model.errors import ArpdError, ConfigError
-from arpd.model.settings import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,9 +58,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="arpd",
         description="Keeps a ROS 2 robot's wireless traffic inside what the link can carry, live.",
         epilog="""\
-on the robot:     arpd run      the daemon: measures the link, plans rate, DEADLINE and DEPTH, applies them
-                  arpd relay    carries topics of nodes whose code is not yours (optional)
-on the other end: arpd peer     reports what arrives, so that the daemon knows the link
+on the robot:     arpd run          the daemon: measures the link, plans rate, DEADLINE and DEPTH, applies them
+                  arpd relay        carries topics of nodes whose code is not yours (optional)
+on the other end: arpd peer         reports what arrives, so that the daemon knows the link
+                  arpd relay --far  the far end of a relay with two ends (optional)
 
 `arpd COMMAND --help` explains each, with examples.
 
@@ -74,7 +74,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
     _add_run(commands)
     _add_relay(commands)
     _add_peer(commands)
-    _add_check(commands)
+    add_check(commands, default_config=DEFAULT_CONFIG)
     add_solve(commands)
     add_simulate(commands, default_config=DEFAULT_CONFIG)
     add_status(commands)
@@ -107,16 +107,21 @@ def _add_relay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "relay",
         help="carry topics of nodes whose code is not yours",
         description="""\
-Subscribe on this host to the topics under relay.topics in the configuration and publish them again, unchanged, as
-relay.prefix + name, through publishers that arpd can tune. Readers across the link subscribe to the new name.
-Any installed message type; no message is decoded.""",
+Carry topics through publishers that arpd can tune. Any installed message type; no message is decoded.
+
+Two ends (relay.link_domain in the configuration): this process on the robot and `arpd relay --far` on the CEDDP carry
+topics under their own names, in both directions, while somebody on the other side reads them, and services and actions.
+One end (without it): subscribe on this host to the topics under relay.topics and publish them again, unchanged, as
+relay.prefix + name. Readers across the link subscribe to the new name.""",
         epilog="""\
 examples:
   arpd relay                                 with /etc/arpd/arpd.yaml
+  arpd relay --far                           on the CEDDP, with the same file
   arpd relay --config my.yaml --node-name arpd_relay_camera""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_config(parser)
+    parser.add_argument("--far", action="store_true", help="be the far end of a relay with two ends, on the CEDDP")
     parser.add_argument("--node-name", metavar="NAME", help="name of the ROS node (default arpd_relay_HOST)")
     _add_log_level(parser)
     parser.set_defaults(handler=_relay)
@@ -128,7 +133,8 @@ def _add_peer(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="report what arrives at the other end of the link",
         description="""\
 Run on the computer at the other end of the link (the CEDDP). Ten times a second it reports to the daemon what its
-interface received and which probe packets arrived; the robot cannot see either. Needs no configuration.""",
+interface received and which probe packets arrived; the robot cannot see either. It needs a configuration only for a
+relay with two ends, whose link domain it joins.""",
         epilog="""\
 examples:
   arpd peer                                  the likeliest interface, this host's name
@@ -136,30 +142,12 @@ examples:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--interface", default="auto", help="interface of the link on this host (default %(default)s)")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"YAML configuration (default {DEFAULT_CONFIG} if there is one)"
+    )
     parser.add_argument("--name", metavar="HOST", help="name in the reports (default: this host's name)")
     _add_log_level(parser)
     parser.set_defaults(handler=_peer)
-
-
-def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser(
-        "check",
-        help="check a configuration file",
-        description="""\
-Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
-what would be right. Exits 0 without faults, 78 with.""",
-        epilog="""\
-examples:
-  arpd check                                 checks /etc/arpd/arpd.yaml
-  arpd check my.yaml && sudo systemctl reload arpd
-  arpd check --no-interfaces robot.yaml      on another computer than the robot
-  arpd check --json my.yaml | jq .settings   every key with the value in force""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("file", nargs="?", type=Path, default=DEFAULT_CONFIG, help="YAML file (default %(default)s)")
-    parser.add_argument("--no-interfaces", action="store_true", help="do not check that link.interface exists here")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.set_defaults(handler=_check)
 
 
 def _add_config(parser: argparse.ArgumentParser) -> None:
@@ -181,41 +169,14 @@ def _run(options: argparse.Namespace) -> int:
 def _relay(options: argparse.Namespace) -> int:
     from arpd.adapters.ros.relay import run_relay
 
-    return run_relay(config_path=options.config, node_name=options.node_name, log_level=options.log_level)
+    end = {"is_far": True} if options.far else {}
+    return run_relay(config_path=options.config, node_name=options.node_name, log_level=options.log_level, **end)
 
 
 def _peer(options: argparse.Namespace) -> int:
     from arpd.adapters.ros.peer import run_peer
 
-    return run_peer(interface=options.interface, name=options.name, log_level=options.log_level)
-
-
-def _check(options: argparse.Namespace) -> int:
-    from arpd.adapters.config.load import load_settings
-    from arpd.adapters.config.schema import flatten
-    from arpd.adapters.host.interface import list_interfaces
-    from arpd.adapters.http.web_config import check_web_config
-
-    try:
-        settings = load_settings(options.file, interfaces=None if options.no_interfaces else list_interfaces)
-        check_web_config(settings.http, directory=options.file.parent)
-    except ConfigError as error:
-        if not options.json:
-            raise
-        print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
-        return error.exit_code
-    if options.json:
-        print(json.dumps({"ok": True, "file": str(options.file), "settings": flatten(settings)}, indent=2))
-    else:
-        print(_summary(settings))
-    return 0
-
-
-def _summary(settings: Settings) -> str:
-    """Say what the file changes from the defaults, and how many topics it names."""
-    from arpd.adapters.config.load import describe_change
-
-    changes = describe_change(Settings(), settings)
-    counts = f"topics: {len(settings.topics)}, relayed: {len(settings.relay.topics)}"
-    ok = f"OK ({counts}, keys that differ from the default: {len(changes)})"
-    return "\n".join([ok, *(f"  {line}" for line in changes)])
+    config_path = options.config or (DEFAULT_CONFIG if DEFAULT_CONFIG.exists() else None)
+    return run_peer(
+        interface=options.interface, name=options.name, config_path=config_path, log_level=options.log_level
+    )

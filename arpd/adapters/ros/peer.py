@@ -9,6 +9,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from arpd.adapters.config.domain import local_domain
+from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import InterfaceReader, hardware_address
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
@@ -20,6 +22,7 @@ from arpd.observe.receiver import BUSY_S, Receiver, ReportSchedule
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from arpd.model.interface import LinkCounters
 
@@ -187,20 +190,25 @@ def default_name(interface: str) -> str:
     return "-".join(part for part in (platform.node(), hardware_address(interface)[-4:]) if part) or "peer"
 
 
-def run_peer(*, interface: str, name: str | None, log_level: str) -> int:
+def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_level: str) -> int:
     """Run the peer until SIGINT or SIGTERM.
 
     Parameters
     ----------
     interface : link interface on this host, or ``auto``
     name : name of the peer in its reports; `default_name` when None
+    config_path : YAML configuration, for the link domain of a relay with two ends; None = there is none
 
     Raises
     ------
+    ConfigError
+        If the configuration has faults.
     LinkError
         If only a new process can use the link's address.
     """
     configure_logging(log_level, name="arpd-peer")
+    if config_path is not None:
+        load_settings(config_path, interfaces=None, local_domain=local_domain())
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()

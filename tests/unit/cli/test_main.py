@@ -97,6 +97,61 @@ def test_check_says_what_a_file_changes(run, config):
     assert run("check", config("{}")) == (0, everything_default, "")
 
 
+TWO_ENDS = """\
+relay:
+  link_domain: 77
+  robot: 10.0.0.1
+  ceddp: 10.0.0.2
+  namespace: /r1
+  to_robot: [/cmd_vel, /goal]
+  to_ceddp: []
+  deny: [/x]
+  services: ["/map/*"]
+  actions: [/go]
+  groups: [{topics: [/a, /b]}]
+"""
+
+
+def test_check_says_what_the_file_means_for_each_end(run, config):
+    """After OK comes what the relay carries, and where the other end is."""
+    path = config(TWO_ENDS)
+    carried = "to the CEDDP nothing; to the robot /cmd_vel, /goal"
+    rest = "deny /x; services /map/*; actions /go; groups /a; names on the CEDDP under /r1"
+    for options, there in (((), "10.0.0.2"), (("--far",), "10.0.0.1")):
+        code, out, _ = run("check", *options, path)
+        assert code == 0
+        told = [f"two ends: link domain 77, the other end at {there}; {carried}", rest]
+        assert out.splitlines()[1:3] == told
+    path = config("relay: {link_domain: 77, robot: 10.0.0.1}")
+    assert "77, the other end finds this one at 10.0.0.1; to the CEDDP /**; to the robot /**\n" in run("check", path)[1]
+    assert "77, the other end at 10.0.0.1; to the CEDDP /**" in run("check", "--far", path)[1]
+
+
+def test_check_says_who_works_with_one_end(run, config):
+    """With a prefix the far end has no relay."""
+    path = config("relay: {prefix: /air, topics: [{name: /scan}]}")
+    assert "\none end: the CEDDP reads the relayed topics under /air\n" in run("check", path)[1]
+    assert "\none end, on the robot: the relay has nothing to do on this side\n" in run("check", "--far", path)[1]
+
+
+def test_check_knows_the_domain_of_this_computers_nodes(run, config, monkeypatch):
+    """A link domain that the local nodes use is a fault on either end."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
+    path = config("relay: {link_domain: 77, robot: 10.0.0.1}")
+    fault = "1:22: relay.link_domain: 77 is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
+    for options in ((), ("--far",), ("--no-interfaces",)):
+        assert run("check", *options, path) == (78, "", f"{path}:{fault}\n")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert run("check", path)[0] == 0
+
+
+def test_the_far_end_ignores_what_is_the_robots(run, config):
+    """Interface and web server are those of the robot."""
+    path = config("link: {interface: nosuch0}\nhttp: {web_config: nosuch.yaml}")
+    assert run("check", path)[0] == 78
+    assert run("check", "--far", path)[0] == 0
+
+
 def test_check_speaks_json(run, config):
     """A good file gives its settings, a bad one its faults."""
     path = config("{}")
@@ -135,11 +190,15 @@ def entry_point(monkeypatch):
             "arpd.adapters.ros.relay:run_relay",
             {"config_path": "/etc/arpd/arpd.yaml", "node_name": "r", "log_level": "info"},
         ),
-        (["peer"], "arpd.adapters.ros.peer:run_peer", {"interface": "auto", "name": None, "log_level": "info"}),
         (
-            ["peer", "--interface", "wlan0", "--name", "laptop"],
+            ["relay", "--far"],
+            "arpd.adapters.ros.relay:run_relay",
+            {"config_path": "/etc/arpd/arpd.yaml", "node_name": None, "log_level": "info", "is_far": "True"},
+        ),
+        (
+            ["peer", "--interface", "wlan0", "--name", "laptop", "--config", "a.yaml"],
             "arpd.adapters.ros.peer:run_peer",
-            {"interface": "wlan0", "name": "laptop", "log_level": "info"},
+            {"interface": "wlan0", "name": "laptop", "config_path": "a.yaml", "log_level": "info"},
         ),
     ],
 )
@@ -154,6 +213,24 @@ def test_long_running_commands_are_handed_over(run, entry_point, arguments, func
     entry_point(*function.split(":"), record)
     assert run(*arguments)[0] == 7
     assert seen == given
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_peer_reads_the_installed_configuration_if_there_is_one(run, entry_point, config, monkeypatch, is_there):
+    """A peer without a configuration is fine."""
+    path = config("{}")
+    if not is_there:
+        path.unlink()
+    monkeypatch.setattr(cli, "DEFAULT_CONFIG", path)
+    seen = {}
+    entry_point("arpd.adapters.ros.peer", "run_peer", lambda **keywords: seen.update(keywords) or 0)
+    assert run("peer")[0] == 0
+    assert seen == {
+        "interface": "auto",
+        "name": None,
+        "config_path": path if is_there else None,
+        "log_level": "info",
+    }
 
 
 @pytest.mark.parametrize(

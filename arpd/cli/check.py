@@ -1,0 +1,100 @@
+"""`arpd check`: names the faults of a configuration, or says what it means."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from arpd.model.errors import ConfigError
+from arpd.model.settings import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from arpd.model.settings import RelaySettings
+
+
+def add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "check",
+        help="check a configuration file",
+        description="""\
+Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
+what would be right. Exits 0 without faults, 78 with.""",
+        epilog="""\
+examples:
+  arpd check                                 checks /etc/arpd/arpd.yaml
+  arpd check my.yaml && sudo systemctl reload arpd
+  arpd check --far                           on the CEDDP, for `arpd relay --far` and `arpd peer`
+  arpd check --no-interfaces robot.yaml      on another computer than the robot
+  arpd check --json my.yaml | jq .settings   every key with the value in force""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", nargs="?", type=Path, default=default_config, help="YAML file (default %(default)s)")
+    parser.add_argument(
+        "--far", action="store_true", help="check for the far end, on the CEDDP; link.interface is the robot's"
+    )
+    parser.add_argument("--no-interfaces", action="store_true", help="do not check that link.interface exists here")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(handler=_check)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from arpd.adapters.config.domain import local_domain
+    from arpd.adapters.config.load import load_settings
+    from arpd.adapters.config.schema import flatten
+    from arpd.adapters.host.interface import list_interfaces
+    from arpd.adapters.http.web_config import check_web_config
+
+    interfaces = None if options.far or options.no_interfaces else list_interfaces
+    try:
+        settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
+        if not options.far:
+            check_web_config(settings.http, directory=options.file.parent)
+    except ConfigError as error:
+        if not options.json:
+            raise
+        print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
+        return error.exit_code
+    if options.json:
+        print(json.dumps({"ok": True, "file": str(options.file), "settings": flatten(settings)}, indent=2))
+    else:
+        print(_summary(settings, is_far=options.far))
+    return 0
+
+
+def _summary(settings: Settings, *, is_far: bool) -> str:
+    """Say what the file changes from the defaults, and what it means for the relay on this computer."""
+    from arpd.adapters.config.load import describe_change
+
+    relay = settings.relay
+    changes = describe_change(Settings(), settings)
+    relayed = f", relayed: {len(relay.topics)}" if relay.link_domain is None else ""
+    ok = f"OK (topics: {len(settings.topics)}{relayed}, keys that differ from the default: {len(changes)})"
+    meaning = _two_ends(relay, is_far=is_far) if relay.link_domain is not None else _one_end(relay, is_far=is_far)
+    return "\n".join([ok, *meaning, *(f"  {line}" for line in changes)])
+
+
+def _one_end(relay: RelaySettings, *, is_far: bool) -> Iterator[str]:
+    if is_far:
+        yield "one end, on the robot: the relay has nothing to do on this side"
+    elif relay.topics:
+        yield f"one end: the CEDDP reads the relayed topics under {relay.prefix}"
+
+
+def _two_ends(relay: RelaySettings, *, is_far: bool) -> Iterator[str]:
+    here, there = (relay.ceddp, relay.robot) if is_far else (relay.robot, relay.ceddp)
+    other = f"the other end at {there}" if there else f"the other end finds this one at {here}"
+    to_ceddp, to_robot = (", ".join(patterns) or "nothing" for patterns in (relay.to_ceddp, relay.to_robot))
+    yield f"two ends: link domain {relay.link_domain}, {other}; to the CEDDP {to_ceddp}; to the robot {to_robot}"
+    named = {"deny": relay.deny, "services": relay.services, "actions": relay.actions}
+    parts = [f"{key} {', '.join(patterns)}" for key, patterns in named.items() if patterns]
+    if relay.groups:
+        parts.append(f"groups {', '.join(group.name for group in relay.groups)}")
+    if relay.namespace:
+        parts.append(f"names on the CEDDP under {relay.namespace}")
+    if parts:
+        yield "; ".join(parts)
