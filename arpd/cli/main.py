@@ -169,8 +169,9 @@ def _run(options: argparse.Namespace) -> int:
 def _relay(options: argparse.Namespace) -> int:
     from arpd.adapters.ros.relay import run_relay
 
-    end = {"is_far": True} if options.far else {}
-    return run_relay(config_path=options.config, node_name=options.node_name, log_level=options.log_level, **end)
+    return run_relay(
+        config_path=options.config, node_name=options.node_name, log_level=options.log_level, is_far=options.far
+    )
 
 
 def _peer(options: argparse.Namespace) -> int:

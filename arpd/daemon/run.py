@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
+from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.systemd.journal import configure_logging, log_event
@@ -17,10 +19,11 @@ from arpd.daemon.tick import Daemon
 from arpd.model.settings import OnStop
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from arpd.daemon.world import CapacityEstimator
-    from arpd.model.settings import Settings
+    from arpd.model.settings import LinkDomain, Settings
 
 log = logging.getLogger(__name__)
 
@@ -46,13 +49,15 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
     notifier = Notifier()
 
     def load() -> Settings:
-        return load_settings(config_path, interfaces=None)  # the interface may come later
+        # The interface may come later.
+        return load_settings(config_path, interfaces=None, local_domain=local_domain())
 
     settings = load()  # before ROS is imported, so that a fault in the file shows at once
     from arpd.adapters.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
 
     addresses = Addresses(lambda: daemon.interface)
-    with control_node("arpd") as node:
+    link_domain = settings.relay.link(is_far=False)
+    with control_node("arpd", link_domain) as node, _own_domain(node, link_domain) as own_node:
         from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
         from arpd.adapters.http.service import serving  # noqa: PLC0415
         from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
@@ -64,7 +69,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         daemon = Daemon(
             world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
         )
-        Diagnostics(node, lambda: daemon.snapshot)
+        Diagnostics(own_node, lambda: daemon.snapshot)
         web = RetryingServer(
             lambda: serving(
                 settings.http,
@@ -93,6 +98,18 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
             notifier.stopping()
             stop(daemon)
     return 0
+
+
+@contextmanager
+def _own_domain(node: Any, link_domain: LinkDomain | None) -> Iterator[Any]:
+    """Yield the daemon's node in the robot's own domain, for its diagnostics: another one beside a link domain."""
+    if link_domain is None:
+        yield node
+        return
+    from arpd.adapters.ros.runtime import ros_node, spinning_alone  # noqa: PLC0415 - after the configuration
+
+    with ros_node("arpd") as own_node, spinning_alone(own_node):
+        yield own_node
 
 
 def stop(daemon: Daemon) -> None:

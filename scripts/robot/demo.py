@@ -26,7 +26,7 @@ from arpd.adapters.sim.schedule import RateSchedule
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.netns.simlink import SimLink, available, user_namespace_argv
-from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD
+from scripts.robot.manner import RCLPY_DEFAULTS, WITH_TWO_ENDS
 from scripts.robot.proxy import window
 from scripts.robot.report import Pair, as_document, final_table, live_view, pair_up, verdict
 from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
@@ -145,7 +145,7 @@ def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[
     folder = logs / ("with" if is_managed else "without")
     with (
         SimLink(run_id, rate_bytes_per_second=schedule.rate_at(0.0)) as link,
-        robot(link, folder, WITH_ARPD if is_managed else RCLPY_DEFAULTS) as side,
+        robot(link, folder, WITH_TWO_ENDS if is_managed else RCLPY_DEFAULTS) as side,
     ):
         yield side
 

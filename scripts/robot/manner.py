@@ -22,12 +22,14 @@ class Manner:
     depth : DEPTH of every writer and reader (samples)
     deadline_ns : DEADLINE that every writer offers and every reader requests (ns); 0 = none
     rates_hz : lower rates of some topics than their sources' (Hz)
+    has_two_ends : the relay has an end on each side, so that every topic keeps its name, and every node is a plain one
     """
 
     daemon: tuple[str, ...] = ()
     depth: int = RCLPY_DEPTH
     deadline_ns: int = 0
     rates_hz: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    has_two_ends: bool = False
 
     @property
     def is_managed(self) -> bool:
@@ -48,3 +50,4 @@ class Manner:
 
 RCLPY_DEFAULTS = Manner()
 WITH_ARPD = Manner(daemon=("arpd.cli", "run"))
+WITH_TWO_ENDS = Manner(daemon=("arpd.cli", "run"), has_two_ends=True)

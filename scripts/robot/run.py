@@ -7,7 +7,6 @@ import json
 import math
 import os
 import select
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +17,8 @@ import urllib.request
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE
 from arpd.adapters.sim.demo import COMMAND_TOPIC
@@ -83,9 +84,19 @@ class Side:
         """Start `arpd relay` on the robot."""
         self.start("relay", "robot", "arpd.cli", "relay", "--config", str(self.config))
 
+    def start_far_relay(self) -> None:
+        """Start `arpd relay --far` on the CEDDP."""
+        self.start("relay_far", "ceddp", "arpd.cli", "relay", "--far", "--config", str(self.config))
+
     def start_peer(self) -> None:
         """Start `arpd peer` on the CEDDP."""
-        self.start("peer", "ceddp", "arpd.cli", "peer", "--interface", self.link.ceddp.interface, "--name", "ceddp")
+        options = ("--interface", self.link.ceddp.interface, "--name", "ceddp", "--config", str(self.config))
+        self.start("peer", "ceddp", "arpd.cli", "peer", *options)
+
+    @property
+    def prefix(self) -> str:
+        """Prefix of the names under which the sensors' topics cross the link."""
+        return PREFIX if self.manner.is_managed and not self.manner.has_two_ends else ""
 
     def result(self, name: str) -> dict[str, Any]:
         """Return the result that a source or the planner wrote at its end."""
@@ -95,10 +106,12 @@ class Side:
 
     def start(self, name: str, host: HostName, *argv: str, env: dict[str, str] | None = None) -> None:
         """Start one process; its stderr goes to a log in the work folder."""
+        # Two ends carry everything, so the nodes of both sides stay on their hosts, as on a real robot.
+        confined = ["env", "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"] if self.manner.has_two_ends else []
         with (self.workdir / f"{name}.log").open("a") as log:
             self.processes[name] = self.link.popen(
                 host,
-                [sys.executable, "-u", "-m", *argv],
+                [*confined, sys.executable, "-u", "-m", *argv],
                 env={**os.environ, "PYTHONPATH": str(REPO), **(env or {})},
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -157,18 +170,21 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
     """
     side = Side(link, workdir, manner)
     workdir.mkdir(parents=True, exist_ok=True)
-    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)} if manner.is_managed else {}
-    prefix, kind = (PREFIX, "adaptive") if manner.is_managed else ("-", "plain")
+    is_adaptive = manner.is_managed and not manner.has_two_ends
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)} if is_adaptive else {}
+    prefix, kind = (PREFIX, "adaptive") if is_adaptive else ("-", "plain")
     with contextlib.ExitStack() as stack:
         stack.callback(_end, side)
         arguments = manner.arguments(COMMAND_TOPIC, COMMAND_RATE_HZ)
         out = str(workdir / "planner.json")
         side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *arguments, env=profile)
         if manner.is_managed:
+            side.config.write_text(two_ended_config(link) if manner.has_two_ends else CONFIG.read_text())
             side.start_peer()
-            shutil.copyfile(CONFIG, side.config)
             side.start_daemon()
             side.start_relay()
+            if manner.has_two_ends:
+                side.start_far_relay()
             side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
             name = node_name(topic)
@@ -179,6 +195,20 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
             side.await_ready(name)
         _await_discovery(side)
         yield side
+
+
+def two_ended_config(link: SimLink) -> str:
+    """Return the demo robot's configuration with two ends instead of the prefix."""
+    document = yaml.safe_load(CONFIG.read_text())
+    for topic in document["topics"]:
+        topic["name"] = topic["name"].removeprefix(PREFIX)
+    document["relay"] = {
+        "link_domain": 102,  # SimLink takes lower ones
+        "robot": link.robot.address,
+        "ceddp": link.ceddp.address,
+        "to_robot": [COMMAND_TOPIC],
+    }
+    return str(yaml.safe_dump(document))
 
 
 def run(
@@ -292,7 +322,7 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
     by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}
     results = []
     for topic, summary in received.items():
-        managed = by_topic.get(topic if topic == COMMAND_TOPIC else PREFIX + topic)
+        managed = by_topic.get(topic if topic == COMMAND_TOPIC else side.prefix + topic)
         rate_hz = _rate_hz(topic)
         slowed = round((rate_hz - side.manner.rate_hz(topic, rate_hz)) * duration_s)  # not published by its source
         results.append(
@@ -314,7 +344,7 @@ def _rate_hz(topic: str) -> float:
 
 
 def _end(side: Side) -> None:
-    for name in ("run", "relay", "peer", *side.processes):
+    for name in ("run", "relay", "relay_far", "peer", *side.processes):
         process = side.processes.get(name)
         if process is not None and process.poll() is None:
             process.terminate()

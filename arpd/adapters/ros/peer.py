@@ -207,8 +207,9 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
         If only a new process can use the link's address.
     """
     configure_logging(log_level, name="arpd-peer")
+    link = None
     if config_path is not None:
-        load_settings(config_path, interfaces=None, local_domain=local_domain())
+        link = load_settings(config_path, interfaces=None, local_domain=local_domain()).relay.link(is_far=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
@@ -216,7 +217,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
     addresses = Addresses(lambda: reader.name)
-    with control_node("arpd_peer") as node:
+    with control_node("arpd_peer", link) as node:
         # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
 

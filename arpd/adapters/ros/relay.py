@@ -11,6 +11,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
@@ -289,11 +290,11 @@ def _source(info: Any) -> TopicWriter:
     )
 
 
-def best_executor(context: Any = None) -> Any:
+def best_executor(context: Any = None, *, hears_itself: bool = True) -> Any:
     """Return the executor with the lowest cost per message that works here.
 
     EventsExecutor takes a sixth of SingleThreadedExecutor's CPU time per message. It is experimental, so it must first
-    deliver a message here.
+    deliver a message here, or call a timer where the endpoints of one participant do not match (``hears_itself``).
     """
     import rclpy  # noqa: PLC0415 - ROS is checked in ros_node
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
@@ -305,10 +306,12 @@ def best_executor(context: Any = None) -> Any:
     from std_msgs.msg import Empty  # noqa: PLC0415
 
     executor = EventsExecutor(context=context)
-    node = rclpy.create_node("arpd_executor_check", context=context)
+    node = rclpy.create_node("arpd_executor_check", context=context, enable_rosout=False)
     arrived = threading.Event()
     try:
         node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)
+        if not hears_itself:
+            node.create_timer(0.01, arrived.set)
         publisher = node.create_publisher(Empty, "~/check", 1)
         executor.add_node(node)
         until_s = time.monotonic() + 2.0
@@ -325,35 +328,69 @@ def best_executor(context: Any = None) -> Any:
     return SingleThreadedExecutor(context=context)
 
 
-def default_node_name(host: str) -> str:
+def default_node_name(host: str, *, is_far: bool = False) -> str:
     """Return a node name with this host's name: two relays of one name would receive each other's parameters."""
-    return "arpd_relay_" + re.sub(r"[^A-Za-z0-9_]", "_", host)
+    return f"arpd_relay_{'far_' if is_far else ''}" + re.sub(r"[^A-Za-z0-9_]", "_", host)
 
 
-def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> int:
-    """Run the relay until SIGINT or SIGTERM.
+def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_far: bool = False) -> int:
+    """Run the relay until SIGINT or SIGTERM: one end with the prefix, or one of two ends.
 
     Parameters
     ----------
     config_path : YAML configuration
     node_name : name of the ROS node; `default_node_name` of this host when None
+    is_far : whether this is the CEDDP's end
 
     Raises
     ------
     LinkError
         If only a new process can use the link's address.
     """
-    configure_logging(log_level, name="arpd-relay")
-    settings = load_settings(config_path, interfaces=None)
+    configure_logging(log_level, name="arpd-relay-far" if is_far else "arpd-relay")
+    settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    link = settings.link.interface
+    link = AUTO if is_far else settings.link.interface  # the file names the robot's
     addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
-    with ros_node(node_name or default_node_name(platform.node())) as node:
+    if settings.relay.link_domain is not None:
+        from arpd.adapters.ros.ends.run import run_end  # noqa: PLC0415 - it imports ROS
+
+        run_end(
+            settings.relay,
+            is_far=is_far,
+            node_name=node_name or default_node_name(platform.node(), is_far=is_far),
+            host=platform.node(),
+            notifier=notifier,
+            stopping=stopping,
+            addresses=addresses,
+        )
+    elif is_far:
+        _idle(f"nothing to do: relay.link_domain is not set in {config_path}", notifier, stopping)
+    else:
+        _run_one_end(settings.relay, node_name or default_node_name(platform.node()), notifier, stopping, addresses)
+    return 0
+
+
+def _idle(reason: str, notifier: Notifier, stopping: threading.Event) -> None:
+    """Wait for the end with a status that says why, as a relay without topics does."""
+    log.info("%s", reason)
+    notifier.status(reason)
+    notifier.ready()
+    heartbeat = Watchdog(notifier)
+    while not stopping.wait(0.2):
+        heartbeat.beat()
+    notifier.stopping()
+
+
+def _run_one_end(
+    settings: RelaySettings, name: str, notifier: Notifier, stopping: threading.Event, addresses: Addresses
+) -> None:
+    with ros_node(name) as node:
         executor = best_executor(node.context)
         executor.add_node(node)
-        Relay(node, settings.relay, on_change=notifier.status)
+        Relay(node, settings, on_change=notifier.status)
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415 - ROS is checked in ros_node
 
         publishers = NodePublishers.of(node)
@@ -361,4 +398,3 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str) -> in
         notifier.ready()
         serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
         notifier.stopping()
-    return 0

@@ -57,7 +57,7 @@ def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
         with _discovery(link):
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(name, context=context)
+        node = rclpy.create_node(name, context=context, enable_rosout=link is None)  # nobody reads it on the link
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
         raise RosUnavailableError(

@@ -26,7 +26,7 @@ from arpd.apply.relay.partner import EVERY_S, Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from rclpy.node import Node
 
@@ -52,6 +52,7 @@ class End:
     host : name of this host
     session : number of this process, 32 random bits
     on_change : called with the status line at the start and whenever it changes
+    add : lets the executor of ``node`` serve another node
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class End:
         host: str,
         session: int,
         on_change: Callable[[str], None],
+        add: Callable[[Node], None] = lambda _node: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._settings = settings
@@ -72,7 +74,7 @@ class End:
         self._session = session
         self._on_change = on_change
         self._clock = clock
-        self._selection = Selection(settings)
+        self._selection = Selection.of(settings)
         self._names = Names(settings)
         self._own_gids = own_prefix(node).hex()
         self._partner = Partner()
@@ -87,7 +89,7 @@ class End:
         self._begun_s = clock()
         self._look_s = self._alive_s = self._begun_s
         self._thread = ReadingThread()
-        self._nodes = GhostNodes(node)
+        self._nodes = GhostNodes(node, add=add)
         self._node = node
         self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
@@ -230,7 +232,7 @@ class End:
                 return "this end's own writer is visible on the other side; give the two sides different ROS_DOMAIN_IDs"
         return ""
 
-    def _conflicts(self) -> Iterator[tuple[str, str]] | dict[str, str]:
+    def _conflicts(self) -> dict[str, str]:
         found = {}
         for local, types in self.survey.conflicts():
             if (name := self._robot_name(local)) is not None:

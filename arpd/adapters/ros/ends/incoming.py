@@ -27,7 +27,9 @@ log = logging.getLogger(__name__)
 _LINK_DEPTH = 1000  # the reading thread takes samples at once, so this only bridges its scheduling
 _DEPTH = 10
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
-_GRACE_S = 5.0  # samples of a writer that is gone may still be on their way, and an end that restarts knows none at first
+_GRACE_S = (
+    5.0  # samples of a writer that is gone may still be on their way, and an end that restarts knows none at first
+)
 _MOST_HELD = 1000
 _HELD_S = 3.0
 
@@ -56,7 +58,7 @@ class Incoming:
 
     Parameters
     ----------
-    node, link_node : the end's nodes in the local domain and in that of the link
+    link_node : the end's node in the domain of the link
     nodes : ghosts of the other side's nodes
     thread : takes the samples
     local_name : returns the local name of a topic or a node of the other side
@@ -86,6 +88,7 @@ class Incoming:
         self._readers: dict[str, RawReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
+        self.used_nodes: set[str] = set()  # local names of the ghost nodes that have writers
         self.received = 0
         self.doubled = 0
         self.unknown = 0
@@ -103,16 +106,11 @@ class Incoming:
                     self.refused[name] = str(fault)
             self._members = {(topic.offer.link_name, topic.offer.member): topic for topic in self._topics.values()}
             for name, topic in list(self._topics.items()):
-                offer = offers.get(name)
-                self._retire(topic, {writer.gid for writer in offer.writers} if offer is not None else set(), now_s)
+                present = {writer.gid for writer in offers[name].writers} if name in offers else set()
+                self._retire(topic, present, now_s)
                 self._write_held(topic, now_s)
-            used = {ghost.offer.node for topic in self._topics.values() for ghost in topic.ghosts.values()}
-        self._used_nodes = used
-
-    @property
-    def used_nodes(self) -> set[str]:
-        """Local names of the ghost nodes that have writers."""
-        return {self._local_name(node) for node in getattr(self, "_used_nodes", set())}
+            writers = [ghost.offer for topic in self._topics.values() for ghost in topic.ghosts.values()]
+        self.used_nodes = {self._local_name(writer.node) for writer in writers}
 
     def step(self) -> None:
         """Look for readers, and open or close what they need."""
@@ -154,7 +152,12 @@ class Incoming:
             self._deliver(link_name, sample)
 
         return RawReader(
-            self._link_node, UInt8MultiArray, link_name, QoSProfile(depth=_LINK_DEPTH), deliver=deliver, thread=self._thread
+            self._link_node,
+            UInt8MultiArray,
+            link_name,
+            QoSProfile(depth=_LINK_DEPTH),
+            deliver=deliver,
+            thread=self._thread,
         )
 
     def _deliver(self, link_name: str, sample: Sample) -> None:

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
-_RECEIVE_DEPTH = 1000  # within the host, so this only bridges the end's own scheduling, and holds every writer's history
+_RECEIVE_DEPTH = (
+    1000  # within the host, so this only bridges the end's own scheduling, and holds every writer's history
+)
 _LATCHED_DEPTH = 1000
 _MOST_HELD = 1000
 
@@ -69,8 +71,8 @@ class Outgoing:
     """Reads the wanted topics and offers their samples to AdaptivePublishers on the link.
 
     Each class of writers (reliable or not, latched or not) has a reader of its own, which takes the samples of that
-    class only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced. A topic
-    is read once its writer on the link has a reader there: a history would be lost otherwise.
+    class only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced. A
+    topic is read once its writer on the link has a reader there: a history would be lost otherwise.
 
     Parameters
     ----------
@@ -225,4 +227,3 @@ class Outgoing:
         for reader in carried.readers.values():
             reader.destroy()
         carried.publisher.destroy()
-

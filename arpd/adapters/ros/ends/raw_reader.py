@@ -2,14 +2,19 @@
 
 rclpy's MessageInfo does not name the writer of a sample (7.1.6), and without it several writers of one topic cannot be
 told apart. So a sample is taken from rcl, through ctypes; the reader itself is rclpy's.
+
+The middleware announces new samples in a thread of its own, under its locks. A Python function called there would wait
+for the interpreter, and so for a thread that holds it and waits for those locks: measured, the process stands still. So
+the function called there is eventfd_write of the C library, which takes the same arguments: a number and a count.
 """
 
 from __future__ import annotations
 
 import ctypes
 import logging
+import os
+import select
 import threading
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -62,9 +67,6 @@ class _Info(ctypes.Structure):
     )
 
 
-_NEW_SAMPLES = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
-
-
 class _Rcl:
     """The four functions of rcl and rcutils that rclpy does not offer."""
 
@@ -73,7 +75,8 @@ class _Rcl:
         self.take = rcl.rcl_take_serialized_message
         self.take.argtypes = [ctypes.c_void_p] * 4
         self.notify = rcl.rcl_subscription_set_on_new_message_callback
-        self.notify.argtypes = [ctypes.c_void_p, _NEW_SAMPLES, ctypes.c_void_p]
+        self.notify.argtypes = [ctypes.c_void_p] * 3
+        self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self.forget_error = rcutils.rcutils_reset_error
         self._init = rcutils.rcutils_uint8_array_init
         self._init.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
@@ -103,44 +106,56 @@ class ReadingThread:
         self._rcl = _Rcl()
         self._buffer, self._info = self._rcl.buffer(), _Info()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
-        self._ready: SimpleQueue[RawReader | None] = SimpleQueue()
+        self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
+        self._events = select.epoll()
+        self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._events.register(self._stop, select.EPOLLIN)
         self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """End the thread; samples that wait are dropped."""
-        self._ready.put(None)
+        os.eventfd_write(self._stop, 1)
         self._thread.join(timeout=2.0)
+        self._events.close()
+        os.close(self._stop)
 
-    def watch(self, reader: RawReader) -> Any:
-        """Call for a reader's samples from now on; return an object that the reader keeps alive until `unwatch`."""
-
-        def on_new_samples(_data: int, _count: int) -> None:
-            if not reader.is_queued:
-                reader.is_queued = True
-                self._ready.put(reader)
-
-        callback = _NEW_SAMPLES(on_new_samples)
+    def watch(self, reader: RawReader) -> int:
+        """Take a reader's samples from now on; return its event, for `unwatch`."""
+        event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._readers[event] = reader
+        self._events.register(event, select.EPOLLIN)
         with reader.handle:
-            self._rcl.notify(reader.handle.pointer, callback, None)
-        return callback
+            self._rcl.notify(reader.handle.pointer, self._rcl.eventfd_write, event)
+        return event
 
-    def unwatch(self, reader: RawReader) -> None:
-        """Call for them no more."""
+    def unwatch(self, reader: RawReader, event: int) -> None:
+        """Take them no more; one may still be delivered meanwhile."""
         with reader.handle:
-            self._rcl.notify(reader.handle.pointer, _NEW_SAMPLES(), None)
+            self._rcl.notify(reader.handle.pointer, None, None)
+        del self._readers[event]
+        self._events.unregister(event)
+        os.close(event)
 
     def _run(self) -> None:
-        while (reader := self._ready.get()) is not None:
-            reader.is_queued = False  # before it is read: a sample that comes later queues the reader again
-            try:
-                if not self._read(reader):
-                    reader.is_queued = True
-                    self._ready.put(reader)
-            except InvalidHandle:
-                continue  # just destroyed
-            except Exception:
-                log.exception("reading %s failed; it goes on with the next sample", reader.topic)
+        unfinished: set[int] = set()  # readers with more samples than one turn takes
+        while True:
+            ready = {event for event, _ in self._events.poll(0 if unfinished else None)}
+            if self._stop in ready:
+                return
+            for event in ready | unfinished:
+                unfinished.discard(event)
+                try:
+                    if event in ready:
+                        os.eventfd_read(event)  # before the samples are taken: later ones set it again
+                    reader = self._readers.get(event)
+                    if reader is not None and not self._read(reader):
+                        unfinished.add(event)
+                except (InvalidHandle, OSError):
+                    continue  # just destroyed
+                except Exception:
+                    log.exception("a sample of %s failed; the next one follows", reader.topic if reader else "a topic")
+                    unfinished.add(event)
 
     def _read(self, reader: RawReader) -> bool:
         """Take some samples; return whether that was all."""
@@ -187,13 +202,12 @@ class RawReader:
     ) -> None:
         self.topic = topic
         self.deliver = deliver
-        self.is_queued = False
         check_for_type_support(msg_type)
         with node.handle:
             # Not by Node.create_subscription: an executor would take the samples.
             self.handle = rclpy_implementation.Subscription(node.handle, msg_type, topic, qos.get_c_qos_profile())
         self._thread = thread
-        self._callback = thread.watch(self)
+        self._event = thread.watch(self)
 
     def matched(self) -> int:
         """Count the matched writers."""
@@ -202,5 +216,5 @@ class RawReader:
 
     def destroy(self) -> None:
         """Destroy the reader; a sample may still be delivered while this is called."""
-        self._thread.unwatch(self)
+        self._thread.unwatch(self, self._event)
         self.handle.destroy_when_not_in_use()

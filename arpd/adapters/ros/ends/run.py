@@ -1,0 +1,102 @@
+"""`arpd relay` with two ends, as a process: two ROS domains, a thread for each, and one that takes samples."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import time
+from typing import TYPE_CHECKING
+
+from arpd.adapters.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, serve_until, spinning
+from arpd.adapters.systemd.notify import Watchdog
+from arpd.model.errors import RosUnavailableError
+
+if TYPE_CHECKING:
+    import threading
+
+    from rclpy.node import Node
+
+    from arpd.adapters.host.addresses import Addresses
+    from arpd.adapters.systemd.notify import Notifier
+    from arpd.model.settings import RelaySettings
+
+log = logging.getLogger(__name__)
+
+
+def run_end(
+    settings: RelaySettings,
+    *,
+    is_far: bool,
+    node_name: str,
+    host: str,
+    notifier: Notifier,
+    stopping: threading.Event,
+    addresses: Addresses,
+) -> None:
+    """Run one end until ``stopping`` is set.
+
+    Raises
+    ------
+    LinkError
+        If only a new process can use the link's address.
+    RosUnavailableError
+        If ROS 2 does not start here, or its profile lets an end hear itself.
+    """
+    prepare_environment(TWO_ENDED_PROFILE)
+    with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
+        from arpd.adapters.ros.ends.end import End  # noqa: PLC0415 - ROS is checked in ros_node
+        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
+        from arpd.adapters.ros.relay import best_executor  # noqa: PLC0415
+
+        check_deaf_to_itself(node)
+        link_executor = best_executor(link_node.context, hears_itself=False)
+        link_executor.add_node(link_node)
+        executor = best_executor(node.context, hears_itself=False)
+        executor.add_node(node)
+        end = End(
+            node,
+            link_node,
+            settings,
+            is_far=is_far,
+            host=host,
+            session=secrets.randbits(32),
+            on_change=notifier.status,
+            add=executor.add_node,
+        )
+        publishers = NodePublishers.of(link_node)
+        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s])
+        notifier.ready()
+        with spinning(executor):
+            try:
+                serve_until(link_executor, stopping, heartbeat=heartbeat, addresses=addresses)
+            finally:
+                notifier.stopping()
+                end.close()
+
+
+def check_deaf_to_itself(node: Node) -> None:
+    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
+
+    Raises
+    ------
+    RosUnavailableError
+        If endpoints of one participant match each other.
+    """
+    from std_msgs.msg import Empty  # noqa: PLC0415 - ROS is checked in ros_node
+
+    from arpd.adapters.ros.events import no_publisher_events, no_subscription_events  # noqa: PLC0415
+
+    publisher = node.create_publisher(Empty, "~/check", 1, event_callbacks=no_publisher_events())
+    subscription = node.create_subscription(
+        Empty, "~/check", lambda _sample: None, 1, event_callbacks=no_subscription_events()
+    )
+    time.sleep(0.1)
+    hears_itself = publisher.get_subscription_count() > 0
+    node.destroy_subscription(subscription)
+    node.destroy_publisher(publisher)
+    if hears_itself:
+        raise RosUnavailableError(
+            "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset "
+            "FASTRTPS_DEFAULT_PROFILES_FILE"
+        )
