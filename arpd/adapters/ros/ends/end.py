@@ -84,6 +84,7 @@ class End:
         self._offers: dict[str, TopicOffer] = {}
         self._offered_to_us: Mapping[str, TopicOffer] = {}
         self._refused: dict[str, str] = {}
+        self._differ: dict[str, str] = {}  # topics whose type differs between the sides
         self._told = EndState(session="", number=0)
         self._number = 0
         self._begun_s = clock()
@@ -215,6 +216,7 @@ class End:
         self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF)
         self._nodes.keep(self.incoming.used_nodes)
         self.outgoing.follow(state.wants, self._offers)
+        self._note_other_types(accepted)
         self._note_refusals({**refused, **self.incoming.refused, **self.outgoing.refused, **self._conflicts()})
 
     def _reason_against(self, name: str, offer: TopicOffer) -> str:
@@ -231,6 +233,16 @@ class End:
             if writer.gid.startswith(self._own_gids):
                 return "this end's own writer is visible on the other side; give the two sides different ROS_DOMAIN_IDs"
         return ""
+
+    def _note_other_types(self, accepted: Mapping[str, TopicOffer]) -> None:
+        """Name the topics that nodes here use with another type than the other side."""
+        differ = {}
+        for name, offer in accepted.items():
+            if others := sorted(set(self.survey.types.get(self.local_name(name), ())) - {offer.type_name}):
+                differ[name] = f"it is {offer.type_name} there and {', '.join(others)} here"
+        for name in differ.keys() - self._differ.keys():
+            log.warning("%s: %s; nodes of two types do not hear each other", name, differ[name])
+        self._differ = differ
 
     def _conflicts(self) -> dict[str, str]:
         found = {}
@@ -302,7 +314,8 @@ class End:
             line = f"the {there}'s end is silent; {line}"
         if others := self._partner.others(now_s):
             line += f"; ignored another {there}'s end on {', '.join(others)}: one robot has one"
-        return line + _named("refused", self._refused) + _named(f"the {there}'s end refuses", state.refused)
+        refused = _named("refused", self._refused) + _named(f"the {there}'s end refuses", state.refused)
+        return line + refused + _named("two types of", self._differ)
 
     def _note_fault(self, words: str) -> None:
         if words != self._fault:

@@ -17,7 +17,7 @@ from arpd.adapters.ros.names import INFINITE_NS, is_full_name
 from arpd.apply.relay.offers import WriterOffer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from rclpy.node import Node
 
@@ -82,15 +82,13 @@ class Survey:
         self._lock = threading.Lock()
         self._looks = 0
         self.topics: Mapping[str, Surveyed] = {}
+        self.types: Mapping[str, Sequence[str]] = {}  # of every topic, those of its readers and of this process too
 
     def look(self) -> None:
         """Read what has changed."""
         self._looks += 1
-        found = {
-            topic
-            for topic, _types in self._node.get_topic_names_and_types()
-            if is_full_name(topic) and self._is_of_interest(topic)
-        }
+        self.types = dict(self._node.get_topic_names_and_types())
+        found = {topic for topic in self.types if is_full_name(topic) and self._is_of_interest(topic)}
         topics = {topic: self.topics.get(topic) or Surveyed() for topic in sorted(found)}
         self.topics = topics
         for number, (topic, surveyed) in enumerate(topics.items()):

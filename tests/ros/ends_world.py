@@ -1,0 +1,113 @@
+"""Both ends of a relay as real processes on this host, each in a domain of its own, and nodes on both sides."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import rclpy
+
+from tests.ros.conftest import Ros
+from tests.ros.domain import DOMAIN
+
+REPO = Path(__file__).resolve().parents[2]
+ROBOT, CEDDP, LINK = DOMAIN, DOMAIN + 101, DOMAIN + 146
+
+
+class TwoEnds:
+    """Starts, kills and restarts the ends; keeps their status lines."""
+
+    def __init__(self, folder, stack, relay=(), domains=(ROBOT, CEDDP)):
+        self._folder = folder
+        self._stack = stack
+        self._domains = dict(zip(("robot", "ceddp"), domains, strict=True))
+        self.config = folder / "arpd.yaml"
+        lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", *(f"  {line}" for line in relay)]
+        self.config.write_text("relay:\n" + "\n".join(lines) + "\n")
+        self.processes = {}
+        self.status = {"robot": "", "ceddp": ""}
+
+    def start(self, *ends, **environment):
+        for end in ends or ("robot", "ceddp"):
+            address = self._listen(end)
+            self.processes[end] = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    "arpd.cli",
+                    "relay",
+                    *(["--far"] if end == "ceddp" else []),
+                    "--config",
+                    self.config,
+                ],
+                cwd=REPO,
+                env={
+                    **{key: value for key, value in os.environ.items() if "DEFAULT_PROFILES" not in key},
+                    "ROS_DOMAIN_ID": str(self._domains[end]),
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+                    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+                    "NOTIFY_SOCKET": address,
+                    **environment,
+                },
+                stderr=(self._folder / f"{end}.log").open("a"),
+            )
+            self._stack.callback(self.end, end, signal.SIGTERM)
+        return self
+
+    def end(self, end, number=signal.SIGKILL):
+        process = self.processes[end]
+        with suppress(ProcessLookupError):
+            process.send_signal(number)
+        return process.wait(timeout=20)
+
+    def side(self, end):
+        """Return a maker of nodes on one side, all in one participant."""
+        return self._side(self._domains[end])
+
+    def link_side(self):
+        """Return a maker of nodes in the domain of the link."""
+        return self._side(LINK)
+
+    def _side(self, domain):
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        self._stack.callback(rclpy.try_shutdown, context=context)
+        return Ros(context, self._stack)
+
+    def _listen(self, end):
+        address = f"\0arpd-test-{os.getpid()}-{end}-{len(self.processes)}-{os.urandom(4).hex()}"
+        notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        notices.bind(address)
+        self._stack.callback(notices.close)
+
+        def listen():
+            with suppress(OSError):
+                while True:
+                    for line in notices.recv(65536).decode().splitlines():
+                        if line.startswith("STATUS="):
+                            self.status[end] = line.removeprefix("STATUS=")
+
+        threading.Thread(target=listen, daemon=True).start()
+        return "@" + address[1:]
+
+
+class Counter:
+    """A writer that numbers what it publishes: ``name number``."""
+
+    def __init__(self, node, msg_type, topic, qos, name=""):
+        self.publisher = node.create_publisher(msg_type, topic, qos)
+        self.msg_type, self.name, self.sent = msg_type, name or node.get_name(), 0
+
+    def publish(self, times=1):
+        for _ in range(times):
+            self.publisher.publish(self.msg_type(data=f"{self.name} {self.sent}"))
+            self.sent += 1
+
+
+def numbers(texts, name):
+    """Return the numbers that one writer gave, in the order of their arrival."""
+    return [int(number) for writer, number in (text.split() for text in texts) if writer == name]

@@ -1,0 +1,316 @@
+"""The relay with two ends: real processes, a domain on each side and one between them, on this host."""
+
+import time
+from contextlib import ExitStack
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.duration import Duration
+from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64, String, UInt8MultiArray
+
+from arpd.apply.relay.envelope import wrap
+from arpd.apply.relay.offers import EndState, encode_state
+from tests.ros.ends_world import ROBOT, Counter, TwoEnds, numbers
+
+pytestmark = pytest.mark.ros
+
+BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=1000)
+
+
+def latched(depth):
+    return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture
+def world(ros, tmp_path):
+    """Make a world with these lines under ``relay:``."""
+    with ExitStack() as stack:
+        yield lambda *relay, **options: TwoEnds(tmp_path, stack, relay, **options)
+
+
+@pytest.fixture
+def talking(background):
+    """Let writers publish, 100 times a second each, until the test ends."""
+
+    def start(*writers):
+        def talk(stopping):
+            while not stopping.is_set():
+                for writer in writers:
+                    writer.publish()
+                time.sleep(0.01)
+
+        background(talk)
+
+    return start
+
+
+def listen(node, topic, qos=RELIABLE, msg_type=String):
+    received = []
+    node.create_subscription(msg_type, topic, lambda message: received.append(message.data), qos)
+    return received
+
+
+def is_whole(received, name):
+    """Return whether the numbers of a writer begin somewhere, and then none is missing, doubled or out of order."""
+    found = numbers(received, name)
+    return found == list(range(found[0], found[0] + len(found)))
+
+
+def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(world, talking, eventually):
+    """A topic crosses under its own name while somebody reads it there, and the robot's writer has no reader before."""
+    ends = world().start()
+    writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
+    talking(writer)
+    far = ends.side("ceddp").node("planner")
+    eventually(lambda: "/chatter" in dict(far.get_topic_names_and_types()), timeout_s=30)
+    assert writer.publisher.get_subscription_count() == 0
+    received = []
+    reader = far.create_subscription(String, "/chatter", lambda message: received.append(message.data), 1000)
+    eventually(lambda: len(received) > 50)
+    assert is_whole(received, "sensor")
+    assert ends.status["robot"].startswith("1 of 1 topics cross to the CEDDP")
+    far.destroy_subscription(reader)
+    eventually(lambda: writer.publisher.get_subscription_count() == 0, timeout_s=20)
+
+
+def test_the_far_side_looks_as_the_robot(world, eventually):
+    """Nodes, topics, types and the QoS of every writer look on the far side as on the robot."""
+    ends = world().start()
+    robot = ends.side("robot")
+    profile = QoSProfile(
+        depth=7,
+        reliability=QoSReliabilityPolicy.BEST_EFFORT,
+        deadline=Duration(seconds=2),
+        lifespan=Duration(seconds=5),
+        liveliness=QoSLivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(seconds=3),
+    )
+    sensor = robot.node("sensor", namespace="/left")
+    sensor.create_publisher(String, "/chatter", profile)
+    robot.node("other").create_publisher(String, "/chatter", latched(3))
+    far = ends.side("ceddp").node("rqt")
+    eventually(lambda: far.count_publishers("/chatter") == 2, timeout_s=30)
+
+    def shown(node):
+        return sorted(
+            (
+                info.node_namespace,
+                info.node_name,
+                info.topic_type,
+                info.qos_profile.reliability,
+                info.qos_profile.durability,
+                info.qos_profile.deadline.nanoseconds,
+                info.qos_profile.lifespan.nanoseconds,
+                info.qos_profile.liveliness,
+                info.qos_profile.liveliness_lease_duration.nanoseconds,
+            )
+            for info in node.get_publishers_info_by_topic("/chatter")
+        )
+
+    eventually(lambda: shown(far) == shown(sensor))
+    assert {("sensor", "/left"), ("other", "/")} <= set(far.get_node_names_and_namespaces())
+
+
+def test_every_latched_writer_keeps_its_own_history(world, eventually):
+    """A late reader gets the one sample of a quiet latched writer beside the last ones of a busy one."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    quiet = Counter(robot.node("quiet"), String, "/tf_static", latched(1))
+    busy = Counter(robot.node("busy"), String, "/tf_static", latched(1))
+    quiet.publish()
+    busy.publish(50)
+    first = listen(ceddp.node("first"), "/tf_static", latched(100))
+    eventually(lambda: set(first) == {"quiet 0", "busy 49"}, timeout_s=30)
+    busy.publish(300)
+    eventually(lambda: first[-1] == "busy 349")
+    assert numbers(first, "busy") == sorted(set(numbers(first, "busy")))
+    late = listen(ceddp.node("late"), "/tf_static", latched(1000))
+    eventually(lambda: "quiet 0" in late and late[-1] == "busy 349")
+
+
+def test_writers_on_both_sides_of_one_topic_are_heard_once_on_both(world, talking, eventually):
+    """With writers and readers of /tf on both sides, each reader gets every sample once, and none circles."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    here = [listen(robot.node("robot_reader"), "/tf"), listen(ceddp.node("ceddp_reader"), "/tf")]
+    talking(
+        *(Counter(robot.node(name), String, "/tf", 100) for name in ("odom", "arm")),
+        Counter(ceddp.node("slam"), String, "/tf", 100),
+    )
+    for received in here:
+        eventually(
+            lambda: all(len(numbers(received, name)) > 50 for name in ("odom", "arm", "slam")),  # noqa: B023 - called now
+            timeout_s=30,
+        )
+        assert all(is_whole(received, name) for name in ("odom", "arm", "slam"))
+
+
+def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(world, talking, eventually):
+    """A reliable reader hears the reliable writer only, a best-effort one both, as on the robot."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    strict, loose = listen(ceddp.node("strict"), "/mixed"), listen(ceddp.node("loose"), "/mixed", BEST_EFFORT)
+    talking(
+        Counter(robot.node("sure"), String, "/mixed", 100),
+        Counter(robot.node("maybe"), String, "/mixed", BEST_EFFORT),
+    )
+    eventually(lambda: len(numbers(loose, "sure")) > 30 and len(numbers(loose, "maybe")) > 30, timeout_s=30)
+    eventually(lambda: len(numbers(strict, "sure")) > 30)
+    assert is_whole(strict, "sure")
+    assert not numbers(strict, "maybe")
+
+
+def test_a_reader_that_no_writer_suits_moves_nothing(world, talking, eventually):
+    """A reader with incompatible QoS alone does not make its topic cross; a compatible one that joins does."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    writer = Counter(robot.node("maybe"), String, "/loose", BEST_EFFORT)
+    talking(writer)
+    deaf = listen(ceddp.node("strict"), "/loose", RELIABLE)
+    far = ceddp.node("far")
+    eventually(lambda: far.count_publishers("/loose") == 1, timeout_s=30)
+    time.sleep(1.0)
+    assert writer.publisher.get_subscription_count() == 0
+    heard = listen(far, "/loose", BEST_EFFORT)
+    eventually(lambda: len(heard) > 20)
+    assert not deaf
+
+
+def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventually):
+    """After a kill -9 of the robot's end its topics go on, and no reader gets a sample twice, not even a latched one."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    still = Counter(robot.node("map_server"), String, "/map", latched(1))
+    still.publish()
+    talking(Counter(robot.node("sensor"), String, "/chatter", 10))
+    planner = ceddp.node("planner")
+    maps, received = listen(planner, "/map", latched(10)), listen(planner, "/chatter")
+    eventually(lambda: maps and len(received) > 20, timeout_s=30)
+    ends.end("robot")
+    before = len(received)
+    ends.start("robot")
+    eventually(lambda: len(received) > before + 50, timeout_s=30)
+    found = numbers(received, "sensor")
+    assert found == sorted(set(found))
+    assert maps == ["map_server 0"]
+
+
+def test_a_killed_far_end_returns(world, talking, eventually):
+    """After a kill -9 of the far end a reader there hears its topics again, and a late one the history."""
+    ends = world().start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    still = Counter(robot.node("map_server"), String, "/map", latched(1))
+    still.publish()
+    talking(Counter(robot.node("sensor"), String, "/chatter", 10))
+    received = listen(ceddp.node("planner"), "/chatter")
+    eventually(lambda: len(received) > 20, timeout_s=30)
+    ends.end("ceddp")
+    before = len(received)
+    ends.start("ceddp")
+    eventually(lambda: len(received) > before + 50, timeout_s=30)
+    found = numbers(received, "sensor")
+    assert found == sorted(set(found))
+    maps = listen(ceddp.node("late"), "/map", latched(10))
+    eventually(lambda: maps == ["map_server 0"])
+
+
+def test_without_its_other_end_an_end_waits(world, eventually):
+    """An end whose other end is missing says so and carries nothing; it says so again when that one leaves for good."""
+    ends = world().start("robot")
+    writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
+    eventually(lambda: "waiting for the CEDDP's end; 1 topics" in ends.status["robot"], timeout_s=30)
+    assert writer.publisher.get_subscription_count() == 0
+    ends.start("ceddp")
+    eventually(lambda: "0 of 1 topics cross to the CEDDP" in ends.status["robot"], timeout_s=30)
+    ends.end("ceddp")
+    eventually(lambda: "the CEDDP's end is silent" in ends.status["robot"], timeout_s=30)
+
+
+def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
+    """An end that speaks another version is named with both versions, and nothing crosses."""
+    monkeypatch.setattr("arpd.apply.relay.offers.VERSION", 9)
+    ends = world().start("robot")
+    stranger = ends.link_side().node("stranger")
+    publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
+    publisher.publish(wrap(encode_state(EndState(session="00", number=1, arpd="9.9"))))
+    eventually(lambda: "it speaks version 9 (arpd 9.9), this end version 1" in ends.status["robot"], timeout_s=30)
+
+
+def test_a_writer_that_is_seen_from_the_far_side_is_named(world, talking, eventually):
+    """Where both sides share a domain, both ends name the writer that needs no relay, and refuse its topic."""
+    ends = world(domains=(ROBOT, ROBOT)).start()
+    robot = ends.side("robot")
+    talking(Counter(robot.node("sensor"), String, "/chatter", 10))
+    received = listen(robot.node("planner"), "/chatter")
+    for end in ("robot", "ceddp"):
+        eventually(
+            lambda: "/chatter: /sensor of the other side is visible in this domain" in ends.status[end],  # noqa: B023
+            timeout_s=30,
+        )
+    before = len(received)
+    eventually(lambda: len(received) > before + 50)
+    time.sleep(0.2)
+    assert is_whole(received[before:], "sensor")
+
+
+def test_a_second_far_end_is_ignored_and_named(world, talking, eventually, tmp_path):
+    """Of two ends on the far side the first one stays in force, and the robot's end names the other one's host."""
+    ends = world().start()
+    eventually(lambda: "topics cross" in ends.status["robot"], timeout_s=30)
+    first = ends.processes["ceddp"]
+    ends.start("ceddp")
+    eventually(lambda: "ignored another CEDDP's end on" in ends.status["robot"], timeout_s=30)
+    first.kill()
+    first.wait()
+    eventually(lambda: "ignored" not in ends.status["robot"], timeout_s=30)
+
+
+def test_only_what_the_configuration_lets_out_crosses(world, eventually):
+    """Patterns and deny decide what crosses to which side, and the namespace stands before the robot's names there."""
+    ends = world("namespace: /r1", 'to_ceddp: ["/camera/**"]', 'to_robot: ["/goal"]', 'deny: ["/camera/raw"]').start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    node = robot.node("camera")
+    for topic in ("/camera/image", "/camera/raw", "/secret"):
+        node.create_publisher(String, topic, 10)
+    far = ceddp.node("planner")
+    goals = listen(robot.node("base"), "/goal")
+    goal = Counter(far, String, "/r1/goal", 10)
+    far.create_publisher(String, "/goal", 10)
+    eventually(lambda: "/r1/camera/image" in dict(far.get_topic_names_and_types()), timeout_s=30)
+    eventually(lambda: goal.publisher.get_subscription_count() == 1, timeout_s=30)
+    goal.publish()
+    eventually(lambda: goals == ["planner 0"])
+    topics = dict(far.get_topic_names_and_types())
+    assert not {"/r1/camera/raw", "/r1/secret", "/camera/image"} & topics.keys()
+    assert ("camera", "/r1") in far.get_node_names_and_namespaces()
+
+
+def test_types_that_differ_between_the_sides_are_named(world, eventually):
+    """A topic that has another type on the far side is named with both types."""
+    ends = world().start()
+    ends.side("robot").node("sensor").create_publisher(String, "/chatter", 10)
+    listen(ends.side("ceddp").node("planner"), "/chatter", msg_type=Float64)
+    words = "two types of /chatter: it is std_msgs/msg/String there and std_msgs/msg/Float64 here"
+    eventually(lambda: words in ends.status["ceddp"], timeout_s=30)
+
+
+def test_two_hundred_topics_are_wanted_at_once(world, background, eventually):
+    """When a reader of 200 topics comes, each of them arrives."""
+    ends = world().start()
+    writers = [Counter(ends.side("robot").node("robot"), String, f"/many/t{k}", 10) for k in range(200)]
+    far = ends.side("ceddp").node("rviz")
+    eventually(lambda: far.count_publishers("/many/t199") == 1, timeout_s=60)
+    received = {topic: listen(far, f"/many/t{topic}") for topic in range(200)}
+
+    def talk(stopping):
+        while not stopping.is_set():
+            for writer in writers:
+                writer.publish()
+            stopping.wait(0.5)
+
+    background(talk)
+    eventually(lambda: all(received.values()), timeout_s=90)
