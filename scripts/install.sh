@@ -24,8 +24,8 @@ config=/etc/arpd/arpd.yaml
 ros_setup=/opt/ros/jazzy/setup.bash
 ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy/Installation/Ubuntu-Install-Debs.html)"
 
-# The daemon comes first: if a new version does not start, the relay, which carries the data, still runs the old one.
-all_units=(arpd arpd-peer arpd-relay)
+# The daemon comes first: if a new version does not start, the relays, which carry the data, still run the old one.
+all_units=(arpd arpd-peer arpd-relay-far arpd-relay)
 # Imports of the daemon, the peer and the relay; the script does not switch to a version that lacks one.
 imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay'
 
@@ -38,7 +38,8 @@ An upgrade never changes /etc/arpd/arpd.yaml and /etc/default/arpd.
 
   --robot     this is the robot computer: enable arpd and arpd-relay. The default of a first installation;
               an upgrade keeps the enabled units
-  --ceddp     this is the other end of the link: enable arpd-peer
+  --ceddp     this is the other end of the link: enable arpd-peer and arpd-relay-far, which waits until
+              relay.link_domain in /etc/arpd/arpd.yaml gives the relay two ends
   --no-start  start and restart nothing, for building an image
   --dry-run   check, print every step, change nothing; needs no root
   --help      this text
@@ -158,8 +159,11 @@ make_version() {
 }
 
 check_config() {
+    local domain
     [ -e $config ] || return 0
-    if ! "$new/bin/arpd" check --no-interfaces $config >/dev/null; then
+    # The units' own, which the check compares with relay.link_domain.
+    domain=$(sed -n 's/^ROS_DOMAIN_ID=//p' /etc/default/arpd 2>/dev/null | tail -n 1 || true)
+    if ! ROS_DOMAIN_ID=${domain//\"/} "$new/bin/arpd" check --no-interfaces $config >/dev/null; then
         die "arpd $id refuses $config for the faults above; correct them and run this script again." \
             "Nothing was changed; the next run reuses $new"
     fi
@@ -296,6 +300,9 @@ back_to_old() {
     point_to "$old"
     place_files "$old/share/arpd"
     place_share "$old/share/arpd"
+    for unit in "${all_units[@]}"; do
+        [ -e "$old/share/arpd/systemd/$unit.service" ] || rm -f "$units/$unit.service"
+    done
     tell_systemd
     for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
 }
@@ -306,8 +313,8 @@ set_role() {
     failed=()
     if [ -z "$role" ] && [ -n "$old" ]; then return; fi
     case ${role:-robot} in
-    robot) wanted=(arpd-relay arpd) other=(arpd-peer) ;;
-    ceddp) wanted=(arpd-peer) other=(arpd arpd-relay) ;;
+    robot) wanted=(arpd-relay arpd) other=(arpd-peer arpd-relay-far) ;;
+    ceddp) wanted=(arpd-relay-far arpd-peer) other=(arpd arpd-relay) ;;
     esac
     for unit in "${other[@]}"; do
         systemctl --quiet is-enabled "$unit" 2>/dev/null || continue

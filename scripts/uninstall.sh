@@ -36,10 +36,10 @@ remove() {
     done
 }
 
-# The daemon stops first, so that it can restore the QoS of the relay's publishers.
+# The daemon stops first, so that it can restore the QoS of the relays' publishers.
 stop() {
     local unit
-    for unit in arpd arpd-relay arpd-peer; do
+    for unit in arpd arpd-relay arpd-relay-far arpd-peer; do
         if [ -e "/usr/local/lib/systemd/system/$unit.service" ]; then step "stop and disable $unit" disable "$unit"; fi
     done
 }
@@ -50,7 +50,7 @@ disable() {
 }
 
 remove_program() {
-    remove /usr/local/lib/systemd/system/arpd{,-relay,-peer}.service \
+    remove /usr/local/lib/systemd/system/arpd{,-relay,-relay-far,-peer}.service \
         /usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf /usr/local/lib/sysusers.d/arpd.conf \
         /usr/local/lib/systemd/catalog/arpd.catalog /usr/local/lib/arpd /usr/local/share/arpd/{prometheus,grafana}
     if [ "$(readlink /usr/local/bin/arpd)" = /opt/arpd/bin/arpd ]; then remove /usr/local/bin/arpd; fi
@@ -96,7 +96,7 @@ main() {
         say "not root; sudo $0"
         exit 1
     fi
-    local path theirs=(/etc/arpd /etc/default/arpd{,.new} /etc/systemd/system/arpd{,-relay,-peer}.service.d)
+    local path theirs=(/etc/arpd /etc/default/arpd{,.new} /etc/systemd/system/arpd{,-relay,-relay-far,-peer}.service.d)
     stop
     remove_program
     if $purge; then

@@ -31,7 +31,7 @@ BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
     if Path("{BREAK}").exists():
         raise SystemExit("broken on purpose")
 """
-UNITS = ("arpd", "arpd-relay", "arpd-peer")
+UNITS = ("arpd", "arpd-relay", "arpd-relay-far", "arpd-peer")
 # Versions that pip finds on Ubuntu 24.04; the imported packages are this venv's and may be newer.
 ON_A_PI = {"numpy": "1.26.4", "cvxpy": "1.7.5"}
 

@@ -32,6 +32,7 @@ from tests.system.fake_pi import (
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
 INSTALL = "/srv/source/scripts/install.sh"
+ON_THE_ROBOT = {"arpd": "active", "arpd-relay": "active", "arpd-relay-far": "inactive", "arpd-peer": "inactive"}
 
 
 def test_shellcheck_finds_nothing():
@@ -120,6 +121,7 @@ def test_a_dry_run_tells_every_step_and_changes_nothing(chroot, source):
         "enable arpd-relay",
     ):
         assert told in done.stderr
+    assert "enable arpd-relay-far" not in done.stderr
     assert "nothing was changed" in done.stderr
     assert wrote(done) == []
 
@@ -216,9 +218,9 @@ def some_version(pi):
 
 def test_a_fresh_computer_runs_arpd_after_it(installed):
     """The robot's units are enabled and run, systemd accepts them, and arpd uses the system's numpy."""
-    assert installed.states() == {"arpd": "active", "arpd-relay": "active", "arpd-peer": "inactive"}
+    assert installed.states() == ON_THE_ROBOT
     enabled = [installed.booted.call("systemctl", "is-enabled", unit).stdout.strip() for unit in UNITS]
-    assert enabled == ["enabled", "enabled", "disabled"]
+    assert enabled == ["enabled", "enabled", "disabled", "disabled"]
     verified = installed.booted.call("systemd-analyze", "verify", *(f"{unit}.service" for unit in UNITS))
     assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
     process = installed.path(f"/proc/{installed.processes()['arpd']}")
@@ -296,7 +298,7 @@ def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
     assert tree(dashboards) == tree(installed.path("/srv/second/etc/grafana"))
     assert installed.path(f"{CONFIG}.new").read_text().endswith("# A default of the second version.\n")
     assert not installed.path("/etc/default/arpd.new").exists()
-    assert installed.states() == {"arpd": "inactive", "arpd-relay": "active", "arpd-peer": "inactive"}
+    assert installed.states() == {**ON_THE_ROBOT, "arpd": "inactive"}
     relay = installed.processes()["arpd-relay"]
     assert relay != before["arpd-relay"]
     assert "/opt/arpd/versions/99.0-" in installed.path(f"/proc/{relay}/cmdline").read_text()
@@ -306,7 +308,7 @@ def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
 
 def test_a_computer_can_change_its_role(some_version):
     """The options --ceddp and --robot disable and stop the units of the other role and start their own."""
-    for option, role in (("--ceddp", {"arpd-peer"}), ("--robot", {"arpd", "arpd-relay"})):
+    for option, role in (("--ceddp", {"arpd-peer", "arpd-relay-far"}), ("--robot", {"arpd", "arpd-relay"})):
         code, told = some_version.install("second", option)
         assert code == 0, told
         assert {unit for unit, state in some_version.states().items() if state == "active"} == role

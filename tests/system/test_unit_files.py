@@ -73,11 +73,30 @@ def test_a_unit_is_hardened(unit):
     assert judged.returncode == 0, judged.stdout
 
 
-def test_the_relay_is_not_tied_to_the_daemon():
-    """No setting in the relay's unit starts or stops it with arpd.service."""
+@pytest.mark.parametrize("unit", ["arpd-relay.service", "arpd-relay-far.service"])
+def test_no_relay_is_tied_to_the_daemon(unit):
+    """No setting in a relay's unit starts or stops it with arpd.service."""
     assert not {"BindsTo", "PartOf", "Requires", "Requisite", "Wants", "Upholds"} & {
-        key for key, value in settings("arpd-relay.service").items() if "arpd.service" in value
+        key for key, value in settings(unit).items() if "arpd.service" in value
     }
+
+
+def test_each_unit_has_folders_and_an_enclave_of_its_own():
+    """No unit removes another's log folder when it stops, and none has another's rights."""
+    for unit in UNITS:
+        name = unit.removesuffix(".service")
+        assert settings(unit)["RuntimeDirectory"] == name
+        assert f"Environment=ROS_LOG_DIR=%t/{name} ROS_HOME=%t/{name}" in (SYSTEMD / unit).read_text()
+    enclaves = [name for unit in UNITS for name in re.findall(r"ENCLAVE_OVERRIDE=(\S+)", (SYSTEMD / unit).read_text())]
+    assert sorted(enclaves) == ["/arpd/peer", "/arpd/relay", "/arpd/relay_far", "/arpd/run"]
+
+
+def test_the_two_relays_differ_in_their_end_only():
+    """The far relay runs the same program with the same settings."""
+    near, far = (settings(f"arpd-relay{end}.service") for end in ("", "-far"))
+    assert far["ExecStart"] == near["ExecStart"].replace(" relay ", " relay --far ")
+    differing = {key for key in near.keys() | far.keys() if near.get(key) != far.get(key)}
+    assert differing <= {"Description", "ExecStart", "Environment", "RuntimeDirectory"}
 
 
 def test_notify_reload_sends_the_signal_once():
@@ -90,7 +109,7 @@ def test_notify_reload_sends_the_signal_once():
 
 
 def test_all_units_are_hardened_alike():
-    """All three units have the same user and the same sandbox."""
+    """All units have the same user and the same sandbox."""
     assert {(settings(unit)["User"], settings(unit)["Group"]) for unit in UNITS} == {("arpd", "arpd")}
     blocks = {(SYSTEMD / unit).read_text().partition("\nRemoveIPC=no\n")[2] for unit in UNITS}
     assert len(blocks) == 1
