@@ -1,5 +1,8 @@
 """The peer with real rclpy: content and rate of its reports, also when the interface is gone."""
 
+import os
+import subprocess
+import sys
 import time
 from itertools import count
 
@@ -15,6 +18,7 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.receiver import PROMPT_S, WORTH_BYTES
+from tests.ros.domain import DOMAIN
 
 SIZE = 1200
 
@@ -258,3 +262,17 @@ def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
     assert (first.counters.interface, first.counters.state) == ("lo", InterfaceState.UP)
     eventually(lambda: world.observe(time.monotonic()).radio_bytes_per_second == 8_125_000.0)
     eventually(lambda: asked[-1] == ("lo", index_of("lo")))
+
+
+def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, eventually, tmp_path):
+    """The peer joins `relay.link_domain`, and not the domain of its environment."""
+    config = tmp_path / "arpd.yaml"
+    config.write_text(f"relay: {{link_domain: {DOMAIN}, robot: 127.0.0.1}}")
+    node = ros.node("daemon")
+    command = [sys.executable, "-m", "arpd.cli", "peer", "--interface", "lo", "--config", str(config)]
+    with subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN + 1)}) as peer:
+        try:
+            eventually(lambda: "arpd_peer" in node.get_node_names())
+        finally:
+            peer.terminate()
+        assert peer.wait(timeout=15.0) == 0
