@@ -282,6 +282,26 @@ def test_a_version_that_does_not_start_is_taken_back(installed):
     assert installed.states()["arpd"] == "active"
 
 
+def test_going_back_removes_a_unit_that_the_old_version_does_not_have(installed):
+    """A command that the old version does not know would end with wrong usage at every start."""
+    name = "arpd-relay-far.service"
+    unit = installed.path(f"/usr/local/lib/systemd/system/{name}")
+    of_old = installed.path(f"/opt/arpd/versions/{installed.current()}/share/arpd/systemd/{name}")
+    text = unit.read_text()
+    unit.unlink()
+    of_old.unlink()
+    installed.path(BREAK).touch()
+    try:
+        code, told = installed.install("second")
+        assert (code, "going back to" in told) == (1, True), told
+        assert not unit.exists()
+        assert installed.path("/usr/local/lib/systemd/system/arpd-relay.service").exists()
+    finally:
+        installed.path(BREAK).unlink()
+        for path in (unit, of_old):
+            path.write_text(text)
+
+
 def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
     """An upgrade restarts running units only, replaces dashboards, and puts a new default beside an edited file."""
     dashboards = installed.path("/usr/local/share/arpd/grafana")
