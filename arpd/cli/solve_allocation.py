@@ -124,7 +124,7 @@ def _offered(settings: Settings, options: argparse.Namespace) -> _Offered:
     traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
     if not traffic:
         raise _nothing_to_plan(options.config, options.status)
-    relayed = (settings.relay.prefix + name for name in settings.relay.topics)
+    relayed = (settings.relay.link_prefix + name for name in settings.relay.topics)
     named = {*settings.topics, *relayed, *(publisher.topic for publisher in publishers)}
     sensing = status.sensing_topics if graph.sensing_topics is None else graph.sensing_topics
     actuation = status.actuation_topics if graph.actuation_topics is None else graph.actuation_topics

@@ -201,6 +201,11 @@ class RelaySettings:
     groups: tuple[TopicGroup, ...] = ()
     call_timeout_s: float = 10.0
 
+    @property
+    def link_prefix(self) -> str:
+        """Text that stands before the name of a carried topic on the link: nothing with two ends."""
+        return self.prefix if self.link_domain is None else ""
+
     def link(self, *, is_far: bool) -> LinkDomain | None:
         """Return the link as one end sees it; None for a relay with one end.
 

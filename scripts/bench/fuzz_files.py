@@ -26,6 +26,7 @@ def config() -> Fuzzable:
     seeds = [
         yaml.safe_dump(shipped).encode(),  # without comments: the fuzzer runs more short inputs than long ones
         b"link: {interface: wlan0, capacity: 8mbit}\nrelay: {topics: [{name: /camera, overflow: queue}]}\n",
+        b"relay: {link_domain: 7, robot: a, deny: [/x/**], groups: [{topics: [/a, /b]}], services: ['/*/s']}\n",
         b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
         b"- " * 100,
         b"topics: [" + b"{name: /a}, " * 10 + b"]",

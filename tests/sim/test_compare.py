@@ -180,6 +180,15 @@ def test_a_configuration_describes_a_robot():
     )
 
 
+def test_two_ends_of_a_relay_rename_nothing():
+    """The topics of a relay with two ends have the robot's names on the link."""
+    settings = Settings(
+        relay=RelaySettings(topics=("/scan",), link_domain=77, ceddp="10.0.0.2"),
+        topics={"/scan": TopicSettings(payload_bytes=5828.0, source_rate_hz=20.0)},
+    )
+    assert configured_topics(settings, actuation=()) == (SimTopic(name="/scan", payload_bytes=5828, rate_hz=20.0),)
+
+
 # -- sums
 
 

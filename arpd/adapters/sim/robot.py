@@ -56,14 +56,15 @@ def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tupl
     settings : the configuration
     actuation : names of the actuation topics, which the configuration does not tell
     """
-    relayed = {settings.relay.prefix + name: name for name in settings.relay.topics}
+    prefix = settings.relay.link_prefix
+    relayed = {prefix + name: name for name in settings.relay.topics}
     return tuple(
         SimTopic(
             name=relayed.get(each.topic, each.topic),
             payload_bytes=max(1, round(each.payload_bytes)),
             rate_hz=each.source_rate_hz,
             direction=Direction.ACTUATION if each.topic in actuation else Direction.SENSING,
-            prefix=settings.relay.prefix if each.topic in relayed else "",
+            prefix=prefix if each.topic in relayed else "",
         )
         for each in assumed_traffic(settings)
         if each.source_rate_hz > 0

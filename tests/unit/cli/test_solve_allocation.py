@@ -245,6 +245,15 @@ def test_a_saved_status_says_what_topics_publish(allocation, config, status):
     assert document["left_out"] == []
 
 
+def test_topics_of_two_ends_have_no_prefix(solve, config):
+    """A relay with two ends carries a topic under its own name."""
+    path = config(
+        "relay: {link_domain: 77, ceddp: a, topics: [{name: /gps}, {name: /scan}]}\n"
+        "topics: [{name: /scan, payload: 6kB, source_rate_hz: 10}]"
+    )
+    assert json.loads(solve("--config", path, "--capacity", "2mbit", "--json")[1])["left_out"] == ["/gps"]
+
+
 def test_what_the_status_cannot_say_is_assumed_or_left_out(solve, config, status):
     """A topic without a reader across the link, or without a message so far, has no measurement."""
     path = status(
