@@ -199,6 +199,14 @@ def test_the_examples_in_the_shipped_file_load(load):
     assert (group.name, len(group.topics)) == ("/stereo", 4)
 
 
+@pytest.mark.parametrize(
+    "block", re.findall(r"(?ms)^```yaml\n(.*?)^```", (SHIPPED.parents[2] / "docs" / "configuration.md").read_text())
+)
+def test_the_examples_in_the_manual_load(load, block):
+    """Each example is a whole file without a fault."""
+    assert load(block) != Settings()
+
+
 ONE_FAULT = {
     "wrong type": ("link:\n  headroom: much\n", "2:13: link.headroom: 'much' is not a number; write 0.05..1"),
     "text for a count": ("http:\n  port: '9464'\n", "2:9: http.port: '9464' is not a whole number; write 0..65535"),
