@@ -181,7 +181,7 @@ def test_a_reader_that_no_writer_suits_moves_nothing(world, talking, eventually)
 
 
 def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventually):
-    """After a kill -9 of the robot's end its topics go on, and no reader gets a sample twice, not even a latched one."""
+    """After a kill -9 of the robot's end its topics go on, and no reader gets a sample twice, latched ones neither."""
     ends = world().start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
@@ -301,7 +301,8 @@ def test_types_that_differ_between_the_sides_are_named(world, eventually):
 def test_two_hundred_topics_are_wanted_at_once(world, background, eventually):
     """When a reader of 200 topics comes, each of them arrives."""
     ends = world().start()
-    writers = [Counter(ends.side("robot").node("robot"), String, f"/many/t{k}", 10) for k in range(200)]
+    robot = ends.side("robot").node("robot")
+    writers = [Counter(robot, String, f"/many/t{k}", 10) for k in range(200)]
     far = ends.side("ceddp").node("rviz")
     eventually(lambda: far.count_publishers("/many/t199") == 1, timeout_s=60)
     received = {topic: listen(far, f"/many/t{topic}") for topic in range(200)}
