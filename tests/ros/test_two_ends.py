@@ -1,5 +1,6 @@
 """The relay with two ends: real processes, a domain on each side and one between them, on this host."""
 
+import platform
 import time
 from contextlib import ExitStack
 
@@ -7,10 +8,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float64, String, UInt8MultiArray
 
+from arpd.adapters.ros.relay import default_node_name
 from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, encode_state
 from tests.ros.ends_world import ROBOT, Counter, TwoEnds, numbers
@@ -315,3 +320,44 @@ def test_two_hundred_topics_are_wanted_at_once(world, background, eventually):
 
     background(talk)
     eventually(lambda: all(received.values()), timeout_s=90)
+
+
+def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):
+    """Thinned to a low rate, a group delivers only whole sets: the same stamps on all its topics."""
+    topics = ("/left/image", "/left/camera_info", "/right/image")
+    ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}], by: stamp}}]").start()
+    camera, far = ends.side("robot").node("camera"), ends.side("ceddp").node("planner")
+    kinds = (Image, CameraInfo, Image)
+    writers = [camera.create_publisher(kind, topic, 10) for kind, topic in zip(kinds, topics, strict=True)]
+    stamps = {topic: [] for topic in topics}
+    for kind, topic in zip(kinds, topics, strict=True):
+        seen = stamps[topic]
+        far.create_subscription(kind, topic, lambda message, seen=seen: seen.append(message.header.stamp.nanosec), 1000)
+
+    def shoot(stopping):
+        for number in range(100_000):
+            for kind, writer in zip(kinds, writers, strict=True):
+                message = kind()
+                message.header.stamp.nanosec = number
+                if number % 7 or kind is Image:  # the driver itself drops some
+                    writer.publish(message)
+            if stopping.wait(0.01):
+                return
+
+    background(shoot)
+    eventually(lambda: len(stamps[topics[0]]) > 50, timeout_s=30)
+    relay = ends.link_side().node("tuner")
+    service = f"/{default_node_name(platform.node())}/set_parameters_atomically"
+    client = relay.create_client(SetParametersAtomically, service)
+    assert client.wait_for_service(10)
+    rate = Parameter("arpd./stereo.publisher.rate", value=10.0).to_parameter_msg()
+    request = client.call_async(SetParametersAtomically.Request(parameters=[rate]))
+    eventually(request.done)
+    assert request.result().result.successful, request.result()
+    time.sleep(0.5)
+    before = len(stamps[topics[0]])
+    time.sleep(2.0)
+    assert len(stamps[topics[0]]) - before < 60, "the group is thinned"
+    common = min(map(len, stamps.values()))
+    assert stamps[topics[0]][:common] == stamps[topics[1]][:common] == stamps[topics[2]][:common]
+    assert all(number % 7 for number in stamps[topics[0]])
