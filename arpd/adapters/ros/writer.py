@@ -12,6 +12,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
+from arpd.adapters.ros.rcl import rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,9 +59,7 @@ class RosWriter:
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
-        handle = self.publisher.handle
-        with handle:
-            handle.publish_raw(sample)  # rclpy's publish would check the sample's type again
+        rcl().publish(self.publisher.handle, sample)  # rclpy would hold the interpreter while the link is full
 
     def matched(self) -> int:
         """Count the matched readers."""

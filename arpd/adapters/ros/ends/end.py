@@ -20,6 +20,7 @@ from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import Survey, own_prefix
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.raw_subscription import octets
+from arpd.adapters.ros.rcl import rcl
 from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.apply.relay.partner import EVERY_S, Partner
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
-_TICK_S = 0.05
+_TICK_S = 0.1
 _LOOK_S = 0.5  # the graph of the local domain
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -89,14 +90,15 @@ class End:
         self._number = 0
         self._begun_s = clock()
         self._look_s = self._alive_s = self._begun_s
-        self._thread = ReadingThread()
+        # Two threads: a write onto a full link blocks, and what comes from the link must not wait for it.
+        self._outgoing_thread, self._incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node, add=add)
-        self._node = node
+        self._link_node = link_node
         self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
             link_node=link_node,
             nodes=self._nodes,
-            thread=self._thread,
+            thread=self._incoming_thread,
             local_name=self.local_name,
             depths=settings.depths,
             clock=clock,
@@ -105,7 +107,7 @@ class End:
             node=node,
             link_node=link_node,
             survey=self.survey,
-            thread=self._thread,
+            thread=self._outgoing_thread,
             local_name=self.local_name,
             settings=settings,
             session=session,
@@ -131,7 +133,8 @@ class End:
             reader.destroy()
         self.outgoing.forget()
         self.incoming.close()
-        self._thread.stop()
+        self._outgoing_thread.stop()
+        self._incoming_thread.stop()
         self._nodes.keep(set())
 
     # -- names: the configuration and the link have those on the robot
@@ -312,10 +315,16 @@ class End:
         )
         if not self._partner.is_reachable(now_s):
             line = f"the {there}'s end is silent; {line}"
+        if strangers := self._strangers():
+            line += f"; the link domain has other nodes ({', '.join(strangers)}): only arpd's may live there"
         if others := self._partner.others(now_s):
             line += f"; ignored another {there}'s end on {', '.join(others)}: one robot has one"
         refused = _named("refused", self._refused) + _named(f"the {there}'s end refuses", state.refused)
         return line + refused + _named("two types of", self._differ)
+
+    def _strangers(self) -> list[str]:
+        names = sorted(set(self._link_node.get_node_names()))
+        return [name for name in names if not name.startswith("arpd")][:_MOST_NAMED]
 
     def _note_fault(self, words: str) -> None:
         if words != self._fault:
@@ -332,12 +341,10 @@ class End:
         def deliver(sample: Sample) -> None:
             self._arrived.append((sample.data, is_state))
 
-        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self._thread)
+        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self._incoming_thread)
 
     def _send(self, publisher: Any, data: bytes) -> None:
-        handle = publisher.handle
-        with handle:
-            handle.publish_raw(wrap(data))
+        rcl().publish(publisher.handle, wrap(data))
 
 
 def _named(what: str, reasons: Mapping[str, str]) -> str:

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 
 from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.rcl import rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -133,9 +134,7 @@ class GhostWriter:
         return self._is_found
 
     def _publish(self, sample: bytes) -> None:
-        handle = self._publisher.handle
-        with handle:
-            handle.publish_raw(sample)
+        rcl().publish(self._publisher.handle, sample)
 
 
 def profile_of(offer: WriterOffer, depth: int) -> QoSProfile:

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
+from arpd.adapters.ros.rcl import MessageInfo, rcl
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -30,65 +32,6 @@ log = logging.getLogger(__name__)
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed reader raises
 _MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
-
-
-class _Allocator(ctypes.Structure):
-    _fields_ = (
-        ("allocate", ctypes.c_void_p),
-        ("deallocate", ctypes.c_void_p),
-        ("reallocate", ctypes.c_void_p),
-        ("zero_allocate", ctypes.c_void_p),
-        ("state", ctypes.c_void_p),
-    )
-
-
-class _Bytes(ctypes.Structure):
-    """rcutils_uint8_array_t of ROS 2 Jazzy."""
-
-    _fields_ = (
-        ("buffer", ctypes.c_void_p),
-        ("length", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-        ("allocator", _Allocator),
-    )
-
-
-class _Info(ctypes.Structure):
-    """rmw_message_info_t of ROS 2 Jazzy."""
-
-    _fields_ = (
-        ("source_timestamp", ctypes.c_int64),
-        ("received_timestamp", ctypes.c_int64),
-        ("publication_sequence_number", ctypes.c_uint64),
-        ("reception_sequence_number", ctypes.c_uint64),
-        ("implementation_identifier", ctypes.c_char_p),
-        ("publisher_gid", ctypes.c_uint8 * 16),
-        ("from_intra_process", ctypes.c_bool),
-    )
-
-
-class _Rcl:
-    """The four functions of rcl and rcutils that rclpy does not offer."""
-
-    def __init__(self) -> None:
-        rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # loaded by rclpy already
-        self.take = rcl.rcl_take_serialized_message
-        self.take.argtypes = [ctypes.c_void_p] * 4
-        self.notify = rcl.rcl_subscription_set_on_new_message_callback
-        self.notify.argtypes = [ctypes.c_void_p] * 3
-        self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
-        self.forget_error = rcutils.rcutils_reset_error
-        self._init = rcutils.rcutils_uint8_array_init
-        self._init.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
-        self._allocator = rcutils.rcutils_get_default_allocator
-        self._allocator.restype = _Allocator
-
-    def buffer(self) -> _Bytes:
-        """Return an empty buffer, which rcl enlarges as needed."""
-        held, allocator = _Bytes(), self._allocator()
-        if self._init(ctypes.byref(held), 2048, ctypes.byref(allocator)) != 0:
-            raise MemoryError("rcutils_uint8_array_init")
-        return held
 
 
 class Sample(NamedTuple):
@@ -103,8 +46,8 @@ class ReadingThread:
     """Takes the samples of any number of `RawReader`; their functions are called in this thread."""
 
     def __init__(self) -> None:
-        self._rcl = _Rcl()
-        self._buffer, self._info = self._rcl.buffer(), _Info()
+        self._rcl = rcl()
+        self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
         self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
         self._events = select.epoll()

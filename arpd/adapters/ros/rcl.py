@@ -1,0 +1,101 @@
+"""Functions of rcl that rclpy does not offer, or offers only with the interpreter held, through ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any
+
+
+class Allocator(ctypes.Structure):
+    """rcutils_allocator_t."""
+
+    _fields_ = (
+        ("allocate", ctypes.c_void_p),
+        ("deallocate", ctypes.c_void_p),
+        ("reallocate", ctypes.c_void_p),
+        ("zero_allocate", ctypes.c_void_p),
+        ("state", ctypes.c_void_p),
+    )
+
+
+class SerializedMessage(ctypes.Structure):
+    """rcutils_uint8_array_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", Allocator),
+    )
+
+
+class MessageInfo(ctypes.Structure):
+    """rmw_message_info_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("implementation_identifier", ctypes.c_char_p),
+        ("publisher_gid", ctypes.c_uint8 * 16),
+        ("from_intra_process", ctypes.c_bool),
+    )
+
+
+class _ErrorString(ctypes.Structure):
+    """rcutils_error_string_t."""
+
+    _fields_ = (("text", ctypes.c_char * 1024),)
+
+
+class Rcl:
+    """Functions of rcl and rcutils of ROS 2 Jazzy; they run without the interpreter, so other threads go on."""
+
+    def __init__(self) -> None:
+        rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # loaded by rclpy already
+        self.take = rcl.rcl_take_serialized_message
+        self.take.argtypes = [ctypes.c_void_p] * 4
+        self.notify = rcl.rcl_subscription_set_on_new_message_callback
+        self.notify.argtypes = [ctypes.c_void_p] * 3
+        self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
+        self._publish = rcl.rcl_publish_serialized_message
+        self._publish.argtypes = [ctypes.c_void_p] * 3
+        self.forget_error = rcutils.rcutils_reset_error
+        self._error = rcutils.rcutils_get_error_string
+        self._error.restype = _ErrorString
+        self._init = rcutils.rcutils_uint8_array_init
+        self._init.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
+        self._allocator = rcutils.rcutils_get_default_allocator
+        self._allocator.restype = Allocator
+
+    def buffer(self) -> SerializedMessage:
+        """Return an empty buffer, which rcl enlarges as needed."""
+        held, allocator = SerializedMessage(), self._allocator()
+        if self._init(ctypes.byref(held), 2048, ctypes.byref(allocator)) != 0:
+            raise MemoryError("rcutils_uint8_array_init")
+        return held
+
+    def publish(self, handle: Any, sample: bytes) -> None:
+        """Publish a serialized sample through a publisher's handle; blocks while the link's queue is full.
+
+        Raises
+        ------
+        RuntimeError
+            If rcl refuses it.
+        """
+        message = SerializedMessage(
+            buffer=ctypes.cast(ctypes.c_char_p(sample), ctypes.c_void_p), length=len(sample), capacity=len(sample)
+        )
+        with handle:
+            if self._publish(handle.pointer, ctypes.byref(message), None) != 0:
+                words = self._error().text.decode(errors="replace")
+                self.forget_error()
+                raise RuntimeError(f"publishing failed: {words}")
+
+
+@cache
+def rcl() -> Rcl:
+    """Return the functions, loaded on first use: ROS may be missing."""
+    return Rcl()
