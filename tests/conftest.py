@@ -9,6 +9,7 @@ import re
 import pytest
 
 from tests.golden.sample import make_snapshot
+from tests.messages.generate import make_importable, obstacle
 
 # scripts/test sets it where it could install everything: there no test is skipped for want of a package.
 _MISSING_FAILS = os.environ.get("ARPD_TESTS_MISSING") == "fail"
@@ -20,6 +21,20 @@ _HAS_ROS_WHEELS = platform.machine() == "x86_64"
 @pytest.fixture
 def sample_snapshot():
     return make_snapshot()
+
+
+@pytest.fixture(scope="session")
+def tf_message():
+    """Return the class tf2_msgs/msg/TFMessage.
+
+    Another process imports it with `tests.messages.generate.environment`.
+    """
+    if why := obstacle("tf2_msgs"):
+        pytest.skip(why)
+    make_importable("tf2_msgs")
+    from tf2_msgs.msg import TFMessage
+
+    return TFMessage
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
