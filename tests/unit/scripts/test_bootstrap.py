@@ -1,9 +1,10 @@
-"""Which Python scripts/bootstrap takes: the one that PYTHON names, or none."""
+"""Which Python scripts/bootstrap takes: the one that PYTHON names, or none. And the headers of the one in .venv."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -59,3 +60,29 @@ def test_a_shim_of_pyenv_that_refuses_is_no_obstacle(find):
 def test_another_one_is_never_taken_instead(find, wanted, program, said):
     """A sentence says what is wrong with the one that was named."""
     assert said in find(wanted, path=program)
+
+
+@pytest.mark.parametrize(
+    ("include", "code", "said"),
+    [("with", 0, ""), ("without", 1, "install python3.12-dev by hand")],
+)
+def test_a_python_without_headers_names_their_package(tmp_path, include, code, said):
+    """Debian's Python has its headers in a package of their own."""
+    (tmp_path / "with").mkdir()
+    (tmp_path / "with" / "Python.h").touch()
+    (tmp_path / "sysconfig.py").write_text(
+        f"def get_path(_): return {str(tmp_path / include)!r}\ndef get_python_version(): return '3.12'\n"
+    )
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "python").symlink_to(sys.executable)
+    (tmp_path / "basename").symlink_to(shutil.which("basename"))
+    done = subprocess.run(
+        [str(shutil.which("bash")), "-c", f"set -euo pipefail; . {BOOTSTRAP}; need_headers"],
+        # No PATH but this folder: no apt-get. The interpreter imports its sysconfig from there, too.
+        env={"PATH": str(tmp_path), "PYTHONPATH": str(tmp_path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, said in done.stderr) == (code, True), done.stderr
