@@ -69,6 +69,7 @@ PAGES: Mapping[Path, Mapping[str, Block]] = {
         "swap": Block(results=("swap",), report="swap_report"),
         "soak": Block(results=("soak",), report="soak_report"),
         "relay": Block(results=("relay",), report="relay_report"),
+        "discovery": Block(results=("discovery",), report="discovery_report"),
         "exposition": Block(results=("exposition",), report="exposition_report"),
     },
 }

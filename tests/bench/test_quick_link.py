@@ -30,6 +30,20 @@ def test_adapt_measures_both_sides_of_a_step_down(tmp_path):
     assert str(picture) in printed
 
 
+def test_discovery_sees_every_participant_of_plain_ros(tmp_path):
+    """Ten nodes and the far one announce themselves at rest; nobody sends user data."""
+    document, printed = played(tmp_path, "discovery", "--side", "plain")
+    (cell,) = document["cells"]
+    assert [each["from"] for each in cell["participants"]].count("robot") == cell["nodes"] == 10
+    assert [each["from"] for each in cell["participants"]].count("ceddp") == 1
+    packets = {(flow["from"], flow["kind"]): flow["packets"] for flow in cell["flows"]}
+    # In two of its periods each announces itself twice, by multicast and to the participants on the other host.
+    assert packets["robot", "multicast discovery"] == pytest.approx(20, abs=3)
+    assert packets["ceddp", "unicast discovery"] == pytest.approx(20, abs=3)
+    assert ("robot", "user data") not in packets
+    assert "plain ROS 2" in printed
+
+
 def test_overhead_measures_every_phase(tmp_path):
     """Twelve topics at rest, carried and paced: each phase has CPU, memory and bytes of run and peer."""
     document, _ = played(tmp_path, "overhead")

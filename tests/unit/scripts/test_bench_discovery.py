@@ -1,0 +1,137 @@
+"""The kinds of packets, the counts and the report of scripts/bench/discovery.py."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from scripts.bench.discovery import DiscoveryError, check
+from scripts.bench.discovery_packets import GRAPH, KINDS, MULTICAST, OTHER, UNICAST, USER, Reader, Tally, kind_of
+from scripts.bench.discovery_report import PLAIN, RELAY, markdown, rates
+
+ROBOT, CEDDP = bytes.fromhex("02000a4d0001"), bytes.fromhex("02000a4d0002")
+PREFIX = bytes(range(12))
+ALL, FAR = "239.255.0.1", "10.77.0.2"
+
+
+@pytest.fixture
+def reader():
+    return Reader({ROBOT: "robot", CEDDP: "ceddp"}, domains=(0, 77))
+
+
+def ipv4(payload, *, to=FAR, protocol=17, identity=1, offset=0, more=False):
+    flags = (0x2000 if more else 0) | offset // 8
+    addresses = bytes([10, 77, 0, 1, *map(int, to.split("."))])
+    head = struct.pack("!BBHHHBBH", 0x45, 0, 20 + len(payload), identity, flags, 64, protocol, 0)
+    return CEDDP + ROBOT + b"\x08\x00" + head + addresses + payload
+
+
+def udp(port, *, payload=b"RTPS\x02\x03\x01\x0f" + PREFIX, source_port=40000):
+    return struct.pack("!HHHH", source_port, port, 8 + len(payload), 0) + payload
+
+
+@pytest.mark.parametrize(
+    ("port", "is_multicast", "expected"),
+    [
+        (7400, True, (MULTICAST, 0)),
+        (7401, True, (USER, 0)),
+        (7402, True, (OTHER, 0)),
+        (7410, False, (UNICAST, 0)),
+        (7411, False, (USER, 0)),
+        (7648, False, (UNICAST, 0)),  # of participant 119, the last one in a domain
+        (7400, False, (OTHER, 0)),
+        (7000, False, (GRAPH, None)),
+        (7399, False, (GRAPH, None)),
+        (26650, True, (MULTICAST, 77)),
+        (26660, False, (UNICAST, 77)),
+        (26663, False, (USER, 77)),
+        (7660, False, (OTHER, None)),  # of domain 1, which is not in use
+        (53, False, (OTHER, None)),
+    ],
+)
+def test_the_port_says_the_kind(port, is_multicast, expected):
+    """By the rule of RTPS: 7400 + 250 * domain + offset."""
+    assert kind_of(port, is_multicast=is_multicast, domains=(0, 77)) == expected
+
+
+def test_a_frame_names_its_host_its_port_and_its_participant(reader):
+    """The size has the Ethernet header."""
+    frame = ipv4(udp(7400), to=ALL)
+    packet = reader.read(frame)
+    assert (packet.sender, packet.kind, packet.domain, packet.source_port) == ("robot", MULTICAST, 0, 40000)
+    assert (packet.participant, packet.size_bytes) == (PREFIX.hex(), len(frame))
+
+
+def test_later_fragments_are_of_the_kind_of_the_first(reader):
+    """Only the first has ports; a fragment of another datagram is not one of them."""
+    first = reader.read(ipv4(udp(7411, payload=b"RTPS\x02\x03\x01\x0f" + PREFIX + bytes(1444)), more=True))
+    later = reader.read(ipv4(bytes(100), offset=1480))
+    stranger = reader.read(ipv4(bytes(100), offset=1480, identity=2))
+    assert [packet.kind for packet in (first, later, stranger)] == [USER, USER, OTHER]
+    assert later.participant == PREFIX.hex()
+    assert later.size_bytes == 14 + 20 + 100
+
+
+@pytest.mark.parametrize("frame", [ipv4(bytes(8), protocol=1), CEDDP + ROBOT + b"\x08\x06" + bytes(28)])
+def test_what_is_no_udp_is_other(reader, frame):
+    """ICMP and ARP, too, take their time on the link."""
+    packet = reader.read(frame)
+    assert (packet.kind, packet.sender, packet.size_bytes) == (OTHER, "robot", len(frame))
+
+
+def cell(side, nodes, *, packets, size):
+    """Return a cell with one kind of packets, counted over ten seconds."""
+    reader = Reader({ROBOT: "robot", CEDDP: "ceddp"}, domains=(0,))
+    tally = Tally(10.0)
+    for number in range(packets):
+        prefix = PREFIX[:-1] + bytes([number % nodes])
+        payload = b"RTPS\x02\x03\x01\x0f" + prefix
+        frame = ipv4(udp(7400, payload=payload + bytes(size - 42 - len(payload))), to=ALL)
+        tally.add(reader.read(frame), number * 10.0 / packets)
+    return {
+        "side": side,
+        "nodes": nodes,
+        "link_bytes_per_second": 2.5e6,
+        "is_steady": True,
+        "joined_bytes": 1_000_000,
+        "discovered_s": 3.0,
+        **tally.document(),
+    }
+
+
+def test_a_tally_counts_every_packet_once():
+    """By kind, by participant and by second."""
+    found = cell(PLAIN, 4, packets=40, size=500)
+    assert [(flow["kind"], flow["packets"], flow["bytes"]) for flow in found["flows"]] == [(MULTICAST, 40, 20_000)]
+    assert [each["packets"] for each in found["participants"]] == [10] * 4
+    assert found["bytes_by_second"] == [2000] * 10
+    assert rates(found) == rates(found, MULTICAST) == (4.0, 2000.0)
+    assert rates(found, USER) == (0.0, 0.0)
+
+
+def test_the_report_compares_the_sides_once_both_are_measured():
+    """The largest number of nodes is compared; a missing side leaves the table without its rows."""
+    cells = [cell(side, nodes, packets=10 * nodes, size=500) for side in (RELAY, PLAIN) for nodes in (4, 2)]
+    text = markdown({"cells": cells})
+    rows = [[field.strip() for field in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    assert [row[:2] for row in rows[2:]] == [[str(nodes), side] for nodes in (2, 4) for side in (PLAIN, RELAY)]
+    assert rows[0][5:] == list(KINDS)
+    assert rows[-1][2:6] == ["4", "4.0", "2.00", "4.0 (2.00)"]
+    assert "With 4 nodes the two-ended relay" in text
+    assert "With 4 nodes" not in markdown({"cells": cells[2:]})
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"flows": []}, "4 nodes, plain ROS 2: nothing crossed the link"),
+        ({"nodes": 5}, "5 nodes, plain ROS 2: 4 participants of the robot were on the link"),
+    ],
+)
+def test_a_plain_robot_that_is_not_heard_is_refused(change, complaint):
+    """The figures would be those of another robot."""
+    found = cell(PLAIN, 4, packets=40, size=500)
+    check(found)
+    with pytest.raises(DiscoveryError, match=complaint):
+        check({**found, **change})
