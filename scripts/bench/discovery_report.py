@@ -12,23 +12,18 @@ PLAIN, RELAY = SIDES = ("plain ROS 2", "two-ended relay")
 
 
 def markdown(document: dict[str, Any]) -> str:
-    """Return a table of what the link carries at rest, and sentences on the largest number of nodes."""
+    """Return a table of what the link carries at rest, and a comparison at the largest number of nodes."""
     cells = sorted(document["cells"], key=lambda cell: (cell["nodes"], SIDES.index(cell["side"])))
     first = cells[0]
-    head = ["nodes", "", "participants", "packets/s", "kB/s", *KINDS]
+    head = ["nodes", "", "participants", "packets/s", "kB/s", *KINDS, "MB of the start", "topics known after s"]
     about = (
         f"`scripts/bench/discovery.py` ({described(document)}), a link of "
         f"{first['link_bytes_per_second'] * 8e-6:.0f} Mbit/s at rest for {first['span_s']:.0f} s; both directions "
         "together, with Ethernet headers. Participants are those of DDS that sent a packet over the link. Each kind "
-        "has packets per second (kB per second)."
+        "has packets per second (kB per second). The start is that of all nodes at once, and lasts until the link is "
+        "at rest; the far node knows every topic after the time in the last column."
     )
-    lines = [about, "", *markdown_table("rlr", head, map(_row, cells)), ""]
-    for nodes in sorted({cell["nodes"] for cell in cells}):
-        both = {cell["side"]: cell for cell in cells if cell["nodes"] == nodes}
-        lines.append(f"- {_joining(nodes, both)}")
-    if comparison := _comparison(cells):
-        lines.append(f"- {comparison}")
-    return "\n".join(lines)
+    return "\n".join([about, "", *markdown_table("rlr", head, map(_row, cells)), *_comparison(cells)])
 
 
 def rates(cell: dict[str, Any], kind: str | None = None) -> tuple[float, float]:
@@ -48,6 +43,8 @@ def _row(cell: dict[str, Any]) -> list[str]:
         f"{packets:.1f}",
         f"{size * 1e-3:.2f}",
         *(_pair(*rates(cell, kind)) for kind in KINDS),
+        f"{cell['joined_bytes'] * 1e-6:.2f}",
+        f"{cell['discovered_s']:.1f}",
     ]
 
 
@@ -55,24 +52,16 @@ def _pair(packets: float, size: float) -> str:
     return f"{packets:.1f} ({size * 1e-3:.2f})" if packets else "0"
 
 
-def _joining(nodes: int, both: dict[str, dict[str, Any]]) -> str:
-    parts = [
-        f"{cell['joined_bytes'] * 1e-6:.2f} MB cross the link with {side}, and the far node knows every topic "
-        f"{cell['discovered_s']:.0f} s after their start"
-        for side, cell in both.items()
-    ]
-    return f"When {nodes} nodes start at once, until the link is at rest, {'; '.join(parts)}."
-
-
-def _comparison(cells: list[dict[str, Any]]) -> str:
-    """Compare the sides at the largest number of nodes; empty while one is missing."""
+def _comparison(cells: list[dict[str, Any]]) -> list[str]:
+    """Compare the sides at the largest number of nodes; nothing while one is missing."""
     most = max(cell["nodes"] for cell in cells)
-    plain, relay = (next((c for c in cells if (c["nodes"], c["side"]) == (most, side)), None) for side in SIDES)
-    if plain is None or relay is None:
-        return ""
-    before, after = rates(plain), rates(relay)
-    return (
+    both = {cell["side"]: rates(cell) for cell in cells if cell["nodes"] == most}
+    if set(both) != set(SIDES):
+        return []
+    before, after = both[PLAIN], both[RELAY]
+    text = (
         f"With {most} nodes the two-ended relay puts {after[0]:.1f} packets and {after[1] * 1e-3:.2f} kB per second on "
         f"the link at rest, arpd's reports and probes included; plain ROS 2 puts {before[0]:.1f} and "
         f"{before[1] * 1e-3:.2f} kB."
     )
+    return ["", text]

@@ -116,8 +116,8 @@ def test_the_report_compares_the_sides_once_both_are_measured():
     text = markdown({"cells": cells})
     rows = [[field.strip() for field in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert [row[:2] for row in rows[2:]] == [[str(nodes), side] for nodes in (2, 4) for side in (PLAIN, RELAY)]
-    assert rows[0][5:] == list(KINDS)
-    assert rows[-1][2:6] == ["4", "4.0", "2.00", "4.0 (2.00)"]
+    assert rows[0][5:10] == list(KINDS)
+    assert rows[-1][2:6] + rows[-1][-2:] == ["4", "4.0", "2.00", "4.0 (2.00)", "1.00", "3.0"]
     assert "With 4 nodes the two-ended relay" in text
     assert "With 4 nodes" not in markdown({"cells": cells[2:]})
 
