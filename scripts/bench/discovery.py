@@ -13,9 +13,10 @@ themselves (ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), and `arpd run`, `arpd rela
 share a domain of their own on the link. They start first: in the range LOCALHOST, Fast DDS announces a participant to
 the first 32 of its host only, so one that starts later does not find all of a larger number.
 
-Measurement begins when the far node knows every topic of the robot, and the link has become steady. A packet socket on
-the robot's interface then counts every frame, with its Ethernet header; the port it goes to says which kind it is, and
-its RTPS header which participant sent it. Fast DDS uses UDP alone here, for its shared memory ignores namespaces.
+Once the far node knows every topic of the robot, a packet socket on the robot's interface counts every frame, with its
+Ethernet header; the port it goes to says which kind it is, and its RTPS header which participant sent it. The result is
+that of the first seven periods of announcements in a row with as many packets of discovery each: the start of many
+nodes keeps the link busy for longer. Fast DDS uses UDP alone here, for its shared memory ignores namespaces.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,7 +42,8 @@ from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import Child, ChildError
 from scripts.bench.discovery_nodes import TOPICS_PER_NODE
-from scripts.bench.discovery_packets import capture
+from scripts.bench.discovery_packets import Capture, is_steady
+from scripts.bench.discovery_packets import document as counted
 from scripts.bench.discovery_report import PLAIN, RELAY, SIDES, markdown
 from scripts.bench.overhead_robot import STATUS_URL
 from scripts.bench.record import REPO, conditions, keep, options_of
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from arpd.cli.progress import Progress
+    from scripts.bench.discovery_packets import Tally
     from scripts.netns.namespaces import HostName
 
 NODES = (10, 50, 100)
@@ -61,7 +64,6 @@ _NODES_PER_PROCESS = 25
 _RANGES = {PLAIN: "SUBNET", RELAY: "LOCALHOST"}
 _START_S, _DISCOVER_S = 60.0, 240.0
 _ANNOUNCEMENT_S = 3.0  # every participant announces itself once in this time (rmw_fastrtps)
-_STEADY_SPREAD = 0.1  # of the bytes in three such times
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,15 +72,15 @@ class Times:
 
     Parameters
     ----------
-    span_s : the measurement, a multiple of the time between two announcements (s)
+    periods : length of the measurement, in times between two announcements
     most_settle_s : longest wait for a steady link (s)
     """
 
-    span_s: float = 21.0
-    most_settle_s: float = 120.0
+    periods: int = 7
+    most_settle_s: float = 180.0
 
 
-QUICK = Times(span_s=6.0, most_settle_s=40.0)
+QUICK = Times(periods=3, most_settle_s=60.0)
 
 
 class DiscoveryError(ArpdError):
@@ -155,18 +157,6 @@ class Hosts:
             return known >= wanted
 
         self._await(is_known, lambda: f"the far node knows {known} of {wanted} topics", _DISCOVER_S)
-
-    def await_steady(self, most_s: float) -> tuple[float, bool]:
-        """Wait until the link carries the same in each of three announcement periods; return the time, and whether."""
-        began_s, sent_bytes, windows = time.monotonic(), self.sent_bytes(), [0]
-        while (spent_s := time.monotonic() - began_s) < most_s:
-            time.sleep(_ANNOUNCEMENT_S)
-            self.check()
-            before, sent_bytes = sent_bytes, self.sent_bytes()
-            windows = [*windows[-2:], sent_bytes - before]
-            if len(windows) == 3 and max(windows) - min(windows) <= _STEADY_SPREAD * max(windows):
-                return time.monotonic() - began_s, True
-        return spent_s, False
 
     def sent_bytes(self) -> int:
         """Return the bytes that both ends of the link have sent since it was made."""
@@ -248,12 +238,8 @@ def measure(side: str, nodes: int, times: Times, workdir: Path, show: Callable[[
         started_s = time.monotonic() - began_s
         hosts.await_topics(far, TOPICS_PER_NODE * nodes)
         discovered_s = time.monotonic() - began_s
-        show("until the link is steady")
-        settle_s, is_steady = hosts.await_steady(times.most_settle_s)
-        joined_bytes = hosts.sent_bytes() - before_bytes
-        show("at rest")
-        tally = capture(link, times.span_s, domains=(DOMAIN, LINK_DOMAIN), on_second=hosts.check)
-        hosts.check()
+        show("until the link is at rest")
+        periods, joined_bytes = _rest(hosts, times)
         return {
             "side": side,
             "nodes": nodes,
@@ -263,11 +249,25 @@ def measure(side: str, nodes: int, times: Times, workdir: Path, show: Callable[[
             "node_rss_bytes": hosts.rss_bytes(),
             "started_s": started_s,
             "discovered_s": discovered_s,
-            "settle_s": settle_s,
-            "is_steady": is_steady,
-            "joined_bytes": joined_bytes,
-            **tally.document(),
+            "settled_s": time.monotonic() - began_s - sum(period.span_s for period in periods),
+            "is_steady": is_steady(periods),
+            "joined_bytes": joined_bytes - before_bytes,
+            **counted(periods),
         }
+
+
+def _rest(hosts: Hosts, times: Times) -> tuple[list[Tally], int]:
+    """Return the first steady periods in a row, or the last ones before time is up, and the bytes sent before them."""
+    periods: list[Tally] = []
+    sent_bytes: list[int] = []
+    with closing(Capture(hosts.link, (DOMAIN, LINK_DOMAIN))) as capture:
+        until_s = time.monotonic() + times.most_settle_s
+        while True:
+            sent_bytes = [*sent_bytes[1 - times.periods :], hosts.sent_bytes()]
+            periods = [*periods[1 - times.periods :], capture.period(_ANNOUNCEMENT_S)]
+            hosts.check()
+            if len(periods) == times.periods and (is_steady(periods) or time.monotonic() > until_s):
+                return periods, sent_bytes[0]
 
 
 def check(found: dict[str, Any]) -> None:

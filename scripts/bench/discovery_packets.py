@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.errors import ArpdError
 from arpd.model.wire import ETHERNET_BYTES, UDP_BYTES
 from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from scripts.netns.simlink import SimLink
 
@@ -34,10 +33,7 @@ _EVERY_PROTOCOL = 0x0003  # ETH_P_ALL
 _PREFIX = slice(8, 20)  # of an RTPS message: the GUID prefix of its sender
 _SO_RCVBUFFORCE, _SOL_PACKET, _PACKET_STATISTICS = 33, 263, 6
 _RECEIVE_BYTES = 32 << 20
-
-
-class CaptureError(ArpdError):
-    """The capture lost packets."""
+_SPREAD, _SPREAD_PACKETS = 0.03, 3  # between steady periods: announcements come a little early or late
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -128,90 +124,107 @@ class Reader:
 class Tally:
     """Packets of a while, by what they are.
 
-    Parameters
+    Attributes
     ----------
     span_s : its length (s)
+    lost : packets that the capture missed
     """
 
-    span_s: float
+    span_s: float = 0.0
+    lost: int = 0
     packets: Counter[tuple[str, str, int | None]] = field(default_factory=Counter)
     sizes_bytes: Counter[tuple[str, str, int | None]] = field(default_factory=Counter)
-    by_second_bytes: list[int] = field(default_factory=list)
-    _participants: dict[tuple[str, str], list[Packet]] = field(default_factory=dict)
+    participants: dict[tuple[str, str], list[Packet]] = field(default_factory=dict)
 
-    def add(self, packet: Packet, after_s: float) -> None:
-        """Count a packet that came so long after the start (s)."""
+    @property
+    def discovery_packets(self) -> int:
+        """Packets with which nodes find each other."""
+        return sum(count for (_, kind, _), count in self.packets.items() if kind in (MULTICAST, UNICAST, GRAPH))
+
+    def add(self, packet: Packet) -> None:
+        """Count a packet."""
         key = (packet.sender, packet.kind, packet.domain)
         self.packets[key] += 1
         self.sizes_bytes[key] += packet.size_bytes
-        second = int(after_s)
-        self.by_second_bytes += [0] * (second + 1 - len(self.by_second_bytes))
-        self.by_second_bytes[second] += packet.size_bytes
         if packet.participant:
-            self._participants.setdefault((packet.sender, packet.participant), []).append(packet)
-
-    def document(self) -> dict[str, Any]:
-        """Return the counts for JSON."""
-        return {
-            "span_s": self.span_s,
-            "flows": [
-                {"from": sender, "kind": kind, "domain": domain, "packets": count, "bytes": self.sizes_bytes[key]}
-                for key, count in sorted(self.packets.items(), key=str)
-                for sender, kind, domain in [key]
-            ],
-            "participants": [
-                {
-                    "from": sender,
-                    "guid_prefix": prefix,
-                    "source_ports": sorted({packet.source_port for packet in packets}),
-                    "domains": sorted({packet.domain for packet in packets if packet.domain is not None}),
-                    "packets": len(packets),
-                    "bytes": sum(packet.size_bytes for packet in packets),
-                }
-                for (sender, prefix), packets in sorted(self._participants.items())
-            ],
-            "bytes_by_second": self.by_second_bytes,
-        }
+            self.participants.setdefault((packet.sender, packet.participant), []).append(packet)
 
 
-def capture(
-    link: SimLink, for_s: float, *, domains: Collection[int], on_second: Callable[[], object] = lambda: None
-) -> Tally:
-    """Count what crosses the link for a while, in both directions.
+def is_steady(periods: Sequence[Tally]) -> bool:
+    """Return whether nodes announce themselves and nothing more: then all periods have as many packets of discovery."""
+    counts = [period.discovery_packets for period in periods]
+    most = max(counts)
+    return most - min(counts) <= _SPREAD * most + _SPREAD_PACKETS and not any(period.lost for period in periods)
+
+
+def document(periods: Sequence[Tally]) -> dict[str, Any]:
+    """Return the counts of successive periods together, for JSON."""
+    packets: Counter[tuple[str, str, int | None]] = Counter()
+    sizes_bytes: Counter[tuple[str, str, int | None]] = Counter()
+    participants: dict[tuple[str, str], list[Packet]] = {}
+    for period in periods:
+        packets += period.packets
+        sizes_bytes += period.sizes_bytes
+        for whose, sent in period.participants.items():
+            participants.setdefault(whose, []).extend(sent)
+    return {
+        "span_s": sum(period.span_s for period in periods),
+        "lost": sum(period.lost for period in periods),
+        "flows": [
+            {"from": key[0], "kind": key[1], "domain": key[2], "packets": count, "bytes": sizes_bytes[key]}
+            for key, count in sorted(packets.items(), key=str)
+        ],
+        "participants": [
+            {
+                "from": sender,
+                "guid_prefix": prefix,
+                "source_ports": sorted({packet.source_port for packet in sent}),
+                "domains": sorted({packet.domain for packet in sent if packet.domain is not None}),
+                "packets": len(sent),
+                "bytes": sum(packet.size_bytes for packet in sent),
+            }
+            for (sender, prefix), sent in sorted(participants.items())
+        ],
+        "periods": [{"packets": period.packets.total(), "bytes": period.sizes_bytes.total()} for period in periods],
+    }
+
+
+class Capture:
+    """Captures what crosses the link, in both directions, until it is closed.
 
     The kernel shows each frame on the robot's interface behind the queue, so all that is counted has left it.
 
     Parameters
     ----------
-    on_second : called about once a second
-
-    Raises
-    ------
-    CaptureError
-        If packets came faster than they were read.
+    domains : ROS domains in use
     """
-    reader = Reader({_mac(host.mac): host.name for host in link.hosts}, domains)
-    tally = Tally(for_s)
-    # With protocol 0 the socket receives nothing before it is bound to the interface.
-    opened = inside(link.robot.namespace, partial(socket.socket, socket.AF_PACKET, socket.SOCK_RAW, 0))
-    with opened as receiver:
-        receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BYTES)
-        receiver.settimeout(0.2)
-        inside(link.robot.namespace, partial(receiver.bind, (link.robot.interface, _EVERY_PROTOCOL)))
-        started_s = called_s = time.monotonic()
-        while (after_s := time.monotonic() - started_s) < for_s:
-            if started_s + after_s - called_s >= 1.0:
-                called_s = started_s + after_s
-                on_second()
+
+    def __init__(self, link: SimLink, domains: Collection[int]) -> None:
+        self._reader = Reader({_mac(host.mac): host.name for host in link.hosts}, domains)
+        namespace = link.robot.namespace
+        # With protocol 0 the socket receives nothing before it is bound to the interface.
+        self._socket = inside(namespace, partial(socket.socket, socket.AF_PACKET, socket.SOCK_RAW, 0))
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BYTES)
+        inside(namespace, partial(self._socket.bind, (link.robot.interface, _EVERY_PROTOCOL)))
+
+    def close(self) -> None:
+        """End the capture."""
+        self._socket.close()
+
+    def period(self, for_s: float) -> Tally:
+        """Count what crosses the link for a while from now on."""
+        tally, began_s = Tally(), time.monotonic()
+        while (left_s := began_s + for_s - time.monotonic()) > 0.0:
+            self._socket.settimeout(left_s)
             try:
-                frame = receiver.recv(65536)
+                frame = self._socket.recv(65536)
             except TimeoutError:
-                continue
-            tally.add(reader.read(frame), after_s)
-        seen, dropped = struct.unpack("II", receiver.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))
-    if dropped:
-        raise CaptureError(f"the capture lost {dropped} of {seen} packets: the machine is too busy")
-    return tally
+                break
+            tally.add(self._reader.read(frame))
+        tally.span_s = time.monotonic() - began_s
+        # Reading the kernel's count sets it to zero.
+        _, tally.lost = struct.unpack("II", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))
+        return tally
 
 
 def _mac(text: str) -> bytes:

@@ -37,9 +37,9 @@ def test_discovery_sees_every_participant_of_plain_ros(tmp_path):
     assert [each["from"] for each in cell["participants"]].count("robot") == cell["nodes"] == 10
     assert [each["from"] for each in cell["participants"]].count("ceddp") == 1
     packets = {(flow["from"], flow["kind"]): flow["packets"] for flow in cell["flows"]}
-    # In two of its periods each announces itself twice, by multicast and to the participants on the other host.
-    assert packets["robot", "multicast discovery"] == pytest.approx(20, abs=3)
-    assert packets["ceddp", "unicast discovery"] == pytest.approx(20, abs=3)
+    # In each of three periods all announce themselves by multicast and to the participants on the other host.
+    assert packets["robot", "multicast discovery"] == pytest.approx(30, abs=3)
+    assert packets["ceddp", "unicast discovery"] == pytest.approx(30, abs=3)
     assert ("robot", "user data") not in packets
     assert "plain ROS 2" in printed
 

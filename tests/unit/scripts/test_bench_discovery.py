@@ -7,7 +7,19 @@ import struct
 import pytest
 
 from scripts.bench.discovery import DiscoveryError, check
-from scripts.bench.discovery_packets import GRAPH, KINDS, MULTICAST, OTHER, UNICAST, USER, Reader, Tally, kind_of
+from scripts.bench.discovery_packets import (
+    GRAPH,
+    KINDS,
+    MULTICAST,
+    OTHER,
+    UNICAST,
+    USER,
+    Reader,
+    Tally,
+    document,
+    is_steady,
+    kind_of,
+)
 from scripts.bench.discovery_report import PLAIN, RELAY, markdown, rates
 
 ROBOT, CEDDP = bytes.fromhex("02000a4d0001"), bytes.fromhex("02000a4d0002")
@@ -80,15 +92,18 @@ def test_what_is_no_udp_is_other(reader, frame):
     assert (packet.kind, packet.sender, packet.size_bytes) == (OTHER, "robot", len(frame))
 
 
-def cell(side, nodes, *, packets, size):
-    """Return a cell with one kind of packets, counted over ten seconds."""
+def period(nodes, *, packets, size=500, lost=0, port=7400):
+    """Return a period in which the nodes send packets of one kind in turn."""
     reader = Reader({ROBOT: "robot", CEDDP: "ceddp"}, domains=(0,))
-    tally = Tally(10.0)
+    tally = Tally(span_s=3.0, lost=lost)
     for number in range(packets):
-        prefix = PREFIX[:-1] + bytes([number % nodes])
-        payload = b"RTPS\x02\x03\x01\x0f" + prefix
-        frame = ipv4(udp(7400, payload=payload + bytes(size - 42 - len(payload))), to=ALL)
-        tally.add(reader.read(frame), number * 10.0 / packets)
+        payload = b"RTPS\x02\x03\x01\x0f" + PREFIX[:-1] + bytes([number % nodes])
+        tally.add(reader.read(ipv4(udp(port, payload=payload.ljust(size - 42, b"\0")), to=ALL)))
+    return tally
+
+
+def cell(side, nodes, *, packets, size):
+    """Return a cell of two periods."""
     return {
         "side": side,
         "nodes": nodes,
@@ -96,23 +111,44 @@ def cell(side, nodes, *, packets, size):
         "is_steady": True,
         "joined_bytes": 1_000_000,
         "discovered_s": 3.0,
-        **tally.document(),
+        **document([period(nodes, packets=packets, size=size)] * 2),
     }
 
 
-def test_a_tally_counts_every_packet_once():
-    """By kind, by participant and by second."""
-    found = cell(PLAIN, 4, packets=40, size=500)
-    assert [(flow["kind"], flow["packets"], flow["bytes"]) for flow in found["flows"]] == [(MULTICAST, 40, 20_000)]
-    assert [each["packets"] for each in found["participants"]] == [10] * 4
-    assert found["bytes_by_second"] == [2000] * 10
+def test_the_document_counts_every_packet_once():
+    """By kind, by participant and by period."""
+    found = cell(PLAIN, 4, packets=12, size=500)
+    assert [(flow["kind"], flow["packets"], flow["bytes"]) for flow in found["flows"]] == [(MULTICAST, 24, 12_000)]
+    assert [each["packets"] for each in found["participants"]] == [6] * 4
+    assert found["periods"] == [{"packets": 12, "bytes": 6000}] * 2
     assert rates(found) == rates(found, MULTICAST) == (4.0, 2000.0)
     assert rates(found, USER) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [([300, 300, 301], True), ([300, 306, 309], True), ([1415, 1304, 1490], False), ([10, 14, 10], False)],
+)
+def test_a_link_is_steady_while_nodes_only_announce_themselves(counts, expected):
+    """The same number of packets of discovery in every period, but for a few that come early or late."""
+    assert is_steady([period(4, packets=count) for count in counts]) is expected
+
+
+def test_user_data_may_come_and_go_on_a_steady_link():
+    """The daemon probes now and then."""
+    busy = period(4, packets=30)
+    busy.packets += period(4, packets=500, port=7401).packets
+    assert is_steady([period(4, packets=30), busy])
+
+
+def test_a_period_with_lost_packets_is_not_steady():
+    """Its counts are too low."""
+    assert not is_steady([period(4, packets=30), period(4, packets=30, lost=1)])
+
+
 def test_the_report_compares_the_sides_once_both_are_measured():
     """The largest number of nodes is compared; a missing side leaves the table without its rows."""
-    cells = [cell(side, nodes, packets=10 * nodes, size=500) for side in (RELAY, PLAIN) for nodes in (4, 2)]
+    cells = [cell(side, nodes, packets=3 * nodes, size=500) for side in (RELAY, PLAIN) for nodes in (4, 2)]
     text = markdown({"cells": cells})
     rows = [[field.strip() for field in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert [row[:2] for row in rows[2:]] == [[str(nodes), side] for nodes in (2, 4) for side in (PLAIN, RELAY)]
@@ -131,7 +167,7 @@ def test_the_report_compares_the_sides_once_both_are_measured():
 )
 def test_a_plain_robot_that_is_not_heard_is_refused(change, complaint):
     """The figures would be those of another robot."""
-    found = cell(PLAIN, 4, packets=40, size=500)
+    found = cell(PLAIN, 4, packets=12, size=500)
     check(found)
     with pytest.raises(DiscoveryError, match=complaint):
         check({**found, **change})
