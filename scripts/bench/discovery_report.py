@@ -53,11 +53,11 @@ def _pair(packets: float, size: float) -> str:
 
 
 def _comparison(cells: list[dict[str, Any]]) -> list[str]:
-    """Compare the sides at the largest number of nodes; nothing while one is missing."""
+    """Compare the sides at the largest number of nodes, or say which one is missing."""
     most = max(cell["nodes"] for cell in cells)
     both = {cell["side"]: rates(cell) for cell in cells if cell["nodes"] == most}
-    if set(both) != set(SIDES):
-        return []
+    if missing := [side for side in SIDES if side not in both]:
+        return ["", f"With {most} nodes, this is not measured yet: {missing[0]}."]
     before, after = both[PLAIN], both[RELAY]
     text = (
         f"With {most} nodes the two-ended relay puts {after[0]:.1f} packets and {after[1] * 1e-3:.2f} kB per second on "
