@@ -6,7 +6,7 @@ import socket
 import struct
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -100,9 +100,7 @@ class Reader:
         (flags,) = struct.unpack_from("!H", ip, 6)
         identity = (ip[12:16], ip[4:6])
         if flags & 0x1FFF:
-            first = self._fragmented.get(identity, other)
-            return Packet(sender=sender, size_bytes=len(frame), kind=first.kind, domain=first.domain,
-                          source_port=first.source_port, participant=first.participant)  # fmt: skip
+            return replace(self._fragmented.get(identity, other), size_bytes=len(frame))
         datagram = ip[(ip[0] & 0x0F) * 4 :]
         source_port, port = struct.unpack_from("!HH", datagram)
         kind, domain = kind_of(port, is_multicast=ip[16] & 0xF0 == 0xE0, domains=self._domains)
