@@ -21,13 +21,13 @@ INTERFACE = LinkCounters(
 
 
 def observation(now_s: float, **fields) -> Observation:
-    """Return an observation of nothing, except for ``fields``."""
+    """Return an observation of one unmanaged topic, and of ``fields``."""
     nothing = {
         "counters": None,
         "reports": (),
         "publishers": (),
         "memory": MemoryState(total_bytes=1, available_bytes=1),
-        "sensing_topics": 0,
+        "sensing_topics": 1,  # a topic crosses, so the link is not idle
         "actuation_topics": 0,
     }
     return Observation(now_s=now_s, **{**nothing, **fields})

@@ -16,7 +16,6 @@ from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
-from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
 from arpd.model.wire import probe_wire_bytes, wire_size
 
@@ -77,6 +76,7 @@ class Estimator:
         self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
         self._queues: deque[tuple[float, float]] = deque()  # time s, queue s; as far back as makes a queue stand
         self._learns_from_s = self._queued_here_s = -math.inf
+        self._crossed_s = math.inf  # when a topic crossed last; the start counts as one
 
     @property
     def has_evidence(self) -> bool:
@@ -101,6 +101,8 @@ class Estimator:
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._expect_bursts(observation)
+        if math.isinf(self._crossed_s) or observation.sensing_topics + observation.actuation_topics > 0:
+            self._crossed_s = now_s
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
@@ -142,6 +144,7 @@ class Estimator:
                 surprise_bytes_per_second=self._surprise(now_s),
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
+                is_idle=now_s - self._crossed_s > parameters.IDLE_AFTER_S,
             )
         )
         for request in requests:

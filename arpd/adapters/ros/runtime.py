@@ -44,7 +44,7 @@ def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
     RosUnavailableError
         If ROS 2 cannot be imported here, or does not start.
     """
-    prepare_environment()
+    prepare_environment(FASTDDS_PROFILE if link is None else TWO_ENDED_PROFILE)
     try:
         import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415

@@ -217,3 +217,10 @@ def test_a_minute_costs_its_share_with_small_trains_too(mbit, is_urgent):
     probing = Probing(mbit * MBIT, needs_pair=True).known()
     sent = probing.run(60.0, is_urgent=is_urgent)
     assert cost(sent) <= 1.02 * 60.0 * allowed(mbit * MBIT) + max(6_000, 0.02 * mbit * MBIT)
+
+
+def test_a_link_that_nobody_uses_is_probed_rarely():
+    """While no topic crosses, a measured link costs a small part of what it costs otherwise, but is still looked at."""
+    busy, idle = Probing().known(), Probing().known()
+    assert 0 < cost(idle.run(300.0, is_idle=True)) < 0.15 * cost(busy.run(300.0))
+    assert trains(idle.sent)
