@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import platform
 import re
@@ -15,6 +14,7 @@ from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
+from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.runtime import ros_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
@@ -38,25 +38,6 @@ _EVERY_LOOK = 10  # every tenth look at a topic reads its endpoints, even when t
 _KEEP_LOOKS = 20  # 10 s: enough for a source to restart, and an end for a loop whose source never comes
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
 _RECEIVE_DEPTH = 100  # within the host, so this only bridges the relay's own scheduling
-
-
-class UnknownTypeError(Exception):
-    """A message type that is not installed on this host."""
-
-
-def message_class(type_name: str) -> Any:
-    """Import a message class from its ROS name, ``sensor_msgs/msg/LaserScan``.
-
-    Raises
-    ------
-    UnknownTypeError
-        If its package is not installed or has no such message.
-    """
-    package, _, message = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), message)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
 
 
 class Relay:

@@ -1,0 +1,55 @@
+"""Classes of messages and services, imported by their ROS names."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from typing import Any
+
+_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
+_ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
+_ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
+
+
+class UnknownTypeError(Exception):
+    """A type that is not installed on this host."""
+
+
+def message_class(type_name: str) -> Any:
+    """Import a message class: ``sensor_msgs/msg/LaserScan`` or ``nav2_msgs/action/Spin_FeedbackMessage``.
+
+    Raises
+    ------
+    UnknownTypeError
+        If its package is not installed or has no such message.
+    """
+    return _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES)
+
+
+def service_class(type_name: str) -> Any:
+    """Import a service class: ``std_srvs/srv/Trigger`` or ``nav2_msgs/action/Spin_SendGoal``.
+
+    Raises
+    ------
+    UnknownTypeError
+        If its package is not installed or has no such service.
+    """
+    return _import(type_name, folder="srv", of_actions=_ACTION_SERVICES)
+
+
+def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
+    """Import a class from a folder of its package, or from an action."""
+    match = _NAME.fullmatch(type_name)
+    if match is None:
+        raise UnknownTypeError(f"{type_name!r} is no type of ROS 2")
+    package, kind, name = match.groups()
+    ending = f"_{name.rpartition('_')[2]}"
+    try:
+        if kind == folder:
+            return getattr(importlib.import_module(f"{package}.{folder}"), name)
+        if kind == "action" and ending in of_actions:
+            action = getattr(importlib.import_module(f"{package}.action"), name.removesuffix(ending))
+            return getattr(action.Impl, of_actions[ending])
+    except (ImportError, AttributeError) as error:
+        raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
+    raise UnknownTypeError(f"{type_name} is no {folder}")
