@@ -75,7 +75,9 @@ class Caller:
         if callee is None:
             failure = CallFailure(reason=FailureReason.UNREACHABLE, message="the other end became unreachable")
         else:
-            failure = CallFailure(reason=FailureReason.RESTARTED, message="the other end restarted; it may have run")
+            failure = CallFailure(
+                reason=FailureReason.RESTARTED, message="the other end restarted; the call may have run"
+            )
         for number in [*self._open]:
             self._end(number, failure)
 
@@ -225,7 +227,7 @@ class Callee:
             return
         if record.callee != self._session:
             if record.content is not Signal.DONE:
-                message = "the other end restarted; it may have run"
+                message = "the other end restarted; the call may have run"
                 self._send(record, CallFailure(reason=FailureReason.RESTARTED, message=message))
             return
         if record.caller != self._caller:
@@ -271,7 +273,7 @@ class Callee:
             elif content is not Signal.ASK:
                 self._send(record, Signal.RUNNING)
         elif record.number in numbers:
-            message = f"it ran, and its answer was lost for {KEEP_S:g} s"
+            message = f"the call ran, and its answer was lost for {KEEP_S:g} s"
             self._send(record, CallFailure(reason=FailureReason.TIMEOUT, message=message))
         elif isinstance(content, Request):
             numbers.add(record.number)

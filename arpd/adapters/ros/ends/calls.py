@@ -17,6 +17,7 @@ from arpd.adapters.ros.ends.ghost_service import GhostService, failed_response
 from arpd.adapters.ros.ends.local_services import LocalServices
 from arpd.adapters.ros.ends.served_calls import ServedCalls
 from arpd.adapters.ros.ends.types import UnknownTypeError, service_class
+from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.call_records import CallFailure, FailureReason, Request, decode_record
 from arpd.apply.relay.calls import Caller
 from arpd.apply.relay.offers import ServiceOffer
@@ -150,7 +151,9 @@ class Calls:
     def _serve(self, name: str, offer: ServiceOffer) -> None:
         """Have a ghost of this service, unless a node on this side serves it."""
         ghost = self._ghosts.get(name)
-        if not self._allows(name):
+        if not is_full_name(self._namespace + name) or not is_full_name(self._namespace + offer.node):
+            self._refuse(name, f"no names of ROS: {name!r} on {offer.node!r}")
+        elif not self._allows(name):
             self._refuse(name, "relay.services and relay.actions of this end do not allow it")
         elif self._services.is_served(self._namespace + name, ghosts=int(ghost is not None)):
             self._withdraw(name, "a node on this side serves it")
@@ -178,7 +181,9 @@ class Calls:
 
     def _withdraw(self, name: str, reason: str) -> None:
         if name in self._ghosts:
-            self._caller.fail(name, CallFailure(reason=FailureReason.NO_SERVER, message=f"{reason}; it may have run"))
+            self._caller.fail(
+                name, CallFailure(reason=FailureReason.NO_SERVER, message=f"{reason}; the call may have run")
+            )
             self._ghosts.pop(name).service.destroy()
 
     def _refuse(self, name: str, reason: str) -> None:

@@ -97,8 +97,9 @@ class ServedCalls:
             elif running.client.client.service_is_ready():
                 running.seen_s = now_s
             elif now_s - running.seen_s >= _GONE_S:
-                self._fail(call, FailureReason.NO_SERVER, f"the server of {running.service} is gone; it may have run")
-
+                self._fail(
+                    call, FailureReason.NO_SERVER, f"the server of {running.service} is gone; the call may have run"
+                )
         self._drop_idle_clients()
 
     def _drop_idle_clients(self) -> None:
@@ -164,7 +165,7 @@ class ServedCalls:
             self._callee.finish(call, Answer(body=body), self._clock())
 
     def _fail(self, call: CallId, reason: FailureReason, message: str) -> None:
-        self._callee.finish(call, CallFailure(reason=reason, message=message), self._clock())
+        self._callee.finish(call, CallFailure(reason=reason, message=f"the other end says: {message}"), self._clock())
         self._forget(call)
 
     def _forget(self, call: CallId) -> None:
