@@ -231,7 +231,6 @@ def test_a_service_is_called_across_a_bad_link(world, eventually, executor):
     eventually(client.service_is_ready)
     looker = world.ceddp_nodes.node("looker")
     eventually(lambda: serves(looker, "/tools/calculator", "/double"))
-    assert not world.ceddp.offered  # its own ghost is no service of its side
     world.lose(0.3)
     for first in (0, 8, 16):  # a client of ROS has room for ten responses
         futures = [client.call_async(BasicTypes.Request(int32_value=first + number)) for number in range(8)]
@@ -241,6 +240,7 @@ def test_a_service_is_called_across_a_bad_link(world, eventually, executor):
     world.lose(0.0)
     eventually(lambda: world.ceddp.calls.under_way == world.robot.calls.under_way[::-1] == (0, 0))
     assert not world.ceddp.calls.failures
+    assert not world.ceddp.offered  # its own ghost is no service of its side
 
 
 def serves(node, name, service):
@@ -396,7 +396,7 @@ def action_client(world, eventually):
     return client
 
 
-def test_a_call_without_an_answer_times_out(world, eventually):
+def test_a_call_without_an_answer_times_out(world, eventually, caplog):
     """A call fails after its time, with a response where the type can say so, and the serving end forgets it."""
     requests, _ = silent_server(world.robot_nodes.node("camera"), SetCameraInfo, "/set_camera_info")
     others, _ = silent_server(world.robot_nodes.node("other"), BasicTypes, "/other")
@@ -414,6 +414,9 @@ def test_a_call_without_an_answer_times_out(world, eventually):
     assert (len(requests), len(others)) == (1, 1)
     eventually(lambda: world.robot.calls.under_way == (0, 0))  # the robot's end does not wait for ever
     assert not silent.done()
+    finished(eventually, client.call_async(SetCameraInfo.Request()))
+    assert world.ceddp.calls.failures == {"timeout": 3}
+    assert sum("/set_camera_info failed" in line for line in caplog.messages) == 1  # once a minute
 
 
 def test_an_unreachable_end_fails_calls_and_takes_its_services(world, eventually):
