@@ -463,7 +463,7 @@ def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
 def test_a_service_that_both_sides_serve_is_refused(world, eventually, caplog):
     """The server on the own side answers; without it, calls cross the link."""
     far = Doubler(world.robot_nodes.node("far"))
-    near = Doubler(world.ceddp_nodes.node("near"))
+    near = Doubler(world.other_ceddp_nodes().node("near"))
     world.relay()
     eventually(lambda: "/double" in world.ceddp.calls.refused and "/double" in world.robot.calls.refused)
     client = world.ceddp_nodes.client(BasicTypes, "/double")
@@ -484,7 +484,7 @@ def test_a_server_that_appears_beside_its_ghost_takes_over(world, eventually):
     world.relay()
     client = world.ceddp_nodes.client(BasicTypes, "/double")
     eventually(client.service_is_ready)
-    near = Doubler(world.ceddp_nodes.node("near"))
+    near = Doubler(world.other_ceddp_nodes().node("near"))
     eventually(lambda: "/double" in world.ceddp.calls.refused and client.service_is_ready())
     eventually(lambda: world.ceddp_nodes.node("count").count_services("/double") == 1)
     finished(eventually, client.call_async(BasicTypes.Request(int32_value=1)))
