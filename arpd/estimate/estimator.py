@@ -16,6 +16,7 @@ from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
+from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
 from arpd.model.wire import probe_wire_bytes, wire_size
 

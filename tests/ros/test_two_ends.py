@@ -9,11 +9,14 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float64, String, UInt8MultiArray
+from test_msgs.action import Fibonacci
+from test_msgs.srv import BasicTypes
 
 from arpd.adapters.ros.relay import default_node_name
 from arpd.apply.relay.envelope import wrap
@@ -361,3 +364,45 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     common = min(map(len, stamps.values()))
     assert stamps[topics[0]][:common] == stamps[topics[1]][:common] == stamps[topics[2]][:common]
     assert all(number % 7 for number in stamps[topics[0]])
+
+
+def test_services_and_actions_are_called_across_the_link(world, eventually):
+    """A plain client and a plain action client on the far side call a plain server on the robot, and each other's way."""
+    ends = world("services: [/add, /far/add]", "actions: [/count]").start()
+    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    server, planner = robot.node("server"), ceddp.node("planner")
+
+    def add(request, response):
+        response.uint64_value = request.uint64_value + 1
+        return response
+
+    def count(goal):
+        for number in range(goal.request.order):
+            goal.publish_feedback(Fibonacci.Feedback(sequence=[number]))
+        goal.succeed()
+        return Fibonacci.Result(sequence=list(range(goal.request.order)))
+
+    server.create_service(BasicTypes, "/add", add)
+    planner.create_service(BasicTypes, "/far/add", add)
+    action_server = ActionServer(server, Fibonacci, "/count", count)
+    for node, name in ((planner, "/add"), (server, "/far/add")):
+        client = node.create_client(BasicTypes, name)
+        assert client.wait_for_service(30)
+        answers = [client.call_async(BasicTypes.Request(uint64_value=number)) for number in range(20)]
+        eventually(lambda: all(answer.done() for answer in answers))  # noqa: B023 - called now
+        assert [answer.result().uint64_value for answer in answers] == list(range(1, 21))
+    action = ActionClient(planner, Fibonacci, "/count")
+    assert action.wait_for_server(30)
+    feedback = []
+    goal = action.send_goal_async(
+        Fibonacci.Goal(order=5), feedback_callback=lambda message: feedback.append(list(message.feedback.sequence))
+    )
+    eventually(goal.done)
+    assert goal.result().accepted
+    result = goal.result().get_result_async()
+    eventually(result.done)
+    assert list(result.result().result.sequence) == [0, 1, 2, 3, 4]
+    eventually(lambda: [4] in feedback)
+    action_server.destroy()
+    ends.end("robot")
+    eventually(lambda: not planner.create_client(BasicTypes, "/add").service_is_ready())

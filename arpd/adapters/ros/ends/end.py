@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock
@@ -13,6 +14,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd import __version__
+from arpd.adapters.ros.ends.call_link import CallLink
 from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import Incoming
 from arpd.adapters.ros.ends.outgoing import Names, Outgoing
@@ -113,6 +115,20 @@ class End:
             session=session,
         )
         own, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
+        self._calls = CallLink(
+            node,
+            link_node,
+            nodes=self._nodes,
+            thread=self._incoming_thread,
+            own=f"/arpd/relay/{own}/calls",
+            other=f"/arpd/relay/{other}/calls",
+            allows=self._selection.may_call,
+            timeout_s=settings.call_timeout_s,
+            session=_words(session),
+            namespace=settings.namespace if is_far else "",
+            local_name=self.local_name,
+            clock=clock,
+        )
         self._states = link_node.create_publisher(
             UInt8MultiArray, f"/arpd/relay/{own}", _LATCHED, event_callbacks=no_publisher_events()
         )
@@ -131,11 +147,12 @@ class End:
         """Destroy everything in both domains."""
         for reader in self._readers:
             reader.destroy()
+        self._calls.close()
         self.outgoing.forget()
         self.incoming.close()
         self._outgoing_thread.stop()
         self._incoming_thread.stop()
-        self._nodes.keep(set())
+        self._nodes.close()
 
     # -- names: the configuration and the link have those on the robot
 
@@ -197,6 +214,10 @@ class End:
         """Do what the newest state of the other end asks."""
         self._partner.look(now_s)
         state = self._partner.state
+        if state is None or not self._partner.is_reachable(now_s):
+            self._calls.offered = {}, None  # calls fail at once; topics bridge an outage
+        else:
+            self._calls.offered = state.services, state.session
         if state is None:
             if self._partner_session:
                 self._partner_session = ""
@@ -217,10 +238,12 @@ class End:
             else:
                 accepted[name] = offer
         self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF)
-        self._nodes.keep(self.incoming.used_nodes)
+        self._nodes.keep("topics", self.incoming.used_nodes)
         self.outgoing.follow(state.wants, self._offers)
         self._note_other_types(accepted)
-        self._note_refusals({**refused, **self.incoming.refused, **self.outgoing.refused, **self._conflicts()})
+        self._note_refusals(
+            {**refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused, **self._conflicts()}
+        )
 
     def _reason_against(self, name: str, offer: TopicOffer) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
@@ -269,25 +292,18 @@ class End:
     def _tell(self, now_s: float) -> None:
         """Send this end's state if it has changed, and a sign of life once a second."""
         state = EndState(
-            session=f"{self._session:016x}",
+            session=_words(self._session),
             number=self._number,
             host=self._host,
             arpd=__version__,
             topics=self._offers,
+            services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
         )
         if state != self._told:
             self._number += 1
-            self._told = state = EndState(
-                session=state.session,
-                number=self._number,
-                host=state.host,
-                arpd=state.arpd,
-                topics=state.topics,
-                wants=state.wants,
-                refused=state.refused,
-            )
+            self._told = state = replace(state, number=self._number)
             self._send(self._states, encode_state(state))
         if now_s >= self._alive_s:
             self._alive_s = now_s + EVERY_S
@@ -345,6 +361,11 @@ class End:
 
     def _send(self, publisher: Any, data: bytes) -> None:
         rcl().publish(publisher.handle, wrap(data))
+
+
+def _words(session: int) -> str:
+    """Return a session as the ends tell it."""
+    return f"{session:016x}"
 
 
 def _named(what: str, reasons: Mapping[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
@@ -40,11 +41,36 @@ class GhostNodes:
         self._node = node
         self._add = add
         self._ghosts: dict[str, Node] = {}
+        self._kept: dict[str, set[str]] = {}
+        self._lock = threading.Lock()
 
     def of(self, name: str) -> Node:
-        """Return the ghost of the node with this fully qualified name."""
+        """Return the ghost of the node with this fully qualified name; for any thread."""
         if name in {"", self._node.get_fully_qualified_name()}:
             return self._node
+        with self._lock:
+            return self._of(name)
+
+    def keep(self, owner: str, names: set[str]) -> None:
+        """Destroy the ghosts that no owner keeps any more; their endpoints are destroyed before.
+
+        Parameters
+        ----------
+        owner : keeps these ghosts, instead of those it kept before
+        names : fully qualified names
+        """
+        with self._lock:
+            self._kept[owner] = names
+            for name in self._ghosts.keys() - set().union(*self._kept.values()):
+                self._ghosts.pop(name).destroy_node()
+
+    def close(self) -> None:
+        """Destroy all ghosts."""
+        with self._lock:
+            while self._ghosts:
+                self._ghosts.popitem()[1].destroy_node()
+
+    def _of(self, name: str) -> Node:
         if name not in self._ghosts:
             namespace, _, base = name.rpartition("/")
             try:
@@ -62,11 +88,6 @@ class GhostNodes:
             self._ghosts[name] = ghost
             self._add(ghost)
         return self._ghosts[name]
-
-    def keep(self, names: set[str]) -> None:
-        """Destroy the ghosts of all other nodes; the caller has destroyed their endpoints."""
-        for name in self._ghosts.keys() - names:
-            self._ghosts.pop(name).destroy_node()
 
 
 class GhostWriter:

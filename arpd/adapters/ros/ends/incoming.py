@@ -13,7 +13,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
-from arpd.adapters.ros.relay import UnknownTypeError, message_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.apply.relay.envelope import Record, unpack
 
 if TYPE_CHECKING:

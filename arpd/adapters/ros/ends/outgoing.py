@@ -12,8 +12,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.publisher import AdaptivePublisher
-from arpd.adapters.ros.relay import UnknownTypeError, message_class
 from arpd.apply.relay.envelope import Record, pack, source_of
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow

@@ -1,0 +1,111 @@
+"""Calls of services on the link: their records, and what both ends offer, in the thread of the local domain."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.adapters.ros.ends.calls import Calls
+from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.raw_subscription import octets
+from arpd.adapters.ros.rcl import rcl
+from arpd.apply.relay.envelope import wrap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.node import Node
+
+    from arpd.adapters.ros.ends.ghosts import GhostNodes
+    from arpd.apply.relay.offers import ServiceOffer
+
+_TICK_S = 0.01  # a record waits so long at most
+_LOOK_S = 0.5
+_QOS = QoSProfile(depth=1000)  # reliable; calls repeat themselves, so an overflow costs time only
+_OWNER = "services"
+
+
+class CallLink:
+    """Carries the calls of one end: unpaced, because they are few and small, and never dropped.
+
+    Parameters
+    ----------
+    node, link_node : the end's nodes in the local domain and in that of the link
+    nodes : ghosts of the other side's nodes
+    thread : takes the records
+    own, other : topics of this end's records and of the other's
+    allows, timeout_s, session, namespace : as in `Calls`
+    local_name : returns the local name of a node of the other side
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        link_node: Node,
+        *,
+        nodes: GhostNodes,
+        thread: ReadingThread,
+        own: str,
+        other: str,
+        allows: Callable[[str], bool],
+        timeout_s: float,
+        session: str,
+        namespace: str,
+        local_name: Callable[[str], str],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._nodes = nodes
+        self._local_name = local_name
+        self._clock = clock
+        self._records: deque[bytes] = deque()
+        self._publisher = link_node.create_publisher(UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events())
+        self._calls = Calls(
+            node,
+            send=self._send,
+            ghost_node=nodes.of,
+            allows=allows,
+            timeout_s=timeout_s,
+            session=session,
+            namespace=namespace,
+            clock=clock,
+        )
+        self._reader = RawReader(link_node, UInt8MultiArray, other, _QOS, deliver=self._arrive, thread=thread)
+        self._look_s = clock()
+        self.offers: Mapping[str, ServiceOffer] = MappingProxyType({})
+        self.refused: Mapping[str, str] = MappingProxyType({})
+        self.failures: Mapping[str, int] = MappingProxyType({})
+        # Services that the other end offers, and its session, None = unreachable; the end's own thread sets it.
+        self.offered: tuple[Mapping[str, ServiceOffer], str | None] = MappingProxyType({}), None
+        node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Destroy everything."""
+        self._reader.destroy()
+        self._calls.destroy()
+
+    def _tick(self) -> None:
+        while self._records:
+            self._calls.receive(self._records.popleft())
+        now_s = self._clock()
+        if now_s >= self._look_s:
+            self._look_s = now_s + _LOOK_S
+            self.offers = self._calls.offers()
+            offered, session = self.offered
+            self._calls.follow(offered, session=session)
+            self._nodes.keep(_OWNER, {self._local_name(offer.node) for offer in offered.values()})
+            self.refused, self.failures = dict(self._calls.refused), dict(self._calls.failures)
+        self._calls.step(now_s)
+
+    def _arrive(self, sample: Sample) -> None:
+        self._records.append(octets(sample.data))
+
+    def _send(self, record: bytes) -> None:
+        rcl().publish(self._publisher.handle, wrap(record))
