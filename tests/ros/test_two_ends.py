@@ -367,7 +367,7 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
 
 
 def test_services_and_actions_are_called_across_the_link(world, eventually):
-    """A plain client and a plain action client on the far side call a plain server on the robot, and each other's way."""
+    """Plain clients of services and actions call plain servers of the other side, in both directions."""
     ends = world("services: [/add, /far/add]", "actions: [/count]").start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     server, planner = robot.node("server"), ceddp.node("planner")
@@ -393,6 +393,7 @@ def test_services_and_actions_are_called_across_the_link(world, eventually):
         assert [answer.result().uint64_value for answer in answers] == list(range(1, 21))
     action = ActionClient(planner, Fibonacci, "/count")
     assert action.wait_for_server(30)
+    eventually(lambda: server.count_subscribers("/count/_action/feedback") == 1)  # feedback crosses on demand
     feedback = []
     goal = action.send_goal_async(
         Fibonacci.Goal(order=5), feedback_callback=lambda message: feedback.append(list(message.feedback.sequence))

@@ -142,6 +142,8 @@ class Calls:
         """Repeat what has no answer, and end what takes too long; call it several times a second."""
         self._caller.step(now_s)
         self._served.step(now_s)
+        for ghost in self._ghosts.values():
+            ghost.service.step()
 
     def destroy(self) -> None:
         """Fail the calls that are under way, and remove all servers and clients."""

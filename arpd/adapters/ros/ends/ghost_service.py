@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
 CALLS_QOS = QoSProfile(depth=100)
+_AT_ONCE = 5  # responses in one step: a client's own history has ten places, and the link delivers in bursts
 _STATUS_UNKNOWN, _STATUS_ABORTED = 0, 6  # action_msgs/msg/GoalStatus
 
 
@@ -34,19 +36,26 @@ class GhostService:
 
     def __init__(self, node: Any, kind: Any, name: str, *, on_request: Callable[[Any, Any], None]) -> None:
         self._node = node
+        self._answers: deque[tuple[Any, Any]] = deque()
         self._service: Any = node.create_service(kind, name, _request, qos_profile=CALLS_QOS)
         self._send: Callable[[Any, Any], None] = self._service.send_response
         self._service.send_response = on_request
 
     def answer(self, response: Any, header: Any) -> None:
-        """Send the response of one request, unless the server is gone."""
-        if self._service is not None:
-            self._send(response, header)
+        """Send the response of one request soon (`step`), unless the server is gone."""
+        self._answers.append((response, header))
+
+    def step(self) -> None:
+        """Send some of the responses that wait."""
+        for _ in range(min(_AT_ONCE, len(self._answers))):
+            self._send(*self._answers.popleft())
 
     def destroy(self) -> None:
         """Remove the server, so that clients see at once that the service is not there."""
         service, self._service = self._service, None
         if service is not None:
+            while self._answers:
+                self._send(*self._answers.popleft())
             self._node.destroy_service(service)
 
 

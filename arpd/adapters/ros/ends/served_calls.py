@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from arpd.apply.relay.calls import CallId
 
 log = logging.getLogger(__name__)
+_AT_ONCE = 5  # requests to one server in one step: its own history has ten places, and the link delivers in bursts
 _READY_S = 1.0  # for a new client to match its server
 _GONE_S = 1.0  # without its server; it may seem to be gone for a moment when a second one leaves
 
@@ -33,6 +34,7 @@ class _Client:
     service: str  # its name on the link
     client: Any
     made_s: float
+    sent: int = 0  # in this step
 
 
 @dataclass(slots=True)
@@ -89,6 +91,8 @@ class ServedCalls:
     def step(self, now_s: float) -> None:
         """Send requests whose client is ready now, and end the calls whose server or caller is gone."""
         self._callee.step(now_s)
+        for client in self._clients.values():
+            client.sent = 0
         for call, running in [*self._running.items()]:
             if not self._callee.is_running(call):
                 self._forget(call)
@@ -145,7 +149,10 @@ class ServedCalls:
 
     def _try(self, call: CallId, running: _Running, now_s: float) -> None:
         """Send the request; fail without a server, unless the client is so new that it may not have matched yet."""
+        if running.client.sent >= _AT_ONCE:
+            return
         if running.client.client.service_is_ready():
+            running.client.sent += 1
             running.seen_s = now_s
             running.future = running.client.client.call_async(running.message)
             running.message = None
