@@ -1,15 +1,17 @@
-"""Compare `arpd relay` with a bare rclpy relay of ten lines: CPU per message, and added latency.
+"""Compare `arpd relay`, with one end and with two, with a bare rclpy relay of ten lines: CPU per message, and latency.
 
 Usage: .venv/bin/python scripts/bench/relay.py [--quick] [--against TREE] [--json FILE] [--plot FILE]
 
 Needs root, as the simulated link does.
 
-One source, one sink, and between them at the same time: `arpd relay` unpaced, a bare relay on each executor, and
-nothing. They take short turns with the same messages, in rotating order, so that other load on the machine slows all of
-them. CPU is the scheduler's account of all threads of the relay's process, divided by the messages that came out.
-Latency is from just before `publish` in the source to reception by DDS in the sink, less the latency without a relay.
-Fast DDS chooses the transport, as on any one host. Only ratios within one run mean anything; --against compares the
-`arpd relay` of another source tree, which then takes turns too.
+One source on the robot and one sink on the CEDDP, and between them at the same time: `arpd relay` with one end, with
+two ends, a bare relay, and nothing. They take short turns with the same messages, in rotating order, so that other load
+on the machine slows all of them. Two ends have ROS domains of their own, and a source and a sink that stay on their
+hosts. CPU is the scheduler's account of all threads of the relay's processes, divided by the messages that came out; it
+contains what the relay spends at rest in that time. Latency is from just before `publish` in the source to reception by
+DDS in the sink, less the latency without a relay. All of them use UDP, as arpd's services do, and relays use arpd's
+profile of Fast DDS. Only ratios within one run mean anything; --against compares both relays of another source tree,
+which then take turns too.
 """
 
 from __future__ import annotations
@@ -21,28 +23,40 @@ import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import count
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from arpd.adapters.ros.runtime import TWO_ENDED_PROFILE
 from arpd.cli.progress import progress
 from scripts.bench.child import Child
 from scripts.bench.picture import picture
 from scripts.bench.record import REPO, conditions, keep, options_of
-from scripts.bench.relay_report import TARGET
+from scripts.bench.relay_report import BARE, DIRECT, ONE_END, RELAYS, TWO_ENDS, cpu_us, row, table
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-ARPD, SINGLE, EVENTS, DIRECT = SIDES = ("arpd relay", "SingleThreadedExecutor", "EventsExecutor", "direct")
-OTHER = "other tree"
-PREFIXES = {ARPD: "/ours", SINGLE: "/single", EVENTS: "/events", DIRECT: "/none", OTHER: "/other"}
-TURN_S = 1.5
-TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
-NODES = "scripts.bench.relay_nodes"
+    from scripts.netns.namespaces import HostName
+
+OTHER_ONE, OTHER_TWO = "other tree, one end", "other tree, two ends"
+_PREFIXES = {
+    ONE_END: "/ours",
+    BARE: "/bare",
+    DIRECT: "/none",
+    TWO_ENDS: "/both",
+    OTHER_ONE: "/other",
+    OTHER_TWO: "/others",
+}
+_TURN_S = 1.5
+_WARM_UP_S = 0.5
+_RATE_BYTES_PER_SECOND = 125e6  # 1 Gbit/s
+_QUEUE_BYTES = 16_000_000  # the link drops nothing
+_OPEN_DOMAIN = 1  # of the nodes that see each other across the link; each relay with two ends takes the next two
+_NODES = "scripts.bench.relay_nodes"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,17 +69,19 @@ class Cell:
 
 
 DEFAULT = (
-    Cell(payload_bytes=100, topics=1, rate_hz=600),
-    Cell(payload_bytes=100, topics=12, rate_hz=600),
+    Cell(payload_bytes=100, topics=1, rate_hz=400),
+    Cell(payload_bytes=100, topics=12, rate_hz=400),
     Cell(payload_bytes=100, topics=100, rate_hz=200),
-    Cell(payload_bytes=1000, topics=12, rate_hz=600),
-    Cell(payload_bytes=10_000, topics=1, rate_hz=400),
-    Cell(payload_bytes=10_000, topics=12, rate_hz=400),
-    Cell(payload_bytes=100_000, topics=12, rate_hz=150),
-    Cell(payload_bytes=1_000_000, topics=1, rate_hz=30),
-    Cell(payload_bytes=1_000_000, topics=12, rate_hz=30),
+    Cell(payload_bytes=1000, topics=1, rate_hz=400),
+    Cell(payload_bytes=1000, topics=12, rate_hz=400),
+    Cell(payload_bytes=10_000, topics=1, rate_hz=300),
+    Cell(payload_bytes=10_000, topics=12, rate_hz=300),
+    Cell(payload_bytes=100_000, topics=1, rate_hz=60),
+    Cell(payload_bytes=100_000, topics=12, rate_hz=60),
+    Cell(payload_bytes=1_000_000, topics=1, rate_hz=8),
+    Cell(payload_bytes=1_000_000, topics=12, rate_hz=8),
 )
-QUICK = (DEFAULT[1], DEFAULT[5])
+QUICK = (DEFAULT[1], DEFAULT[6])
 
 
 @dataclass(slots=True)
@@ -74,10 +90,10 @@ class Tally:
 
     sent: int = 0
     received: int = 0
-    cpu_s: list[float] = field(default_factory=list)  # per message
-    main_thread_cpu_s: list[float] = field(default_factory=list)  # of these, in the thread that spins
+    cpu_s: list[list[float]] = field(default_factory=list)  # per message, of each process of the relay
     latency_s: list[float] = field(default_factory=list)
     p95_s: list[float] = field(default_factory=list)
+    rest: list[float] = field(default_factory=list)  # CPU seconds per second in the turns of the others
 
 
 def cpu_by_thread(pid: int) -> dict[int, float]:
@@ -91,84 +107,173 @@ def cpu_by_thread(pid: int) -> dict[int, float]:
     return spent
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Way:
+    """One side as it runs: source, sink, and the processes of its relay, the robot's first."""
+
+    source: Child
+    sink: Child
+    relay: tuple[Child, ...] = ()
+
+    def cpu(self) -> list[dict[int, float]]:
+        """Return the CPU time of the relay's processes, by thread (s)."""
+        return [cpu_by_thread(each.process.pid) for each in self.relay]
+
+
+def spent_s(before: Sequence[Mapping[int, float]], after: Sequence[Mapping[int, float]]) -> list[float]:
+    """Return the CPU time that each process took meanwhile; a thread that has ended meanwhile does not count (s)."""
+    return [
+        sum(cpu_s - then.get(thread, 0.0) for thread, cpu_s in now.items())
+        for then, now in zip(before, after, strict=True)
+    ]
+
+
 class Bench:
-    """All processes of one cell, on one host of the link.
+    """All processes of one cell.
 
     Parameters
     ----------
     workdir : folder for the relays' configuration
-    trees : source trees with the relays to measure, by side
+    trees : source trees with the relays to measure, by their sides with one end and with two
     """
 
-    def __init__(self, link: SimLink, cell: Cell, workdir: Path, trees: Mapping[str, Path]) -> None:
+    def __init__(self, link: SimLink, cell: Cell, workdir: Path, trees: Mapping[tuple[str, str], Path]) -> None:
+        self._link = link
         self._cell = cell
-        self._prefix = {side: PREFIXES[side] for side in (*SIDES, *trees)}
+        self._workdir = workdir
         self._stack = ExitStack()
-
-        def child(*argv: str, **environment: str) -> Child:
-            process = Child(link, "robot", *argv, environment={**TRANSPORT, **environment})
-            self._stack.callback(process.end)
-            return process
-
-        self._source, self._sink = child(NODES, "source"), child(NODES, "sink")
-        self._relays = {
-            side: child(NODES, "bare", side, self._prefix[side], str(cell.topics)) for side in (SINGLE, EVENTS)
-        }
-        for side, tree in trees.items():
-            topics = [{"name": f"{self._prefix[side]}/t{k}"} for k in range(cell.topics)]
-            config = workdir / f"{self._prefix[side].strip('/')}-{cell.payload_bytes}-{cell.topics}.yaml"
-            config.write_text(json.dumps({"relay": {"prefix": "/out", "topics": topics}}))  # JSON is YAML
-            argv = ("arpd.cli", "relay", "--config", str(config), "--node-name", PREFIXES[side].strip("/"))
-            # Without the safe path, `-m` would take the arpd of the working directory.
-            self._relays[side] = child(*argv, "--log-level", "warning", PYTHONPATH=str(tree), PYTHONSAFEPATH="1")
-        self._sink.ask(open=[self._out(side) for side in self._prefix], topics=cell.topics)
-        matched = self._source.ask(open=list(self._prefix.values()), topics=cell.topics)["matched"]
-        matched = self._sink.ask(match=True)["matched"] and matched
-        if not matched:
+        self._relays: list[Child] = []
+        self._domains = count(_OPEN_DOMAIN)
+        try:
+            self.ways = self._start(trees)
+            self._match()
+        except BaseException:
             self.end()
-            raise SystemExit(f"{cell}: not every relay found its topics")
+            raise
 
     def end(self) -> None:
-        for relay in self._relays.values():
-            relay.process.terminate()
+        """End every process."""
+        for relay in self._relays:
+            relay.process.terminate()  # it does not end with its input
         self._stack.close()
 
     def turn(self, side: str, for_s: float) -> dict[str, Any]:
-        """Send messages through one side; return the figures of the turn."""
-        self._sink.send(prefix=self._out(side))
-        before = self._cpu(side)
-        sent = self._source.ask(
-            prefix=self._prefix[side], rate_hz=self._cell.rate_hz, for_s=for_s, payload_bytes=self._cell.payload_bytes
+        """Send messages through one side; return the figures of the turn, and what the others spend at rest."""
+        way = self.ways[side]
+        way.sink.send(prefix=self._out(side))
+        before = {each: way.cpu() for each, way in self.ways.items()}
+        began_s = time.monotonic()
+        sent = way.source.ask(
+            prefix=_PREFIXES[side], rate_hz=self._cell.rate_hz, for_s=for_s, payload_bytes=self._cell.payload_bytes
         )["sent"]
-        arrived = self._sink.ask(sent=sent)
-        after = self._cpu(side)
-        spent = {thread: cpu - before.get(thread, 0.0) for thread, cpu in after.items()}
-        main = self._relays[side].process.pid if side in self._relays else 0
-        return {"sent": sent, **arrived, "cpu_s": sum(spent.values()), "main_cpu_s": spent.get(main, 0.0)}
+        arrived = way.sink.ask(sent=sent)
+        took_s = time.monotonic() - began_s
+        spent = {each: spent_s(before[each], way.cpu()) for each, way in self.ways.items()}
+        rest = {each: sum(cpu_s) / took_s for each, cpu_s in spent.items() if each != side}
+        return {"sent": sent, **arrived, "cpu_s": spent[side], "rest": rest}
 
-    def _cpu(self, side: str) -> dict[int, float]:
-        return cpu_by_thread(self._relays[side].process.pid) if side in self._relays else {}
+    def _start(self, trees: Mapping[tuple[str, str], Path]) -> dict[str, Way]:
+        open_domain = {"ROS_DOMAIN_ID": str(next(self._domains))}
+        around = self._around(open_domain)
+        topics = self._cell.topics
+        ways = {DIRECT: around}
+        bare = self._child("robot", _NODES, "bare", _PREFIXES[BARE], str(topics), environment=open_domain)
+        self._relays.append(bare)
+        ways[BARE] = Way(source=around.source, sink=around.sink, relay=(bare,))
+        for (one, two), tree in trees.items():
+            names = [{"name": f"{_PREFIXES[one]}/t{k}"} for k in range(topics)]
+            config = self._config(one, {"prefix": "/out", "topics": names})
+            near = self._relay(tree, one, config, open_domain)
+            ways[one] = Way(source=around.source, sink=around.sink, relay=(near,))
+            ways[two] = self._two_ends(tree, two)
+        return ways
 
-    def _out(self, side: str) -> str:
-        return self._prefix[side] if side == DIRECT else f"/out{self._prefix[side]}"
+    def _two_ends(self, tree: Path, side: str) -> Way:
+        domain, link_domain = next(self._domains), next(self._domains)
+        config = self._config(
+            side,
+            {
+                "link_domain": link_domain,
+                "robot": self._link.robot.address,
+                "ceddp": self._link.ceddp.address,
+                "to_ceddp": [f"{_PREFIXES[side]}/*"],
+                "to_robot": [],
+            },
+        )
+        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(tree / TWO_ENDED_PROFILE.relative_to(REPO))}
+        near = self._relay(tree, side, config, {**environment, **profile})
+        far = self._relay(tree, side, config, {**environment, **profile}, is_far=True)
+        around = self._around(environment)
+        return Way(source=around.source, sink=around.sink, relay=(near, far))
+
+    def _around(self, environment: dict[str, str]) -> Way:
+        plain = {**environment, "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
+        return Way(
+            source=self._child("robot", _NODES, "source", environment=plain),
+            sink=self._child("ceddp", _NODES, "sink", environment=plain),
+        )
+
+    def _relay(
+        self, tree: Path, side: str, config: Path, environment: dict[str, str], *, is_far: bool = False
+    ) -> Child:
+        argv = ["arpd.cli", "relay", "--config", str(config), "--node-name", _PREFIXES[side].strip("/")]
+        # Without the safe path, `-m` would take the arpd of the working directory.
+        own = {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1"}
+        host: HostName = "ceddp" if is_far else "robot"
+        argv += ["--log-level", "warning", *(["--far"] if is_far else [])]
+        child = self._child(host, *argv, environment={**environment, **own})
+        self._relays.append(child)
+        return child
+
+    def _child(self, host: HostName, *argv: str, environment: dict[str, str]) -> Child:
+        child = Child(self._link, host, *argv, environment=environment)
+        self._stack.callback(child.end)
+        return child
+
+    def _config(self, side: str, relay: dict[str, Any]) -> Path:
+        config = self._workdir / f"{_PREFIXES[side].strip('/')}-{self._cell.payload_bytes}-{self._cell.topics}.yaml"
+        config.write_text(json.dumps({"relay": relay}))  # JSON is YAML
+        return config
+
+    def _match(self) -> None:
+        """Let every source and sink open its endpoints, and wait until each has found its counterpart."""
+        pairs: dict[tuple[Child, Child], list[str]] = {}
+        for side, way in self.ways.items():
+            pairs.setdefault((way.source, way.sink), []).append(side)
+        for (source, sink), sides in pairs.items():
+            sink.ask(open=[self._out(side) for side in sides], topics=self._cell.topics)
+            source.send(open=[_PREFIXES[side] for side in sides], topics=self._cell.topics)
+        for (source, sink), sides in pairs.items():
+            if not (source.receive()["matched"] and sink.ask(match=True)["matched"]):
+                raise SystemExit(f"{self._cell}: not every topic of {', '.join(sides)} was found")
+
+    @staticmethod
+    def _out(side: str) -> str:
+        """Return the prefix of the topics as the sink reads them."""
+        return f"/out{_PREFIXES[side]}" if side in {ONE_END, BARE, OTHER_ONE} else _PREFIXES[side]
 
 
-def measure(cell: Cell, link: SimLink, workdir: Path, trees: Mapping[str, Path], rounds: int) -> dict[str, Tally]:
+def measure(
+    cell: Cell, link: SimLink, workdir: Path, trees: Mapping[tuple[str, str], Path], rounds: int
+) -> dict[str, Tally]:
+    """Return the figures of every side in one cell."""
     bench = Bench(link, cell, workdir, trees)
-    sides = [*SIDES, *(side for side in trees if side not in SIDES)]
+    sides = list(bench.ways)
     tallies = {side: Tally() for side in sides}
     try:
         for side in sides:
-            bench.turn(side, 0.5)
+            bench.turn(side, _WARM_UP_S)
         for k in range(rounds):
             first = k % len(sides)
             for side in sides[first:] + sides[:first]:
-                found, tally = bench.turn(side, TURN_S), tallies[side]
+                found, tally = bench.turn(side, _TURN_S), tallies[side]
                 tally.sent += found["sent"]
                 tally.received += found["received"]
+                for other, share in found["rest"].items():
+                    tallies[other].rest.append(share)
                 if found["received"]:
-                    tally.cpu_s.append(found["cpu_s"] / found["received"])
-                    tally.main_thread_cpu_s.append(found["main_cpu_s"] / found["received"])
+                    tally.cpu_s.append([cpu_s / found["received"] for cpu_s in found["cpu_s"]])
                     tally.latency_s.append(found["median_s"])
                     tally.p95_s.append(found["p95_s"])
     finally:
@@ -176,55 +281,19 @@ def measure(cell: Cell, link: SimLink, workdir: Path, trees: Mapping[str, Path],
     return tallies
 
 
-def ratio(tallies: dict[str, Tally], side: str = ARPD) -> float:
-    """Return the CPU per message of an `arpd relay` over that of the bare relay on its better executor."""
-    return median(tallies[side].cpu_s) / min(median(tallies[side].cpu_s) for side in (SINGLE, EVENTS))
-
-
-def table(measured: Sequence[tuple[Cell, dict[str, Tally]]]) -> str:
-    relays = (ARPD, SINGLE, EVENTS)
-    lines = [
-        f"{'':>24}{'CPU us/message':^36}{'':>14}{'added latency ms, median (p95)':^48}{'lost':^18}",
-        f"{'bytes':>9}{'topics':>7}{'Hz':>7} "
-        + "".join(f"{name:>12}" for name in ("arpd", "bare single", "bare events"))
-        + f"{'ratio':>7}{'main':>7}"
-        + "".join(f"{name:>16}" for name in ("arpd", "bare single", "bare events"))
-        + "".join(f"{name:>7}" for name in ("arpd", "single", "events")),
-    ]
-    for cell, tallies in measured:
-        without = median(tallies[DIRECT].latency_s)
-        without_p95 = median(tallies[DIRECT].p95_s)
-        found = ratio(tallies)
-        share = median(tallies[ARPD].main_thread_cpu_s) / median(tallies[ARPD].cpu_s)
-        lines.append(
-            f"{cell.payload_bytes:>9}{cell.topics:>7}{cell.rate_hz:>7} "
-            + "".join(f"{median(tallies[side].cpu_s) * 1e6:>12.0f}" for side in relays)
-            + f"{found:>6.2f}{'!' if found > TARGET else ' '}{share:>7.0%}"
-            + "".join(
-                f"{(median(tallies[side].latency_s) - without) * 1e3:>8.2f}"
-                f"{f'({(median(tallies[side].p95_s) - without_p95) * 1e3:.2f})':>8}"
-                for side in relays
-            )
-            + "".join(f"{tallies[side].sent - tallies[side].received:>7}" for side in relays)
-            + (f"  other tree: ratio {ratio(tallies, OTHER):.2f}" if OTHER in tallies else "")
-        )
-    missed = sum(ratio(tallies) > TARGET for _cell, tallies in measured)
-    lines += [
-        "",
-        f"ratio: arpd relay over the bare relay on its better executor; ! = above {TARGET}",
-        "main: share of arpd's CPU in the thread that spins",
-        f"{len(measured) - missed} of {len(measured)} cells within {TARGET}",
-    ]
-    return "\n".join(lines)
-
-
-def draw(measured: Sequence[tuple[Cell, dict[str, Tally]]], path: Path) -> None:
+def draw(cells: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw the CPU per message of every relay; for two ends, the parts of the robot and of the CEDDP."""
     with picture(path, figsize=(9, 4.5)) as (_, axes):
-        for k, side in enumerate((ARPD, SINGLE, EVENTS)):
-            xs = [row + 0.27 * (k - 1) for row in range(len(measured))]
-            axes.bar(xs, [median(t[side].cpu_s) * 1e6 for _, t in measured], width=0.26, label=side)
-        labels = [f"{c.payload_bytes} B\n{c.topics} topics\n{c.rate_hz} Hz" for c, _ in measured]
-        axes.set_xticks(range(len(measured)), labels, fontsize=8)
+        for k, side in enumerate(RELAYS):
+            xs = [number + 0.27 * (k - 1) for number in range(len(cells))]
+            total = [cpu_us(cell, side) for cell in cells]
+            bars = axes.bar(xs, total, width=0.26, label=side)
+            if side == TWO_ENDS:
+                near = [cpu_us(cell, side, process=0) for cell in cells]
+                color = bars.patches[0].get_facecolor()
+                axes.bar(xs, near, width=0.26, color=color, hatch="//", label="of these, the robot's end")
+        labels = [f"{c['payload_bytes']} B\n{c['topics']} topics\n{c['rate_hz']} Hz" for c in cells]
+        axes.set_xticks(range(len(cells)), labels, fontsize=7)
         axes.set_yscale("log")
         axes.set_ylabel("CPU per message (us)")
         axes.legend()
@@ -233,27 +302,30 @@ def draw(measured: Sequence[tuple[Cell, dict[str, Tally]]], path: Path) -> None:
 def main() -> None:
     parser = options_of(__doc__, "relay", quick="two cells, a minute", has_plot=True)
     parser.add_argument("--rounds", type=int, default=4, metavar="N", help="turns of each side per cell (default 4)")
-    parser.add_argument("--against", type=Path, metavar="TREE", help="source tree whose relay takes turns too")
+    parser.add_argument("--against", type=Path, metavar="TREE", help="source tree whose relays take turns too")
     options = parser.parse_args()
-    trees = {ARPD: REPO} | ({OTHER: options.against.resolve()} if options.against else {})
-    measured: list[tuple[Cell, dict[str, Tally]]] = []
+    trees = {(ONE_END, TWO_ENDS): REPO}
+    if options.against:
+        trees[OTHER_ONE, OTHER_TWO] = options.against.resolve()
+    measured: list[dict[str, Any]] = []
     noted, started_s = conditions(), time.monotonic()
     cells = QUICK if options.quick else DEFAULT
     with (
-        SimLink(f"relay-{time.monotonic_ns() % 10**9}") as link,
+        SimLink(
+            f"relay-{time.monotonic_ns() % 10**9}",
+            rate_bytes_per_second=_RATE_BYTES_PER_SECOND,
+            queue_bytes=_QUEUE_BYTES,
+        ) as link,
         tempfile.TemporaryDirectory() as workdir,
         progress("measuring", total=len(cells)) as shown,
     ):
         for cell in cells:
             shown.step(f"{cell.topics} topics of {cell.payload_bytes} bytes")
-            measured.append((cell, measure(cell, link, Path(workdir), trees, options.rounds)))
-            print(f"{time.monotonic() - started_s:5.0f} s {table(measured[-1:]).splitlines()[2]}", flush=True)
+            tallies = measure(cell, link, Path(workdir), trees, options.rounds)
+            measured.append({**asdict(cell), "sides": {side: asdict(tally) for side, tally in tallies.items()}})
+            print(f"{time.monotonic() - started_s:5.0f} s {row(measured[-1])}", flush=True)
     print(table(measured))
-    found = [
-        {**asdict(cell), "sides": {side: asdict(tally) for side, tally in tallies.items()}, "ratio": ratio(tallies)}
-        for cell, tallies in measured
-    ]
-    document = {"conditions": noted, "cells": found}
+    document = {"conditions": noted, "cells": measured}
     keep(document, options, "relay", is_partial=options.quick, draw=partial(draw, measured))
 
 

@@ -1,6 +1,6 @@
-"""The processes around a relay in `relay.py`: the source, the sink, and the bare relays.
+"""The processes around a relay in `relay.py`: the source, the sink, and the bare relay.
 
-Usage: python -m scripts.bench.relay_nodes source|sink|bare [EXECUTOR PREFIX TOPICS]
+Usage: python -m scripts.bench.relay_nodes source|sink|bare [PREFIX TOPICS]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import rclpy
+from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 OUT = "/out"
-DIRECT = "direct"
 _DEPTH = 10  # of a relay's writers, as in `arpd relay` before the first plan
 _RECEIVE_DEPTH = 100  # of a relay's readers, as in `arpd relay`
 _SINK_DEPTH = 1000
@@ -35,26 +35,16 @@ def topic_names(prefix: str, topics: int) -> list[str]:
     return [f"{prefix}/t{k}" for k in range(topics)]
 
 
-def bare(executor_name: str, prefix: str, topics: int) -> None:
-    """Relay as ten lines of rclpy do."""
-    node = plain_node(f"bare_{executor_name.lower()}")
+def bare(prefix: str, topics: int) -> None:
+    """Relay as ten lines of rclpy do, on the executor with the lowest cost per message."""
+    node = plain_node("bare")
     for topic in topic_names(prefix, topics):
         publisher = node.create_publisher(String, OUT + topic, QoSProfile(depth=_DEPTH))
         node.create_subscription(String, topic, publisher.publish, QoSProfile(depth=_RECEIVE_DEPTH), raw=True)
-    executor = executor_of(executor_name)
+    executor = EventsExecutor()
     executor.add_node(node)
     while rclpy.ok():
         executor.spin_once(timeout_sec=0.2)
-
-
-def executor_of(name: str) -> Any:
-    if name == "EventsExecutor":
-        from rclpy.experimental import EventsExecutor
-
-        return EventsExecutor()
-    from rclpy.executors import SingleThreadedExecutor
-
-    return SingleThreadedExecutor()
 
 
 def source() -> None:
@@ -138,6 +128,6 @@ def _all_matched(counts: Sequence[Callable[[], int]]) -> bool:
 
 if __name__ == "__main__":
     if sys.argv[1] == "bare":
-        bare(sys.argv[2], sys.argv[3], int(sys.argv[4]))
+        bare(sys.argv[2], int(sys.argv[3]))
     else:
         {"source": source, "sink": sink}[sys.argv[1]]()
