@@ -9,9 +9,9 @@ two ends, a bare relay, and nothing. They take short turns with the same message
 on the machine slows all of them. Two ends have ROS domains of their own, and a source and a sink that stay on their
 hosts. CPU is the scheduler's account of all threads of the relay's processes, divided by the messages that came out; it
 contains what the relay spends at rest in that time. Latency is from just before `publish` in the source to reception by
-DDS in the sink, less the latency without a relay. All of them use UDP, as arpd's services do, and relays use arpd's
-profile of Fast DDS. Only ratios within one run mean anything; --against compares both relays of another source tree,
-which then take turns too.
+DDS in the sink, less the latency without a relay. Within a host Fast DDS uses shared memory; source and sink have its
+defaults, and relays have arpd's profile. Only ratios within one run mean anything; --against compares both relays of
+another source tree, which then take turns too.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ _WARM_UP_S = 0.5
 _RATE_BYTES_PER_SECOND = 125e6  # 1 Gbit/s
 _QUEUE_BYTES = 16_000_000  # the link drops nothing
 _OPEN_DOMAIN = 1  # of the nodes that see each other across the link; each relay with two ends takes the next two
+# With the discovery range LOCALHOST rmw_fastrtps adds shared memory by itself, so the other sides have it too.
+_TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 _NODES = "scripts.bench.relay_nodes"
 
 
@@ -227,7 +229,7 @@ class Bench:
         return child
 
     def _child(self, host: HostName, *argv: str, environment: dict[str, str]) -> Child:
-        child = Child(self._link, host, *argv, environment=environment)
+        child = Child(self._link, host, *argv, environment={**_TRANSPORT, **environment})
         self._stack.callback(child.end)
         return child
 
