@@ -30,6 +30,17 @@ class SerializedMessage(ctypes.Structure):
     )
 
 
+class _Outgoing(ctypes.Structure):
+    """rcutils_uint8_array_t over bytes of Python, which it keeps alive; nobody may write to them."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_char_p),  # takes bytes as they are; ctypes.cast would cost as much as the rest of a publish
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", Allocator),
+    )
+
+
 class MessageInfo(ctypes.Structure):
     """rmw_message_info_t of ROS 2 Jazzy."""
 
@@ -85,9 +96,8 @@ class Rcl:
         RuntimeError
             If rcl refuses it.
         """
-        message = SerializedMessage(
-            buffer=ctypes.cast(ctypes.c_char_p(sample), ctypes.c_void_p), length=len(sample), capacity=len(sample)
-        )
+        size = len(sample)
+        message = _Outgoing(sample, size, size)
         with handle:
             if self._publish(handle.pointer, ctypes.byref(message), None) != 0:
                 words = self._error().text.decode(errors="replace")
