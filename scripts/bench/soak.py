@@ -108,8 +108,7 @@ class Writers:
 
 def write(most: int) -> None:
     """Swap ``most`` times; report to the parent every hundred."""
-    from arpd.adapters.ros.relay import best_executor
-    from arpd.adapters.ros.runtime import spinning
+    from arpd.adapters.ros.runtime import best_executor, spinning
 
     writers = Writers()
     orders = commands()

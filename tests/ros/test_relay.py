@@ -14,7 +14,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64, String
 
 from arpd.adapters.ros import relay as relay_module
-from arpd.adapters.ros.relay import Relay, UnknownTypeError, best_executor, message_class
+from arpd.adapters.ros.relay import Relay, UnknownTypeError, message_class
+from arpd.adapters.ros.runtime import best_executor
 from arpd.model.settings import Overflow, RelaySettings
 from tests.chaos.world import is_gapless
 from tests.ros.domain import DOMAIN

@@ -23,8 +23,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
-from arpd.adapters.ros.relay import best_executor
-from arpd.adapters.ros.runtime import prepare_environment, spinning
+from arpd.adapters.ros.runtime import best_executor, prepare_environment, spinning
 from tests.chaos.world import free_domain, free_port
 
 pytestmark = pytest.mark.ros

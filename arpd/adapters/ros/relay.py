@@ -6,7 +6,6 @@ import logging
 import platform
 import re
 import threading
-import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.graph import node_name_of
-from arpd.adapters.ros.runtime import ros_node, serve_until, stop_on_signals
+from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
@@ -269,44 +268,6 @@ def _source(info: Any) -> TopicWriter:
         is_reliable=info.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
         is_latched=info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
     )
-
-
-def best_executor(context: Any = None, *, hears_itself: bool = True) -> Any:
-    """Return the executor with the lowest cost per message that works here.
-
-    EventsExecutor takes a sixth of SingleThreadedExecutor's CPU time per message. It is experimental, so it must first
-    deliver a message here, or call a timer where the endpoints of one participant do not match (``hears_itself``).
-    """
-    import rclpy  # noqa: PLC0415 - ROS is checked in ros_node
-    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-
-    try:
-        from rclpy.experimental import EventsExecutor  # noqa: PLC0415
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    from std_msgs.msg import Empty  # noqa: PLC0415
-
-    executor = EventsExecutor(context=context)
-    node = rclpy.create_node("arpd_executor_check", context=context, enable_rosout=False)
-    arrived = threading.Event()
-    try:
-        node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)
-        if not hears_itself:
-            node.create_timer(0.01, arrived.set)
-        publisher = node.create_publisher(Empty, "~/check", 1)
-        executor.add_node(node)
-        until_s = time.monotonic() + 2.0
-        while not arrived.is_set() and time.monotonic() < until_s:
-            publisher.publish(Empty())
-            executor.spin_once(timeout_sec=0.05)
-    finally:
-        executor.remove_node(node)
-        node.destroy_node()
-    if arrived.is_set():
-        return executor
-    log.warning("EventsExecutor delivered nothing in its self-check; using SingleThreadedExecutor")
-    executor.shutdown()
-    return SingleThreadedExecutor(context=context)
 
 
 def default_node_name(host: str, *, is_far: bool = False) -> str:

@@ -7,7 +7,14 @@ import secrets
 import time
 from typing import TYPE_CHECKING
 
-from arpd.adapters.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, serve_until, spinning
+from arpd.adapters.ros.runtime import (
+    TWO_ENDED_PROFILE,
+    best_executor,
+    prepare_environment,
+    ros_node,
+    serve_until,
+    spinning,
+)
 from arpd.adapters.systemd.notify import Watchdog
 from arpd.model.errors import RosUnavailableError
 
@@ -46,7 +53,6 @@ def run_end(
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         from arpd.adapters.ros.ends.end import End  # noqa: PLC0415 - ROS is checked in ros_node
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
-        from arpd.adapters.ros.relay import best_executor  # noqa: PLC0415
 
         check_deaf_to_itself(node)
         link_executor = best_executor(link_node.context, hears_itself=False)
