@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -70,7 +71,7 @@ class CallLink:
         self._calls = Calls(
             node,
             send=self._send,
-            ghost_node=nodes.of,
+            ghost_node=partial(nodes.of, owner=_OWNER),
             allows=allows,
             timeout_s=timeout_s,
             session=session,

@@ -16,7 +16,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd import __version__
 from arpd.adapters.ros.ends.call_link import CallLink
 from arpd.adapters.ros.ends.ghosts import GhostNodes
-from arpd.adapters.ros.ends.incoming import Incoming
+from arpd.adapters.ros.ends.incoming import OWNER, Incoming
 from arpd.adapters.ros.ends.outgoing import Names, Outgoing
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import Survey, own_prefix
@@ -238,7 +238,7 @@ class End:
             else:
                 accepted[name] = offer
         self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF)
-        self._nodes.keep("topics", self.incoming.used_nodes)
+        self._nodes.keep(OWNER, self.incoming.used_nodes)
         self.outgoing.follow(state.wants, self._offers)
         self._note_other_types(accepted)
         self._note_refusals(

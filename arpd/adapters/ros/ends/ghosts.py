@@ -44,11 +44,17 @@ class GhostNodes:
         self._kept: dict[str, set[str]] = {}
         self._lock = threading.Lock()
 
-    def of(self, name: str) -> Node:
-        """Return the ghost of the node with this fully qualified name; for any thread."""
+    def of(self, name: str, *, owner: str) -> Node:
+        """Return the ghost of the node with this fully qualified name; for any thread.
+
+        Parameters
+        ----------
+        owner : keeps it from now on, so that no other thread destroys it before the caller's next `keep`
+        """
         if name in {"", self._node.get_fully_qualified_name()}:
             return self._node
         with self._lock:
+            self._kept.setdefault(owner, set()).add(name)
             return self._of(name)
 
     def keep(self, owner: str, names: set[str]) -> None:
@@ -60,7 +66,7 @@ class GhostNodes:
         names : fully qualified names
         """
         with self._lock:
-            self._kept[owner] = names
+            self._kept[owner] = set(names)
             for name in self._ghosts.keys() - set().union(*self._kept.values()):
                 self._ghosts.pop(name).destroy_node()
 

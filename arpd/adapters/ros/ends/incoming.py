@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from arpd.apply.relay.offers import TopicOffer
 
 log = logging.getLogger(__name__)
+OWNER = "topics"  # of ghost nodes
 _LINK_DEPTH = 1000  # the reading thread takes samples at once, so this only bridges its scheduling
 _DEPTH = 10
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
@@ -194,7 +195,7 @@ class Incoming:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
                 ghost = topic.ghosts[writer.gid] = GhostWriter(
-                    self._nodes.of(self._local_name(writer.node)),
+                    self._nodes.of(self._local_name(writer.node), owner=OWNER),
                     kind,
                     self._local_name(name),
                     writer,
