@@ -1,5 +1,7 @@
 """The short forms of benchmarks with real rclpy over a real link run to their end, and leave sound documents."""
 
+from statistics import median
+
 import pytest
 
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
@@ -79,6 +81,20 @@ def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path)
         assert run["end_to_end"]["count"] > 0
         assert run["end_to_end"]["p50_s"] > run["sensing"]["p50_s"] > 0
         assert run["depth"] <= 1 or (run["lost"], run["end_to_end"]["lost_ratio"]) == (0, 0.0)
+
+
+def test_relay_measures_one_end_and_two(tmp_path):
+    """Both ends carry every message, in two processes; each has CPU, and a second hop takes longer than none."""
+    document, printed = played(tmp_path, "relay", "--rounds", "1", "--plot", tmp_path / "relay.png")
+    for cell in document["cells"]:
+        assert cell["sides"].keys() == {"direct", "bare relay", "one end", "two ends"}
+        assert all(side["received"] == side["sent"] > 0 for side in cell["sides"].values())
+        assert [len(side["cpu_s"][0]) for side in cell["sides"].values()] == [0, 1, 1, 2]
+        assert all(spent > 0 for side in cell["sides"].values() for turn in side["cpu_s"] for spent in turn)
+        direct, two_ends = (median(cell["sides"][side]["latency_s"]) for side in ("direct", "two ends"))
+        assert 0 < direct < two_ends
+    assert "two ends at rest" in printed
+    assert (tmp_path / "relay.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_soak_loses_no_sample(tmp_path):
