@@ -156,6 +156,7 @@ class Robot:
         self.watch = Watch(side)
         self._undo: list[tuple[float, Callable[[], None]]] = []  # when a failure ends or systemd acts, and how
         self._reloads = 0
+        self._loss = 0.0  # of the link outside of outages
         self.done: Counter[str] = Counter()
         self.footprints: dict[str, list[dict[str, Any]]] = {"run": [], "relay": [], "peer": []}
         self.started_s = time.monotonic()
@@ -227,7 +228,7 @@ class Robot:
                     self._later(now_s + 1.0, lambda: self._happen(event, now_s + 1.0))
             case "outage":
                 link.set_loss(1.0)
-                self._later(now_s + event.lasts_s, lambda: link.set_loss(0.0))
+                self._later(now_s + event.lasts_s, lambda: link.set_loss(self._loss))
             case "interface":
                 inside(link.robot.namespace, partial(_set_interface, link, is_up=False))
                 restore = partial(inside, link.robot.namespace, partial(_set_interface, link, is_up=True))
