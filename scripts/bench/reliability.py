@@ -314,7 +314,7 @@ def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
         ],
         "lives": played.watch.lives,
         "footprints": played.footprints,
-        "log": {name: _loud(workdir / f"{name}.log") for name in played.footprints},
+        "log": {name: loud(workdir / f"{name}.log") for name in played.footprints},
     }
 
 
@@ -330,7 +330,7 @@ def _await_plan(watch: Watch) -> None:
         raise DemoError(f"no plan is confirmed within a minute: {watch.status and watch.status['plan']}")
 
 
-def _loud(path: Path) -> dict[str, int]:
+def loud(path: Path) -> dict[str, int]:
     """Count the log's lines at WARNING and above, without their numbers, so that similar lines count together."""
     found = _LOUD.findall(path.read_text(encoding="utf-8", errors="replace"))
     return dict(Counter(f"{level} {re.sub(r'[0-9][0-9.]*', 'N', text)[:160]}" for level, text in found).most_common(20))

@@ -1,0 +1,184 @@
+"""Accounting of `two_ends.py`: what was sent, what arrived, and where the rest stayed."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+NEAR, FAR = "near", "far"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Death:
+    """A kill of an end, and its next start; the host is that of the end (monotonic s)."""
+
+    host: str
+    killed_s: float
+    started_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Gap:
+    """The time around a death in which a writer's samples did not cross (monotonic s).
+
+    Parameters
+    ----------
+    end : ``near`` if the end on the writer's host died, else ``far``
+    begin_s : when the last sample was sent that crossed before the kill
+    over_s : when the first sample was sent that crossed after the new start
+    again_s : time from the new start to that sample
+    """
+
+    end: str
+    begin_s: float
+    over_s: float
+    again_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reading:
+    """Counters of a publisher on the link, as arpd's status shows them (samples)."""
+
+    at_s: float
+    offered: int
+    published: int
+    withheld: int
+
+
+def unfolded(spans: Iterable[Sequence[int]]) -> set[int]:
+    """Return the numbers in spans of first and last."""
+    return {number for first, last in spans for number in range(first, last + 1)}
+
+
+def gaps(sent_s: Sequence[float], arrived: set[int], deaths: Iterable[Death], host: str) -> list[Gap]:
+    """Return a gap per death, in order.
+
+    Parameters
+    ----------
+    sent_s : when each sample was sent, by its number
+    arrived : numbers that arrived
+    host : host of the writer
+    """
+    crossed_s = [sent_s[number] for number in sorted(arrived)]
+    found = []
+    for death in sorted(deaths, key=lambda each: each.killed_s):
+        before, after = bisect_left(crossed_s, death.killed_s), bisect_left(crossed_s, death.started_s)
+        over_s = crossed_s[after] if after < len(crossed_s) else float("inf")
+        found.append(
+            Gap(
+                end=NEAR if death.host == host else FAR,
+                begin_s=crossed_s[before - 1] if before else float("-inf"),
+                over_s=over_s,
+                again_s=over_s - death.started_s,
+            )
+        )
+    return found
+
+
+def missing(sent_s: Sequence[float], arrived: set[int], found: Sequence[Gap]) -> tuple[dict[str, int], list[int]]:
+    """Count the missing samples that the gaps explain, by the end that was dead; list the others.
+
+    Where both ends were dead, the sample counts for the near one: it never reached arpd.
+    """
+    counts, others = {NEAR: 0, FAR: 0}, []
+    for number, at_s in enumerate(sent_s):
+        if number not in arrived:
+            ends = {gap.end for gap in found if gap.begin_s < at_s < gap.over_s}
+            if ends:
+                counts[NEAR if NEAR in ends else FAR] += 1
+            else:
+                others.append(number)
+    return counts, others
+
+
+def widened(found: Sequence[Gap], readings: Sequence[Reading]) -> list[Gap]:
+    """Let each gap begin and end with a reading, so that the counters outside of the gaps are known."""
+    times = [reading.at_s for reading in readings]
+    wide = []
+    for gap in found:
+        before, after = bisect_right(times, gap.begin_s), bisect_left(times, gap.over_s)
+        wide.append(
+            Gap(
+                end=gap.end,
+                begin_s=times[before - 1] if before else float("-inf"),
+                over_s=times[after] if after < len(times) else float("inf"),
+                again_s=gap.again_s,
+            )
+        )
+    return wide
+
+
+def withheld_outside(readings: Sequence[Reading], found: Sequence[Gap]) -> int:
+    """Count what pacing withheld outside of the gaps; the counters start again with each life of the publisher."""
+    total = 0
+    before = Reading(at_s=float("-inf"), offered=0, published=0, withheld=0)
+    for reading in readings:
+        base = before.withheld if reading.offered >= before.offered else 0
+        is_inside = any(gap.begin_s < reading.at_s <= gap.over_s for gap in found)
+        if not is_inside:
+            total += reading.withheld - base
+        before = reading
+    return total
+
+
+def withheld(readings: Sequence[Reading]) -> int:
+    """Count everything that pacing withheld."""
+    return withheld_outside(readings, [])
+
+
+def sets_of(arrived: Sequence[set[int]]) -> tuple[set[int], set[int]]:
+    """Return the sets that arrived complete, and those that arrived in part."""
+    complete = set.intersection(*arrived)
+    return complete, set.union(*arrived) - complete
+
+
+def row(
+    writers: Sequence[tuple[str, Sequence[float], dict[str, Any]]],
+    readings: Sequence[Reading],
+    deaths: Sequence[Death],
+    *,
+    host: str,
+) -> dict[str, Any]:
+    """Return what became of the samples of one topic's writers on one host.
+
+    Parameters
+    ----------
+    writers : of each its name, when it sent its samples, and what the reader noted
+    readings : counters of the topic's publisher on the link, which has the samples of all these writers
+    """
+    by_writer = []
+    for name, sent_s, noted in writers:
+        arrived = unfolded(noted["spans"])
+        found = gaps(sent_s, arrived, deaths, host)
+        if thinned := withheld(readings) > 0:
+            found = widened(found, readings)
+        counts, others = missing(sent_s, arrived, found)
+        by_writer.append(
+            {
+                "writer": name,
+                "sent": len(sent_s),
+                "received": len(arrived),
+                "while_near_dead": counts[NEAR],
+                "while_far_dead": counts[FAR],
+                "doubled": noted["doubled"],
+                "reordered": noted["late"],
+                "missing_otherwise": len(others),
+                "first_missing_s": [] if thinned else [sent_s[number] for number in others[:20]],
+                "again_s": [gap.again_s for gap in found if gap.again_s != float("inf")],
+                "never_again": sum(gap.again_s == float("inf") for gap in found),
+            }
+        )
+    _, sent_s, noted = writers[0]
+    found = gaps(sent_s, unfolded(noted["spans"]), deaths, host)
+    outside = withheld_outside(readings, widened(found, readings))
+    return {
+        "host": host,
+        "writers": by_writer,
+        "withheld": withheld(readings),
+        "withheld_outside": outside,
+        "lost": sum(each["missing_otherwise"] for each in by_writer) - outside,
+    }

@@ -1,0 +1,179 @@
+"""Service calls and actions across the two ends, for `two_ends.py`: plain rclpy, a server and a caller.
+
+The parent speaks to each in lines of JSON (`scripts.bench.child`).
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from scripts.bench.child import answer, commands
+from scripts.bench.node import plain_node
+
+SERVICE, ACTION = "/count", "/fibonacci"
+CALLS, GOALS = 1000, 100
+CALL_FAILED_S = 12.0  # relay.call_timeout and what its answer takes
+GOAL_FAILED_S = 40.0  # three calls of a service
+_SPIN_S = 0.02
+_FEEDBACKS, _WORK_S = 3, 0.1
+
+
+@dataclass(slots=True)
+class Call:
+    """One call as its caller sees it."""
+
+    begun_s: float
+    answers: int = 0
+    is_wrong: bool = False
+    has_failed: bool = False
+    took_s: float = 0.0
+
+    def note(self, *, is_right: bool) -> None:
+        self.answers += 1
+        self.is_wrong = self.is_wrong or not is_right
+        self.took_s = time.monotonic() - self.begun_s
+
+
+def serve() -> None:
+    """Answer calls and goals, and count the times that each ran."""
+    from rclpy.action import ActionServer
+    from rclpy.callback_groups import ReentrantCallbackGroup
+    from rclpy.executors import MultiThreadedExecutor
+    from test_msgs.action import Fibonacci
+    from test_msgs.srv import BasicTypes
+
+    node = plain_node("server")
+    calls: Counter[int] = Counter()
+    goals: Counter[int] = Counter()
+
+    def on_call(request: Any, response: Any) -> Any:
+        calls[request.int64_value] += 1
+        response.int64_value = request.int64_value
+        return response
+
+    def on_goal(goal: Any) -> Any:
+        number = goal.request.order
+        goals[number] += 1
+        for _ in range(_FEEDBACKS):
+            goal.publish_feedback(Fibonacci.Feedback(sequence=[number]))
+            time.sleep(_WORK_S)
+        goal.succeed()
+        return Fibonacci.Result(sequence=[number])
+
+    group = ReentrantCallbackGroup()
+    node.create_service(BasicTypes, SERVICE, on_call, callback_group=group)
+    server = ActionServer(node, Fibonacci, ACTION, on_goal, callback_group=group)
+    executor = MultiThreadedExecutor(4)
+    executor.add_node(node)
+    orders = commands()
+    answer(open=True)
+    while (order := _next(orders)) is not None:
+        if order:
+            answer(calls=dict(calls), goals=dict(goals))
+        executor.spin_once(timeout_sec=_SPIN_S)
+    server.destroy()
+
+
+def call(over_s: float) -> None:
+    """Spread the calls and the goals over a time, and note what becomes of each."""
+    from rclpy.action import ActionClient
+    from rclpy.executors import SingleThreadedExecutor
+    from test_msgs.action import Fibonacci
+    from test_msgs.srv import BasicTypes
+
+    node = plain_node("caller")
+    client = node.create_client(BasicTypes, SERVICE)
+    action_client = ActionClient(node, Fibonacci, ACTION)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    calls: dict[int, Call] = {}
+    goals: dict[int, Call] = {}
+
+    def call_service(number: int) -> None:
+        noted = calls[number] = Call(time.monotonic())
+        request = BasicTypes.Request(int64_value=number)
+        client.call_async(request).add_done_callback(
+            lambda future: noted.note(is_right=future.result().int64_value == number)
+        )
+
+    def send_goal(number: int) -> None:
+        noted = goals[number] = Call(time.monotonic())
+
+        def on_result(future: Any) -> None:
+            noted.note(is_right=list(future.result().result.sequence) == [number])
+
+        def on_accepted(future: Any) -> None:
+            future.result().get_result_async().add_done_callback(on_result)
+
+        action_client.send_goal_async(Fibonacci.Goal(order=number)).add_done_callback(on_accepted)
+
+    orders = commands()
+    answer(open=True)
+    begun_s = float("inf")
+    while (order := _next(orders)) is not None:
+        match order.get("do"):
+            case "ready":
+                answer(ready=client.service_is_ready() and action_client.server_is_ready())
+            case "begin":
+                begun_s = time.monotonic()
+                answer(begun=True)
+            case "report":
+                answer(calls={n: _document(one) for n, one in calls.items()}, goals={n: _document(one) for n, one in goals.items()})
+        now_s = time.monotonic()
+        for made, many, make in ((calls, CALLS, call_service), (goals, GOALS, send_goal)):
+            while len(made) < many * min(1.0, (now_s - begun_s) / over_s):
+                make(len(made))
+        for made, failed_s in ((calls, CALL_FAILED_S), (goals, GOAL_FAILED_S)):
+            for one in made.values():
+                one.has_failed = one.has_failed or (not one.answers and now_s - one.begun_s > failed_s)
+        executor.spin_once(timeout_sec=_SPIN_S)
+
+
+def _document(one: Call) -> dict[str, Any]:
+    return {"answers": one.answers, "is_wrong": one.is_wrong, "has_failed": one.has_failed, "took_s": one.took_s}
+
+
+def _next(orders: Any) -> dict[str, Any] | None:
+    """Return the parent's next order, empty if there is none, None if the parent is gone."""
+    try:
+        return orders.get_nowait()  # type: ignore[no-any-return]
+    except queue.Empty:
+        return {}
+
+
+def summary(made: dict[str, dict[str, Any]], ran: dict[str, int]) -> dict[str, Any]:
+    """Return the calls by what became of them.
+
+    Parameters
+    ----------
+    made : each call as its caller saw it, by its number
+    ran : times that each ran at the server, by its number
+    """
+    answered = {number: one for number, one in made.items() if one["answers"]}
+    took = sorted(one["took_s"] for one in answered.values())
+    return {
+        "made": len(made),
+        "answered": len(answered),
+        "failed": sum(one["has_failed"] for one in made.values()),
+        "both": sum(one["has_failed"] for one in answered.values()),
+        "neither": sum(not one["answers"] and not one["has_failed"] for one in made.values()),
+        "answered_twice": sum(one["answers"] > 1 for one in answered.values()),
+        "wrong": sum(one["is_wrong"] for one in answered.values()),
+        "ran_twice": sum(many > 1 for many in ran.values()),
+        "answered_but_never_ran": sum(number not in ran for number in answered),
+        "failed_but_ran": sum(one["has_failed"] and number in ran for number, one in made.items()),
+        "median_s": took[len(took) // 2] if took else None,
+        "longest_s": took[-1] if took else None,
+    }
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "serve":
+        serve()
+    else:
+        call(float(sys.argv[2]))
