@@ -24,7 +24,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -34,19 +34,17 @@ from scripts.bench.child import Child, ChildError
 from scripts.bench.node import becomes_true
 from scripts.bench.record import RESULTS, conditions, keep, options_of, read
 from scripts.bench.reliability import Robot, loud
-from scripts.bench.reliability_course import Event, schedule
-from scripts.bench.two_ends_account import Death, Reading, row, sets_of, unfolded, withheld_outside, widened
-from scripts.bench.two_ends_account import gaps as gaps_of
+from scripts.bench.reliability_course import CALM_S, Event, schedule
+from scripts.bench.two_ends_account import Death, Reading
 from scripts.bench.two_ends_address import change_addresses, widen
+from scripts.bench.two_ends_calls import ACTION, GOAL_FAILED_S, SERVICE
+from scripts.bench.two_ends_findings import Course, calls_of, demand_of, latched_of, sets_of_three, topics_of
 from scripts.bench.two_ends_nodes import SET_TOPICS, STREAMS
 from scripts.bench.two_ends_report import markdown
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_TWO_ENDS
 from scripts.robot.proxy import window
 from scripts.robot.run import HTTP_PORT, DemoError, Side
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 #: Events of ten minutes; a shorter run has its share of each kind, and at least one.
 TEN_MINUTES = {
@@ -73,18 +71,20 @@ _OUTAGE_S, _INTO_OUTAGE_S = 4.0, 1.0
 _DEEP = 1000  # longer than any outage here
 
 
-def configuration(link: SimLink) -> str:
+def configuration(link: SimLink, *, has_calls: bool) -> str:
     """Return arpd's configuration: the topics that nobody may thin have rates above their own, and deep histories."""
     kept = {stream.topic: stream for stream in STREAMS if not stream.is_paced}
     total_hz = {topic: sum(each.rate_hz for each in STREAMS if each.topic == topic) for topic in kept}
     own = {"weight": 10, "latency_budget": "none", "min_depth": _DEEP, "max_depth": _DEEP}
-    relay = {
+    relay: dict[str, Any] = {
         "link_domain": 102,  # SimLink takes lower ones
         "robot": link.robot.address,
         "ceddp": link.ceddp.address,
         "topics": [{"name": topic, "overflow": "queue", "depth": _DEEP} for topic in kept],
         "groups": [{"topics": list(SET_TOPICS), "by": "stamp"}],
     }
+    if has_calls:
+        relay |= {"services": [SERVICE], "actions": [ACTION]}
     topics = [
         {"name": topic, "min_rate_hz": 1.2 * rate_hz, "max_rate_hz": 2 * rate_hz, **own}
         for topic, rate_hz in total_hz.items()
@@ -123,17 +123,14 @@ class TwoEndedRobot(Robot):
         super().__init__(side, rng)
         self.footprints = {name: [] for name in PROCESSES}
         self.killed_s: dict[str, float] = {}
-        self.deaths: list[Death] = []
-        self.ended: list[str] = []  # processes that ended themselves
-        self.disturbed: list[tuple[str, float, float]] = []  # what happened, from when to when (monotonic s)
-        self.lossy_from_s = float("inf")
+        self.course = Course()
 
     def _happen(self, event: Event, now_s: float) -> None:
         match event.kind.split(maxsplit=2):
             case ["lossy"]:
                 self._loss = LOSS
                 self._side.link.set_loss(LOSS)
-                self.lossy_from_s = time.monotonic()
+                self.course.lossy_from_s = time.monotonic()
             case ["outage"]:
                 self._note("outage", event.lasts_s)
                 super()._happen(event, now_s)
@@ -166,11 +163,11 @@ class TwoEndedRobot(Robot):
         start(self._side, name)
         host = {"relay": "robot", "relay_far": "ceddp"}.get(name)
         if host is not None:
-            self.deaths.append(Death(host=host, killed_s=self.killed_s[name], started_s=time.monotonic()))
+            self.course.deaths.append(Death(host=host, killed_s=self.killed_s[name], started_s=time.monotonic()))
 
     def _note(self, what: str, lasts_s: float) -> None:
         now_s = time.monotonic()
-        self.disturbed.append((what, now_s, now_s + lasts_s))
+        self.course.disturbed.append((what, now_s, now_s + lasts_s))
 
     def _note_footprints(self, now_s: float) -> None:
         """Note them, and start again what ended itself."""
@@ -178,7 +175,7 @@ class TwoEndedRobot(Robot):
         for name in PROCESSES:
             process = self._side.processes[name]
             if (code := process.poll()) is not None and code != -signal.SIGKILL:
-                self.ended.append(f"{name} with {code} at {now_s:.0f} s")
+                self.course.ended.append(f"{name} with {code} at {now_s:.0f} s")
                 self.killed_s[name] = time.monotonic()
                 self._begin(name)
 
@@ -190,13 +187,24 @@ def start(side: Side, name: str) -> None:
 
 
 class World:
-    """Both hosts with all their processes; a context."""
+    """Both hosts with all their processes.
 
-    def __init__(self, workdir: Path, *, demand_every_s: float, latched_every_s: float) -> None:
+    Parameters
+    ----------
+    workdir : folder for arpd's logs
+    demand_every_s, latched_every_s : time between two readers on demand, and between two late readers
+    calls_over_s : time over which a caller spreads its calls, 0 = there is no caller
+    """
+
+    def __init__(
+        self, workdir: Path, *, demand_every_s: float, latched_every_s: float, calls_over_s: float = 0.0
+    ) -> None:
+        self._calls_over_s = calls_over_s
         self._every = (repr(demand_every_s), repr(latched_every_s))
         self.link = SimLink(f"two-ends-{os.getpid()}", rate_bytes_per_second=_FAST)
         self.side = Side(self.link, workdir, WITH_TWO_ENDS)
         self.nodes: dict[str, Child] = {}
+        self.calls: dict[str, Child] = {}
 
     def nodes_on(self, host: Any, *argv: str) -> Child:
         """Start a process of plain nodes that stay on their host."""
@@ -205,7 +213,7 @@ class World:
 
     def begin(self) -> None:
         """Start everything, and let the nodes publish once every writer has its reader on the other host."""
-        self.side.config.write_text(configuration(self.link), encoding="utf-8")
+        self.side.config.write_text(configuration(self.link, has_calls=self._calls_over_s > 0), encoding="utf-8")
         for host in ("robot", "ceddp"):
             self.nodes[host] = self.nodes_on(host, "scripts.bench.two_ends_nodes", host, *self._every)
         for name in PROCESSES:
@@ -213,30 +221,52 @@ class World:
         for child in self.nodes.values():
             child.receive()
         for host, child in self.nodes.items():
-            if not becomes_true(lambda child=child: child.ask(do="matched")["matched"], _START_S, poll_s=0.3):
+            if not becomes_true(partial(_says, child, "matched"), _START_S, poll_s=0.3):
                 raise DemoError(f"the writers and readers of the {host} found no partners on the other side")
+        if self._calls_over_s:
+            self._begin_calls()
         time.sleep(2.0)
         for child in self.nodes.values():
             child.ask(do="begin")
+        if self.calls:
+            self.calls["caller"].ask(do="begin")
+
+    def _begin_calls(self) -> None:
+        module = "scripts.bench.two_ends_calls"
+        self.calls["server"] = self.nodes_on("robot", module, "serve")
+        caller = self.calls["caller"] = self.nodes_on("ceddp", module, "call", repr(self._calls_over_s))
+        for child in self.calls.values():
+            child.receive()
+        if not becomes_true(partial(_says, caller, "ready"), _START_S, poll_s=0.3):
+            raise DemoError("the caller on the CEDDP found no server")
 
     def end(self) -> dict[str, dict[str, Any]]:
         """Stop publishing; return what each host sent and received."""
         found = {host: child.ask(do="end") for host, child in self.nodes.items()}
-        time.sleep(_DRAIN_S)
-        for host, child in self.nodes.items():
-            found[host] |= child.ask(do="report")
+        time.sleep(GOAL_FAILED_S if self.calls else _DRAIN_S)
+        for name, child in (*self.nodes.items(), *self.calls.items()):
+            found.setdefault(name, {}).update(child.ask(do="report"))
             child.end()
         return found
 
 
-def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
+def _says(child: Child, question: str) -> bool:
+    return bool(child.ask(do=question)[question])
+
+
+def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) -> dict[str, Any]:
     """Play the whole run, and return its notes."""
     rng = random.Random(seed)
     events = schedule(minutes, rng, TEN_MINUTES, of_minutes=MINUTES)
     lossy = Event(at_s=LOSSY_FROM * minutes * 60.0, kind="lossy")
     events = sorted([*events, lossy], key=lambda event: event.at_s)
     is_short = minutes < MINUTES / 2
-    world = World(workdir, demand_every_s=12.0 if is_short else 20.0, latched_every_s=20.0 if is_short else 60.0)
+    world = World(
+        workdir,
+        demand_every_s=12.0 if is_short else 20.0,
+        latched_every_s=20.0 if is_short else 60.0,
+        calls_over_s=minutes * 60.0 - CALM_S if has_calls else 0.0,
+    )
     with world.link, window(world.link.robot, HTTP_PORT) as url:
         world.side.url = url
         watch = Watch(world.side)
@@ -248,16 +278,20 @@ def run(minutes: float, workdir: Path, seed: int) -> dict[str, Any]:
         found = world.end()
         watch.stopping.set()
         watching.join()
+    course = played.course
     return {
         "minutes": minutes,
         "seed": seed,
         "load_average": os.getloadavg(),
         "events": dict(played.done),
-        "ended_themselves": played.ended,
-        "topics": {f"{topic} from the {host}": one for topic, host, one in _topics(found, watch, played.deaths)},
-        "sets": _sets(found, watch, played.deaths),
-        "demand": _visits(found["ceddp"]["demand"], played),
-        "latched": _latched(found, played),
+        "ended_themselves": course.ended,
+        "started_s": played.started_s,
+        "disturbed": course.disturbed,
+        "topics": topics_of(found, watch.readings, course.deaths),
+        "sets": sets_of_three(found, watch.readings, course.deaths),
+        "demand": demand_of(found, course),
+        "latched": latched_of(found, course),
+        "calls": calls_of(found) if has_calls else {},
         "footprints": played.footprints,
         "log": {name: loud(workdir / f"{name}.log") for name in PROCESSES},
     }
@@ -273,69 +307,11 @@ def run_addresses(workdir: Path) -> dict[str, Any]:
         return {"addresses": change_addresses(world.side, world.nodes, partial(start, world.side), PROCESSES)}
 
 
-def _topics(found: dict[str, Any], watch: Watch, deaths: list[Death]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    other = {"robot": "ceddp", "ceddp": "robot"}
-    for topic, host in dict.fromkeys((stream.topic, stream.host) for stream in STREAMS):
-        names = [stream.name for stream in STREAMS if (stream.topic, stream.host) == (topic, host)]
-        noted = found[other[host]]["streams"]
-        writers = [(name, found[host]["sent_s"][name], noted[name]) for name in names]
-        yield topic, host, row(writers, watch.readings[topic, host], deaths, host=host)
-
-
-def _sets(found: dict[str, Any], watch: Watch, deaths: list[Death]) -> dict[str, Any]:
-    noted = [found["ceddp"]["sets"][topic] for topic in SET_TOPICS]
-    sent_s = found["robot"]["sets_s"]
-    complete, partial = sets_of([unfolded(each["spans"]) for each in noted])
-    readings = watch.readings[SET_TOPICS[0], "robot"]
-    as_one = {"spans": [[number, number] for number in sorted(complete)], "doubled": 0, "late": 0}
-    one = row([("sets", sent_s, as_one)], readings, deaths, host="robot")
-    (whole,) = one.pop("writers")
-    whole["doubled"] = sum(each["doubled"] for each in noted)
-    whole["reordered"] = sum(each["late"] for each in noted)
-    around = gaps_of(sent_s, complete, deaths, "robot")
-    beside = [n for n in partial if any(gap.begin_s < sent_s[n] < gap.over_s for gap in around)]
-    return {**one, **whole, "incomplete": len(partial), "incomplete_beside_a_death": len(beside)}
-
-
-def _visits(visits: list[dict[str, Any]], played: TwoEndedRobot) -> list[dict[str, Any]]:
-    """Return of each reader on demand what it waited for its first sample, and what happened meanwhile."""
-    found = []
-    for visit in visits:
-        at_s, first_s = visit["at_s"], visit["first_s"]
-        until_s = at_s if first_s is None else first_s
-        meanwhile = [what for what, begin_s, over_s in played.disturbed if begin_s <= until_s and over_s >= at_s - 5.0]
-        found.append(
-            {
-                "waited_s": None if first_s is None else first_s - at_s,
-                "is_lossy": at_s >= played.lossy_from_s,
-                "meanwhile": meanwhile,
-            }
-        )
-    return found
-
-
-def _latched(found: dict[str, Any], played: TwoEndedRobot) -> list[dict[str, Any]]:
-    """Return of each late joiner whether it got the newest sample of every writer, or a newer one."""
-    sent = {
-        int(name.rsplit(" ", 1)[1]): times
-        for name, times in found["robot"]["sent_s"].items()
-        if name.startswith("/robot_description ")
-    }
-    visits = found["ceddp"]["latched"]
-    for visit, each in zip(visits, rows := _visits(visits, played), strict=True):
-        newest = {int(writer): one for writer, one in visit["newest"].items()}
-        due = {writer: sum(at_s <= visit["at_s"] for at_s in times) - 1 for writer, times in sent.items()}
-        each["lacks"] = sorted(
-            writer for writer, number in due.items() if number >= 0 and newest.get(writer, [-1, 0])[0] < number
-        )
-        each["complete_s"] = max((at_s for _, at_s in newest.values()), default=visit["at_s"]) - visit["at_s"]
-    return rows
-
-
 def main() -> None:
     parser = options_of(__doc__, "two_ends", quick="two minutes")
     parser.add_argument("--minutes", type=float, default=MINUTES, metavar="M", help="default %(default)g")
     parser.add_argument("--seed", type=int, default=1, help="another order of events")
+    parser.add_argument("--calls", action="store_true", help="with service calls and actions")
     parser.add_argument("--ip-change", action="store_true", help="only change the addresses of both ends")
     parser.add_argument("--report", action="store_true", help="play nothing; print the table of the last run")
     parser.add_argument("--keep-logs", type=Path, metavar="FOLDER", help="put arpd's logs there")
@@ -351,7 +327,8 @@ def main() -> None:
                 if options.ip_change:
                     document |= run_addresses(workdir)
                 else:
-                    document |= run(QUICK_MINUTES if options.quick else options.minutes, workdir, options.seed)
+                    minutes = QUICK_MINUTES if options.quick else options.minutes
+                    document |= run(minutes, workdir, options.seed, has_calls=options.calls)
             except (ChildError, DemoError) as error:
                 sys.exit(f"two_ends: {error}")
         keep(document, options, "two_ends", is_partial=options.quick or options.ip_change)

@@ -11,12 +11,12 @@ from pyroute2 import IPRoute
 
 from scripts.bench.two_ends_nodes import STREAMS
 from scripts.netns.namespaces import inside
-from scripts.netns.simlink import Host
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from scripts.bench.child import Child
+    from scripts.netns.simlink import Host
     from scripts.robot.run import Side
 
 _PREFIX = 24  # SimLink's own network has room for two addresses only

@@ -79,30 +79,49 @@ def serve() -> None:
     server.destroy()
 
 
-def call(over_s: float) -> None:
-    """Spread the calls and the goals over a time, and note what becomes of each."""
-    from rclpy.action import ActionClient
-    from rclpy.executors import SingleThreadedExecutor
-    from test_msgs.action import Fibonacci
-    from test_msgs.srv import BasicTypes
+class Caller:
+    """Spreads the calls and the goals over a time, and notes what becomes of each."""
 
-    node = plain_node("caller")
-    client = node.create_client(BasicTypes, SERVICE)
-    action_client = ActionClient(node, Fibonacci, ACTION)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    calls: dict[int, Call] = {}
-    goals: dict[int, Call] = {}
+    def __init__(self, node: Any, over_s: float) -> None:
+        from rclpy.action import ActionClient
+        from test_msgs.action import Fibonacci
+        from test_msgs.srv import BasicTypes
 
-    def call_service(number: int) -> None:
-        noted = calls[number] = Call(time.monotonic())
-        request = BasicTypes.Request(int64_value=number)
-        client.call_async(request).add_done_callback(
+        self._over_s = over_s
+        self._request, self._goal = BasicTypes.Request, Fibonacci.Goal
+        self._client = node.create_client(BasicTypes, SERVICE)
+        self._action_client = ActionClient(node, Fibonacci, ACTION)
+        self.calls: dict[int, Call] = {}
+        self.goals: dict[int, Call] = {}
+
+    def is_ready(self) -> bool:
+        return bool(self._client.service_is_ready() and self._action_client.server_is_ready())
+
+    def step(self, elapsed_s: float) -> None:
+        """Make what is due, and note what has failed."""
+        share = min(1.0, elapsed_s / self._over_s)
+        while len(self.calls) < CALLS * share:
+            self._call(len(self.calls))
+        while len(self.goals) < GOALS * share:
+            self._send_goal(len(self.goals))
+        for made, failed_s in ((self.calls, CALL_FAILED_S), (self.goals, GOAL_FAILED_S)):
+            for one in made.values():
+                one.has_failed = one.has_failed or (not one.answers and time.monotonic() - one.begun_s > failed_s)
+
+    def document(self) -> dict[str, Any]:
+        return {
+            "calls": {number: _document(one) for number, one in self.calls.items()},
+            "goals": {number: _document(one) for number, one in self.goals.items()},
+        }
+
+    def _call(self, number: int) -> None:
+        noted = self.calls[number] = Call(time.monotonic())
+        self._client.call_async(self._request(int64_value=number)).add_done_callback(
             lambda future: noted.note(is_right=future.result().int64_value == number)
         )
 
-    def send_goal(number: int) -> None:
-        noted = goals[number] = Call(time.monotonic())
+    def _send_goal(self, number: int) -> None:
+        noted = self.goals[number] = Call(time.monotonic())
 
         def on_result(future: Any) -> None:
             noted.note(is_right=list(future.result().result.sequence) == [number])
@@ -110,27 +129,30 @@ def call(over_s: float) -> None:
         def on_accepted(future: Any) -> None:
             future.result().get_result_async().add_done_callback(on_result)
 
-        action_client.send_goal_async(Fibonacci.Goal(order=number)).add_done_callback(on_accepted)
+        self._action_client.send_goal_async(self._goal(order=number)).add_done_callback(on_accepted)
 
+
+def call(over_s: float) -> None:
+    """Make the calls and the goals as the parent says."""
+    from rclpy.executors import SingleThreadedExecutor
+
+    node = plain_node("caller")
+    caller = Caller(node, over_s)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     orders = commands()
     answer(open=True)
     begun_s = float("inf")
     while (order := _next(orders)) is not None:
         match order.get("do"):
             case "ready":
-                answer(ready=client.service_is_ready() and action_client.server_is_ready())
+                answer(ready=caller.is_ready())
             case "begin":
                 begun_s = time.monotonic()
                 answer(begun=True)
             case "report":
-                answer(calls={n: _document(one) for n, one in calls.items()}, goals={n: _document(one) for n, one in goals.items()})
-        now_s = time.monotonic()
-        for made, many, make in ((calls, CALLS, call_service), (goals, GOALS, send_goal)):
-            while len(made) < many * min(1.0, (now_s - begun_s) / over_s):
-                make(len(made))
-        for made, failed_s in ((calls, CALL_FAILED_S), (goals, GOAL_FAILED_S)):
-            for one in made.values():
-                one.has_failed = one.has_failed or (not one.answers and now_s - one.begun_s > failed_s)
+                answer(**caller.document())
+        caller.step(time.monotonic() - begun_s)
         executor.spin_once(timeout_sec=_SPIN_S)
 
 

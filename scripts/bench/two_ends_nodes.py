@@ -234,6 +234,7 @@ class Visit:
     reader: Any
     at_s: float
     first_s: float | None = None
+    first_number: int = -1
     newest: dict[int, list[float]] = field(default_factory=dict)  # by writer: number, time of arrival
 
 
@@ -269,70 +270,80 @@ class Visitors:
             visit.newest.setdefault(writer, [number, now_s])
             if number > visit.newest[writer][0]:
                 visit.newest[writer] = [number, now_s]
-            visit.first_s = visit.first_s or now_s
+            if visit.first_s is None:
+                visit.first_s, visit.first_number = now_s, number
         until_s = visit.at_s + _VISIT_S if visit.first_s is None else visit.first_s + self._stays_s
         if now_s >= until_s:
             self._node.destroy_subscription(visit.reader)
-            self.visits.append({"at_s": visit.at_s, "first_s": visit.first_s, "newest": visit.newest})
+            noted = {"at_s": visit.at_s, "first_s": visit.first_s, "first_number": visit.first_number}
+            self.visits.append({**noted, "newest": visit.newest})
             self._visit = None
+
+
+class Side:
+    """Everything on one host: what talks, what listens, and the readers that come and go."""
+
+    def __init__(self, host: str, demand_every_s: float, latched_every_s: float) -> None:
+        is_robot = host == "robot"
+        self._is_robot = is_robot
+        self._every_s = demand_every_s, latched_every_s
+        self._node = plain_node(f"nodes_{host}")
+        own = [stream for stream in (*STREAMS, *OTHERS) if stream.host == host]
+        self.talker = Talker(self._node, own, has_sets=is_robot)
+        others = [stream for stream in STREAMS if stream.host != host]
+        self._listener = Listener(self._node, others, has_sets=not is_robot)
+        self._visitors: list[Visitors] = []
+
+    def take(self) -> None:
+        """Take what has arrived."""
+        self._listener.take()
+        for each in self._visitors:
+            each.step(time.monotonic())
+
+    def answer(self, question: str) -> dict[str, Any]:
+        """Do what the parent says, and return the answer."""
+        match question:
+            case "matched":
+                return {"matched": self._listener.matched() and self.talker.is_read()}
+            case "begin":
+                self.talker.begin()
+                if not self._is_robot:
+                    self._visitors = self._begun_visitors()
+                return {"begun": True}
+            case "newest":
+                return {"newest": self._listener.newest()}
+            case "end":
+                self.talker.end()
+                return {"sent_s": self.talker.sent_s, "sets_s": self.talker.sets_s}
+        demand, latched = [each.visits for each in self._visitors] or ([], [])
+        return {**self._listener.document(), "demand": demand, "latched": latched}
+
+    def _begun_visitors(self) -> list[Visitors]:
+        from rclpy.qos import QoSProfile
+
+        readers = ((DEMAND, QoSProfile(depth=10), 1.0), (LATCHED, _latched_qos(100), 5.0))
+        now_s = time.monotonic()
+        return [
+            Visitors(self._node, topic, qos, every_s=every_s, first_s=now_s + every_s / 2, stays_s=stays_s)
+            for (topic, qos, stays_s), every_s in zip(readers, self._every_s, strict=True)
+        ]
 
 
 def live(host: str, demand_every_s: float, latched_every_s: float) -> None:
     """Publish this host's streams and read the other's, as the parent says."""
-    node = plain_node(f"nodes_{host}")
-    is_robot = host == "robot"
-    own = [stream for stream in (*STREAMS, *OTHERS) if stream.host == host]
-    talker = Talker(node, own, has_sets=is_robot)
-    listener = Listener(node, [stream for stream in STREAMS if stream.host != host], has_sets=not is_robot)
-    visitors: list[Visitors] = []
+    side = Side(host, demand_every_s, latched_every_s)
     orders = commands()
     answer(open=True)
     while True:
-        wait_s = talker.publish_due()
-        listener.take()
-        for each in visitors:
-            each.step(time.monotonic())
+        wait_s = side.talker.publish_due()
+        side.take()
         try:
             order = orders.get(timeout=min(wait_s, _POLL_S))
         except queue.Empty:
             continue
         if order is None:
             return
-        match order["do"]:
-            case "matched":
-                answer(matched=listener.matched() and talker.is_read())
-            case "begin":
-                talker.begin()
-                if not is_robot:
-                    visitors = _visitors(node, demand_every_s, latched_every_s)
-                answer(begun=True)
-            case "newest":
-                answer(newest=listener.newest())
-            case "end":
-                talker.end()
-                visitors = [] if is_robot else visitors
-                answer(sent_s=talker.sent_s, sets_s=talker.sets_s)
-            case "report":
-                demand, latched = [each.visits for each in visitors] or ([], [])
-                answer(**listener.document(), demand=demand, latched=latched)
-
-
-def _visitors(node: Any, demand_every_s: float, latched_every_s: float) -> list[Visitors]:
-    from rclpy.qos import QoSProfile
-
-    now_s = time.monotonic()
-    demand = Visitors(
-        node, DEMAND, QoSProfile(depth=10), every_s=demand_every_s, first_s=now_s + demand_every_s / 2, stays_s=1.0
-    )
-    latched = Visitors(
-        node,
-        LATCHED,
-        _latched_qos(100),
-        every_s=latched_every_s,
-        first_s=now_s + latched_every_s / 2,
-        stays_s=5.0,
-    )
-    return [demand, latched]
+        answer(**side.answer(order["do"]))
 
 
 if __name__ == "__main__":

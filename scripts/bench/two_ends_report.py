@@ -32,6 +32,7 @@ def markdown(document: dict[str, Any]) -> str:
     parts = [f"{document['minutes']:g} minutes ({described(document)}): {_events(document['events'])}."]
     parts += ["", *markdown_table("lrrrrrrrrr", [*_HEAD], list(_streams(document)))]
     rows = [*_sets(document["sets"]), *_demand(document["demand"]), *_latched(document["latched"])]
+    rows += [row for kind, one in document["calls"].items() for row in _calls(kind, one)]
     rows += [("processes that ended themselves", "; ".join(document["ended_themselves"]) or "none"), _logs(document)]
     return "\n".join([*parts, "", *markdown_table("l", ["", ""], rows)])
 
@@ -107,6 +108,19 @@ def _latched(visits: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         meanwhile = sum(bool(visit["meanwhile"]) for visit in lacking)
         value += f"; {meanwhile} of the others beside an outage or a kill"
     return [("late readers of a latched topic that got the newest sample of both its writers", value)]
+
+
+def _calls(kind: str, one: dict[str, Any]) -> list[tuple[str, str]]:
+    words = {"calls": "service calls", "goals": "action goals"}[kind]
+    value = f"{one['answered']} answered, {one['failed']} failed, {one['both']} both, {one['neither']} neither"
+    if one["median_s"] is not None:
+        value += f"; median {one['median_s']:.2f} s, longest {one['longest_s']:.1f} s"
+    faults = ("answered_twice", "wrong", "ran_twice", "answered_but_never_ran")
+    found = ", ".join(f"{one[fault]} {fault.replace('_', ' ')}" for fault in faults)
+    return [
+        (f"{one['made']:,} {words} from the CEDDP", value),
+        (f"the same {words}, faults", f"{found}; {one['failed_but_ran']} of the failed ones ran"),
+    ]
 
 
 def _logs(document: dict[str, Any]) -> tuple[str, str]:
