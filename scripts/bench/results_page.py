@@ -63,6 +63,7 @@ PAGES: Mapping[Path, Mapping[str, Block]] = {
         "paper": Block(results=("paper",), report="paper_report"),
         "overhead": Block(results=("overhead",), report="overhead_report"),
         "reliability": Block(results=("reliability", "fuzz"), report="reliability_report"),
+        "two_ends": Block(results=("two_ends",), report="two_ends_report"),
         "estimate": Block(results=("estimate", "link"), report="capacity_report"),
         "weights": Block(results=(), report="weights_report"),
         "solve": Block(results=("solve",), report="solve_report"),

@@ -57,6 +57,7 @@ BENCHMARKS = (
     Benchmark(name="soak", lasts_s=190, quick_s=20, has_plot=True),
     Benchmark(name="fuzz", lasts_s=760, quick_s=60),
     Benchmark(name="reliability", lasts_s=920, quick_s=280),
+    Benchmark(name="two_ends", lasts_s=650, quick_s=150),
     Benchmark(name="exposition", lasts_s=330, quick_s=30),
     Benchmark(name="paper", lasts_s=2000, quick_s=70),
     Benchmark(name="adapt", lasts_s=2100, quick_s=60),

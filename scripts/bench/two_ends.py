@@ -279,6 +279,7 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
         watch.stopping.set()
         watching.join()
     course = played.course
+    deaths = course.lasting_deaths()
     return {
         "minutes": minutes,
         "seed": seed,
@@ -287,8 +288,8 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
         "ended_themselves": course.ended,
         "started_s": played.started_s,
         "disturbed": course.disturbed,
-        "topics": topics_of(found, watch.readings, course.deaths),
-        "sets": sets_of_three(found, watch.readings, course.deaths),
+        "topics": topics_of(found, watch.readings, deaths),
+        "sets": sets_of_three(found, watch.readings, deaths),
         "demand": demand_of(found, course),
         "latched": latched_of(found, course),
         "calls": calls_of(found) if has_calls else {},

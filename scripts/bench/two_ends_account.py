@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,11 +14,29 @@ NEAR, FAR = "near", "far"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Death:
-    """A kill of an end, and its next start; the host is that of the end (monotonic s)."""
+    """A kill of an end, and when its next process could reach the other end (monotonic s).
+
+    Parameters
+    ----------
+    host : of the end
+    killed_s : time of the kill
+    started_s : start of the next process; with the link out, the end of the outage
+    """
 
     host: str
     killed_s: float
     started_s: float
+
+
+def reachable(death: Death, outages: Iterable[tuple[float, float]]) -> Death:
+    """Return a death that lasts until the end of the outage in which the next process starts.
+
+    Parameters
+    ----------
+    outages : begin and end of each (monotonic s)
+    """
+    over_s = max((over_s for begin_s, over_s in outages if begin_s <= death.started_s), default=death.started_s)
+    return replace(death, started_s=max(death.started_s, over_s))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

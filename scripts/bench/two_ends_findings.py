@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.two_ends_account import Death, Reading, gaps, row, sets_of, unfolded
+from scripts.bench.two_ends_account import Death, Reading, gaps, reachable, row, sets_of, unfolded
 from scripts.bench.two_ends_calls import summary
 from scripts.bench.two_ends_nodes import DEMAND, LATCHED, SET_TOPICS, STREAMS
 
@@ -31,6 +31,11 @@ class Course:
     disturbed: list[tuple[str, float, float]] = field(default_factory=list)
     lossy_from_s: float = float("inf")
     ended: list[str] = field(default_factory=list)
+
+    def lasting_deaths(self) -> list[Death]:
+        """Return the deaths, each until the other end could be reached again."""
+        outages = [(begin_s, over_s) for what, begin_s, over_s in self.disturbed if what == "outage"]
+        return [reachable(death, outages) for death in self.deaths]
 
 
 def topics_of(found: dict[str, Any], readings: Readings, deaths: Sequence[Death]) -> dict[str, dict[str, Any]]:

@@ -103,3 +103,21 @@ def test_soak_loses_no_sample(tmp_path):
     assert document["notes"][-1]["swaps"] == QUICK_COUNT
     assert document["received"] == [document["sent"]] * TOPICS
     assert sum(document["late"]) == 0
+
+
+def test_two_ends_explain_every_missing_sample(tmp_path):
+    """Both ends of a relay die in several states: topics flow again, sets stay whole, and late readers lack nothing."""
+    document, printed = played(tmp_path, "two_ends")
+    assert document["events"].keys() >= {"kill relay", "kill relay_far", "kill both", "kill run", "outage"}
+    assert document["ended_themselves"] == []
+    for one in document["topics"].values():
+        for writer in one["writers"]:
+            assert writer["received"] > 0.3 * writer["sent"] > 0
+            assert (writer["doubled"], writer["reordered"], writer["never_again"]) == (0, 0, 0)
+            assert writer["writer"] in printed
+    assert document["sets"]["received"] > 0
+    assert document["sets"]["incomplete"] == document["sets"]["incomplete_beside_a_death"]
+    calm = [visit for visit in (*document["demand"], *document["latched"]) if not visit["meanwhile"]]
+    assert calm
+    assert all(visit["waited_s"] is not None for visit in calm)
+    assert not any(visit["lacks"] for visit in document["latched"] if not visit["meanwhile"])

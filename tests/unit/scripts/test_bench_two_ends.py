@@ -8,7 +8,7 @@ import pytest
 
 from scripts.bench.reliability_course import HOUR, KILLS_UNTIL, schedule
 from scripts.bench.two_ends import TEN_MINUTES
-from scripts.bench.two_ends_account import Death, Reading, gaps, row, sets_of, unfolded, withheld_outside
+from scripts.bench.two_ends_account import Death, Reading, gaps, reachable, row, sets_of, unfolded, withheld_outside
 from scripts.bench.two_ends_calls import summary
 from scripts.bench.two_ends_nodes import set_number_of, spans, stamped
 
@@ -47,6 +47,12 @@ def test_an_end_that_never_returns_is_said():
     """A topic that does not flow again has no time, and all its samples count for the dead end."""
     found = whole(noted(range(5)))
     assert (found["never_again"], found["again_s"], found["while_near_dead"], found["lost"]) == (1, [], 15, 0)
+
+
+def test_an_end_that_starts_in_an_outage_is_reachable_after_it():
+    """A process that starts while the link is out cannot be blamed for the outage."""
+    assert reachable(KILL, [(1.0, 3.0), (6.0, 9.0), (12.0, 14.0)]).started_s == 9.0
+    assert reachable(KILL, [(1.0, 3.0), (12.0, 14.0)]) == KILL
 
 
 def test_with_both_ends_dead_a_sample_counts_once():
