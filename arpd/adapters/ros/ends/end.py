@@ -227,7 +227,7 @@ class End:
             return
         if state.session != self._partner_session:
             self._partner_session = state.session
-            self.outgoing.forget()  # the new process has no samples yet
+            self.outgoing.forget_histories()
             log.info("the other end is %s (arpd %s), session %s", state.host, state.arpd, state.session)
         self._offered_to_us = state.topics
         accepted = {}

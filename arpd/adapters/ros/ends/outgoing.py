@@ -66,6 +66,11 @@ class _Carried:
     held: deque[tuple[str, Class, Sample]] = field(default_factory=lambda: deque(maxlen=_MOST_HELD))
     lock: threading.Lock = field(default_factory=threading.Lock)
 
+    @property
+    def is_latched(self) -> bool:
+        """True if it has a reader of latched writers."""
+        return any(is_latched for _, (_, is_latched) in self.readers)
+
 
 class Outgoing:
     """Reads the wanted topics and offers their samples to AdaptivePublishers on the link.
@@ -150,8 +155,17 @@ class Outgoing:
                 self._deliver_held(carried)
 
     def forget(self) -> None:
-        """Carry nothing: the other end is another process now, and has no samples yet."""
+        """Carry nothing: there is no other end."""
         for link_name in list(self._carried):
+            self._drop(link_name)
+
+    def forget_histories(self) -> None:
+        """Carry latched topics anew: the other end is another process now, and lacks their histories.
+
+        The other topics stay as they are, because the new process may hear them already: it asks for what it reads a
+        second after its start, and new writers would cost it the samples of their match.
+        """
+        for link_name in [name for name, carried in self._carried.items() if carried.is_latched]:
             self._drop(link_name)
 
     def _carry(self, link_name: str, offers: list[TopicOffer]) -> _Carried:
