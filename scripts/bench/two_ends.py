@@ -36,7 +36,7 @@ from scripts.bench.record import RESULTS, conditions, keep, options_of, read
 from scripts.bench.reliability import Robot, loud
 from scripts.bench.reliability_course import CALM_S, Event, schedule
 from scripts.bench.two_ends_account import Death, Reading
-from scripts.bench.two_ends_address import change_addresses, widen
+from scripts.bench.two_ends_address import Addresses, SharingHosts, widen
 from scripts.bench.two_ends_calls import ACTION, GOAL_FAILED_S, SERVICE
 from scripts.bench.two_ends_findings import Course, calls_of, demand_of, latched_of, sets_of_three, topics_of
 from scripts.bench.two_ends_nodes import SET_TOPICS, STREAMS
@@ -191,17 +191,18 @@ class World:
 
     Parameters
     ----------
+    link : joins them
     workdir : folder for arpd's logs
     demand_every_s, latched_every_s : time between two readers on demand, and between two late readers
     calls_over_s : time over which a caller spreads its calls, 0 = there is no caller
     """
 
     def __init__(
-        self, workdir: Path, *, demand_every_s: float, latched_every_s: float, calls_over_s: float = 0.0
+        self, link: SimLink, workdir: Path, *, demand_every_s: float, latched_every_s: float, calls_over_s: float = 0.0
     ) -> None:
         self._calls_over_s = calls_over_s
         self._every = (repr(demand_every_s), repr(latched_every_s))
-        self.link = SimLink(f"two-ends-{os.getpid()}", rate_bytes_per_second=_FAST)
+        self.link = link
         self.side = Side(self.link, workdir, WITH_TWO_ENDS)
         self.nodes: dict[str, Child] = {}
         self.calls: dict[str, Child] = {}
@@ -230,6 +231,13 @@ class World:
             child.ask(do="begin")
         if self.calls:
             self.calls["caller"].ask(do="begin")
+
+    def restart_nodes(self, host: str) -> None:
+        """Start the plain nodes of a host again, and let them publish."""
+        self.nodes[host].end()
+        child = self.nodes[host] = self.nodes_on(host, "scripts.bench.two_ends_nodes", host, *self._every)
+        child.receive()
+        child.ask(do="begin")
 
     def _begin_calls(self) -> None:
         module = "scripts.bench.two_ends_calls"
@@ -262,6 +270,7 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
     events = sorted([*events, lossy], key=lambda event: event.at_s)
     is_short = minutes < MINUTES / 2
     world = World(
+        SimLink(f"two-ends-{os.getpid()}", rate_bytes_per_second=_FAST),
         workdir,
         demand_every_s=12.0 if is_short else 20.0,
         latched_every_s=20.0 if is_short else 60.0,
@@ -300,12 +309,21 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
 
 def run_addresses(workdir: Path) -> dict[str, Any]:
     """Change the address of each end on a steady link, and return when every topic flowed again."""
-    world = World(workdir, demand_every_s=1e6, latched_every_s=1e6)
-    with world.link, window(world.link.robot, HTTP_PORT) as url:
-        widen(world.link.hosts)
-        world.side.url = url
-        world.begin()
-        return {"addresses": change_addresses(world.side, world.nodes, partial(start, world.side), PROCESSES)}
+    with tempfile.TemporaryDirectory(prefix="arpd-two-ends-", dir="/dev/shm") as memory:
+        link = SharingHosts(f"two-ends-{os.getpid()}", Path(memory), rate_bytes_per_second=_FAST)
+        world = World(link, workdir, demand_every_s=1e6, latched_every_s=1e6)
+        with link, window(link.robot, HTTP_PORT) as url:
+            widen(link.hosts)
+            world.side.url = url
+            world.begin()
+            changes = Addresses(
+                world.side,
+                world.nodes,
+                start=partial(start, world.side),
+                start_nodes=world.restart_nodes,
+                processes=PROCESSES,
+            )
+            return {"addresses": changes.change()}
 
 
 def main() -> None:

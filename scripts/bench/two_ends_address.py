@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,20 +13,43 @@ from pyroute2 import IPRoute
 
 from scripts.bench.two_ends_nodes import STREAMS
 from scripts.netns.namespaces import inside
+from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from scripts.bench.child import Child
+    from scripts.netns.namespaces import HostName
     from scripts.netns.simlink import Host
     from scripts.robot.run import Side
 
 _PREFIX = 24  # SimLink's own network has room for two addresses only
-_WATCHED_S = 40.0  # after each change
+_WATCHED_S = 30.0  # after each change
 _SILENT_S = 1.0  # a topic without a sample for so long does not flow
 _RESTART_S = 1.0  # RestartSec= of the units
 _POLL_S = 0.1
 _CALM_S = 5.0
+
+
+class SharingHosts(SimLink):
+    """A link whose hosts have a shared memory each, and use it as Fast DDS does by default.
+
+    Parameters
+    ----------
+    folder : has a folder for each host, on a file system in memory
+    """
+
+    def __init__(self, run_id: str, folder: Path, *, rate_bytes_per_second: float) -> None:
+        super().__init__(run_id, rate_bytes_per_second=rate_bytes_per_second)
+        self._folder = folder
+
+    def popen(self, host: Host | HostName, argv: Sequence[str], **options: Any) -> subprocess.Popen[Any]:
+        """Start a command as `SimLink.popen` does; `ip netns exec` has given it mounts of its own."""
+        shared = self._folder / (host if isinstance(host, str) else host.name)
+        shared.mkdir(exist_ok=True)
+        mounted = ["sh", "-c", 'mount --bind "$0" /dev/shm && exec "$@"', str(shared)]
+        return super().popen(host, [*mounted, "env", "FASTDDS_BUILTIN_TRANSPORTS=DEFAULT", *argv], **options)
 
 
 @dataclass(slots=True)
@@ -50,51 +75,90 @@ def widen(hosts: Sequence[Host]) -> None:
         inside(host.namespace, partial(_replace, host, host.address, host.address))
 
 
-def change_addresses(
-    side: Side, nodes: dict[str, Child], start: Callable[[str], None], processes: Sequence[str]
-) -> list[dict[str, Any]]:
-    """Change the address of each end twice; return of each change when every topic flowed again.
+class Addresses:
+    """Changes the addresses of both hosts, restarts what ends itself, and notes when the topics flow again.
 
     Parameters
     ----------
+    side : arpd's processes
+    nodes : the plain nodes of each host
     start : starts one of arpd's processes
-    processes : their names
+    start_nodes : starts the plain nodes of a host again, and lets them publish
+    processes : names of arpd's processes
     """
-    robot, ceddp = side.link.hosts
-    now = {host.name: host.address for host in (robot, ceddp)}
-    found = []
-    for number, host in enumerate((robot, ceddp, robot, ceddp)):
-        address = f"10.77.0.{10 + number}"
-        time.sleep(_CALM_S)
-        began_s = time.monotonic()
-        inside(host.namespace, partial(_replace, host, now[host.name], address))
-        now[host.name] = address
-        found.append({"host": host.name, **_watched(side, nodes, start, processes, began_s)})
-    return found
+
+    def __init__(
+        self,
+        side: Side,
+        nodes: dict[str, Child],
+        *,
+        start: Callable[[str], None],
+        start_nodes: Callable[[str], None],
+        processes: Sequence[str],
+    ) -> None:
+        self._side = side
+        self._nodes = nodes
+        self._start = start
+        self._start_nodes = start_nodes
+        self._processes = processes
+
+    def change(self) -> list[dict[str, Any]]:
+        """Change both, one after the other; if topics stay silent, start the host's plain nodes again."""
+        found = []
+        for number, host in enumerate(self._side.link.hosts):
+            time.sleep(_CALM_S)
+            began_s = time.monotonic()
+            inside(host.namespace, partial(_replace, host, host.address, f"10.77.0.{10 + number}"))
+            one = {"host": host.name, **self._watched(began_s)}
+            one["is_visible"] = sees_nodes(self._side, host)
+            if one["silent"]:
+                began_s = time.monotonic()
+                self._start_nodes(host.name)
+                one["after_nodes"] = self._watched(began_s)
+            found.append(one)
+        return found
+
+    def _watched(self, began_s: float) -> dict[str, Any]:
+        """Return when each process ended itself, and when the last topic began to flow again (s after the change)."""
+        flow = Flow(at_s={stream.name: began_s for stream in STREAMS})
+        ended: dict[str, float] = {}
+        due_s: dict[str, float] = {}
+        silent: list[str] = []
+        again_s = 0.0
+        while (now_s := time.monotonic()) - began_s < _WATCHED_S:
+            for name in self._processes:
+                if name not in due_s and self._side.processes[name].poll() is not None:
+                    ended[name], due_s[name] = now_s - began_s, now_s + _RESTART_S
+            for name in [name for name, at_s in due_s.items() if at_s <= now_s]:
+                del due_s[name]
+                self._start(name)
+            for child in self._nodes.values():
+                flow.note(child.ask(do="newest")["newest"], time.monotonic())
+            if silent := flow.silent(time.monotonic()):
+                again_s = time.monotonic() - began_s
+            time.sleep(_POLL_S)
+        return {"again_s": None if silent else again_s, "silent": silent, "ended_s": ended}
 
 
-def _watched(
-    side: Side, nodes: dict[str, Child], start: Callable[[str], None], processes: Sequence[str], began_s: float
-) -> dict[str, Any]:
-    """Restart what ends itself, and return when that was and when the last topic began to flow again."""
-    flow = Flow(at_s={stream.name: began_s for stream in STREAMS})
-    ended: dict[str, float] = {}  # when a process ended itself
-    due_s: dict[str, float] = {}
-    silent: list[str] = []
-    again_s = 0.0
-    while (now_s := time.monotonic()) - began_s < _WATCHED_S:
-        for name in processes:
-            if name not in due_s and side.processes[name].poll() is not None:
-                ended[name], due_s[name] = now_s - began_s, now_s + _RESTART_S
-        for name in [name for name, at_s in due_s.items() if at_s <= now_s]:
-            del due_s[name]
-            start(name)
-        for child in nodes.values():
-            flow.note(child.ask(do="newest")["newest"], time.monotonic())
-        if silent := flow.silent(time.monotonic()):
-            again_s = time.monotonic() - began_s
-        time.sleep(_POLL_S)
-    return {"again_s": None if silent else again_s, "silent": silent, "ended_s": ended}
+_LOOK = """
+import time, rclpy
+rclpy.init()
+node = rclpy.create_node("looker")
+time.sleep(5.0)
+print(sum(name.startswith("nodes_") for name in node.get_node_names()))
+"""
+
+
+def sees_nodes(side: Side, host: Host) -> bool:
+    """Return whether a new plain process, without arpd, finds the plain nodes of its host."""
+    process = side.link.popen(
+        host,
+        ["env", "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST", sys.executable, "-c", _LOOK],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    printed, _ = process.communicate(timeout=60.0)
+    return int(printed) > 0
 
 
 def _replace(host: Host, old: str, new: str) -> None:

@@ -41,10 +41,22 @@ def _addresses(document: dict[str, Any]) -> str:
     rows = []
     for one in document["addresses"]:
         ended = ", ".join(f"{name} {at_s:.1f} s" for name, at_s in one["ended_s"].items()) or "none"
-        again = "not: " + ", ".join(one["silent"]) if one["again_s"] is None else f"{one['again_s']:.1f} s"
-        rows.append((one["host"], ended, again))
-    head = ["new address of the", "processes that ended themselves, after", "all topics flow again after"]
-    return "\n".join([f"{described(document)}:", "", *markdown_table("llr", head, rows)])
+        after = one.get("after_nodes")
+        rows.append(
+            (one["host"], ended, _again(one), "yes" if one["is_visible"] else "no", _again(after) if after else "")
+        )
+    head = [
+        "new address of the",
+        "processes that ended themselves, after",
+        "all topics flow again after",
+        "a new plain process sees its host's nodes",
+        "with these nodes started again, all topics flow after",
+    ]
+    return "\n".join([f"{described(document)}:", "", *markdown_table("llrlr", head, rows)])
+
+
+def _again(one: dict[str, Any]) -> str:
+    return "not: " + ", ".join(one["silent"]) if one["again_s"] is None else f"{one['again_s']:.1f} s"
 
 
 def _events(events: dict[str, int]) -> str:
