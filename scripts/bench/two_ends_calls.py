@@ -83,10 +83,12 @@ class Caller:
     """Spreads the calls and the goals over a time, and notes what becomes of each."""
 
     def __init__(self, node: Any, over_s: float) -> None:
+        from action_msgs.msg import GoalStatus
         from rclpy.action import ActionClient
         from test_msgs.action import Fibonacci
         from test_msgs.srv import BasicTypes
 
+        self._succeeded = GoalStatus.STATUS_SUCCEEDED
         self._over_s = over_s
         self._request, self._goal = BasicTypes.Request, Fibonacci.Goal
         self._client = node.create_client(BasicTypes, SERVICE)
@@ -124,10 +126,16 @@ class Caller:
         noted = self.goals[number] = Call(time.monotonic())
 
         def on_result(future: Any) -> None:
-            noted.note(is_right=list(future.result().result.sequence) == [number])
+            if future.result().status == self._succeeded:
+                noted.note(is_right=list(future.result().result.sequence) == [number])
+            else:
+                noted.has_failed = True
 
         def on_accepted(future: Any) -> None:
-            future.result().get_result_async().add_done_callback(on_result)
+            if future.result().accepted:
+                future.result().get_result_async().add_done_callback(on_result)
+            else:
+                noted.has_failed = True
 
         self._action_client.send_goal_async(self._goal(order=number)).add_done_callback(on_accepted)
 
