@@ -309,6 +309,11 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
 
 def run_addresses(workdir: Path) -> dict[str, Any]:
     """Change the address of each end on a steady link, and return when every topic flowed again."""
+    return {"addresses": [_changed_address(workdir, place) for place in range(2)]}
+
+
+def _changed_address(workdir: Path, place: int) -> dict[str, Any]:
+    """Change the address of one end, by its place in `SimLink.hosts`, in a world of its own."""
     with tempfile.TemporaryDirectory(prefix="arpd-two-ends-", dir="/dev/shm") as memory:
         link = SharingHosts(f"two-ends-{os.getpid()}", Path(memory), rate_bytes_per_second=_FAST)
         world = World(link, workdir, demand_every_s=1e6, latched_every_s=1e6)
@@ -316,14 +321,14 @@ def run_addresses(workdir: Path) -> dict[str, Any]:
             widen(link.hosts)
             world.side.url = url
             world.begin()
-            changes = Addresses(
+            addresses = Addresses(
                 world.side,
                 world.nodes,
                 start=partial(start, world.side),
                 start_nodes=world.restart_nodes,
                 processes=PROCESSES,
             )
-            return {"addresses": changes.change()}
+            return addresses.change(link.hosts[place])
 
 
 def main() -> None:

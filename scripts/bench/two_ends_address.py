@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from scripts.netns.simlink import Host
     from scripts.robot.run import Side
 
+_NEW_ADDRESS = "10.77.0.10"
 _PREFIX = 24  # SimLink's own network has room for two addresses only
 _WATCHED_S = 30.0  # after each change
 _SILENT_S = 1.0  # a topic without a sample for so long does not flow
@@ -76,7 +77,7 @@ def widen(hosts: Sequence[Host]) -> None:
 
 
 class Addresses:
-    """Changes the addresses of both hosts, restarts what ends itself, and notes when the topics flow again.
+    """Changes the address of a host, restarts what ends itself, and notes when the topics flow again.
 
     Parameters
     ----------
@@ -102,20 +103,16 @@ class Addresses:
         self._start_nodes = start_nodes
         self._processes = processes
 
-    def change(self) -> list[dict[str, Any]]:
-        """Change both, one after the other; if topics stay silent, start the host's plain nodes again."""
-        found = []
-        for number, host in enumerate(self._side.link.hosts):
-            time.sleep(_CALM_S)
+    def change(self, host: Host) -> dict[str, Any]:
+        """Change the address of a host; if topics stay silent, start its plain nodes again."""
+        time.sleep(_CALM_S)
+        began_s = time.monotonic()
+        inside(host.namespace, partial(_replace, host, host.address, _NEW_ADDRESS))
+        found = {"host": host.name, **self._watched(began_s), "is_visible": sees_nodes(self._side, host)}
+        if found["silent"]:
             began_s = time.monotonic()
-            inside(host.namespace, partial(_replace, host, host.address, f"10.77.0.{10 + number}"))
-            one = {"host": host.name, **self._watched(began_s)}
-            one["is_visible"] = sees_nodes(self._side, host)
-            if one["silent"]:
-                began_s = time.monotonic()
-                self._start_nodes(host.name)
-                one["after_nodes"] = self._watched(began_s)
-            found.append(one)
+            self._start_nodes(host.name)
+            found["after_nodes"] = self._watched(began_s)
         return found
 
     def _watched(self, began_s: float) -> dict[str, Any]:
@@ -145,7 +142,7 @@ import time, rclpy
 rclpy.init()
 node = rclpy.create_node("looker")
 time.sleep(5.0)
-print(sum(name.startswith("nodes_") for name in node.get_node_names()))
+print(int("{name}" in node.get_node_names()))
 """
 
 
@@ -153,7 +150,13 @@ def sees_nodes(side: Side, host: Host) -> bool:
     """Return whether a new plain process, without arpd, finds the plain nodes of its host."""
     process = side.link.popen(
         host,
-        ["env", "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST", sys.executable, "-c", _LOOK],
+        [
+            "env",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+            sys.executable,
+            "-c",
+            _LOOK.format(name=f"nodes_{host.name}"),
+        ],
         stdout=subprocess.PIPE,
         text=True,
     )
