@@ -245,7 +245,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     ends = world().start("robot")
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
-    publisher.publish(wrap(encode_state(EndState(session="00", number=1, arpd="9.9"))))
+    publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
     eventually(lambda: "it speaks version 9 (arpd 9.9), this end version 1" in ends.status["robot"], timeout_s=30)
 
 

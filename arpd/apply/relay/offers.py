@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 VERSION = 1
+_MOST_NUMBER = 2**16 - 1  # of a writer and of a place in a group: their fields in a sample have 16 bits
+_MOST_NS = 2**63 - 1
+_SESSION = re.compile(r"[0-9a-f]{16}")
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 
 
@@ -76,7 +80,7 @@ class EndState:
 
     Parameters
     ----------
-    session : random digits, new with each process
+    session : 16 hexadecimal digits, new with each process
     number : counts the states of the session
     host : its host name
     arpd : its version of arpd
@@ -131,12 +135,15 @@ def decode_state(data: bytes) -> EndState:
             words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
             raise OtherVersionError(f"{words}; install one arpd on both ends")
         return EndState(
-            session=str(document["session"]),
-            number=int(document["number"]),
+            session=_session(document["session"]),
+            number=_whole(document["number"], most=_MOST_NS),
             host=str(document["host"]),
             arpd=str(document["arpd"]),
             topics={str(name): _topic(topic) for name, topic in document["topics"].items()},
-            services={str(name): ServiceOffer(**service) for name, service in document["services"].items()},
+            services={
+                str(name): ServiceOffer(type_name=str(service["type_name"]), node=str(service["node"]))
+                for name, service in document["services"].items()
+            },
             wants=frozenset(map(str, document["wants"])),
             refused={str(name): str(reason) for name, reason in document["refused"].items()},
         )
@@ -144,11 +151,36 @@ def decode_state(data: bytes) -> EndState:
         raise ValueError(f"no state of a relay ({fault})") from fault
 
 
+def _session(value: Any) -> str:
+    if not isinstance(value, str) or not _SESSION.fullmatch(value):
+        raise ValueError(f"{value!r} is no session")
+    return value
+
+
 def _topic(document: Any) -> TopicOffer:
-    writers = tuple(WriterOffer(**writer) for writer in document["writers"])
     return TopicOffer(
         type_name=str(document["type_name"]),
-        writers=writers,
+        writers=tuple(map(_writer, document["writers"])),
         link_name=str(document["link_name"]),
-        member=int(document["member"]),
+        member=_whole(document["member"], most=_MOST_NUMBER),
     )
+
+
+def _writer(document: Any) -> WriterOffer:
+    return WriterOffer(
+        number=_whole(document["number"], most=_MOST_NUMBER),
+        node=str(document["node"]),
+        gid=str(document["gid"]),
+        is_reliable=document["is_reliable"] is True,
+        is_latched=document["is_latched"] is True,
+        deadline_ns=_whole(document["deadline_ns"], most=_MOST_NS),
+        lifespan_ns=_whole(document["lifespan_ns"], most=_MOST_NS),
+        lease_ns=_whole(document["lease_ns"], most=_MOST_NS),
+        is_manual=document["is_manual"] is True,
+    )
+
+
+def _whole(value: Any, *, most: int) -> int:
+    if type(value) is not int or not 0 <= value <= most:
+        raise ValueError(f"{value!r} is not in 0..{most}")
+    return value
