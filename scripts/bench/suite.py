@@ -52,7 +52,7 @@ BENCHMARKS = (
     Benchmark(name="estimate", lasts_s=520, quick_s=60, has_plot=True),
     Benchmark(name="link", lasts_s=1800, quick_s=240, has_plot=True),
     Benchmark(name="swap", lasts_s=2700, quick_s=120, has_plot=True),
-    Benchmark(name="relay", lasts_s=500, quick_s=90, has_plot=True),
+    Benchmark(name="relay", lasts_s=360, quick_s=70, has_plot=True),
     Benchmark(name="discovery", lasts_s=350, quick_s=40),
     Benchmark(name="soak", lasts_s=190, quick_s=20, has_plot=True),
     Benchmark(name="fuzz", lasts_s=760, quick_s=60),
