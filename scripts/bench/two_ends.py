@@ -301,7 +301,7 @@ def run(minutes: float, workdir: Path, seed: int, *, has_calls: bool = False) ->
         "sets": sets_of_three(found, watch.readings, deaths),
         "demand": demand_of(found, course),
         "latched": latched_of(found, course),
-        "calls": calls_of(found) if has_calls else {},
+        "calls": calls_of(found, course) if has_calls else {},
         "footprints": played.footprints,
         "log": {name: loud(workdir / f"{name}.log") for name in PROCESSES},
     }

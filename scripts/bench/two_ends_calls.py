@@ -10,10 +10,13 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from scripts.bench.child import answer, commands
 from scripts.bench.node import plain_node
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 SERVICE, ACTION = "/count", "/fibonacci"
 CALLS, GOALS = 1000, 100
@@ -165,7 +168,13 @@ def call(over_s: float) -> None:
 
 
 def _document(one: Call) -> dict[str, Any]:
-    return {"answers": one.answers, "is_wrong": one.is_wrong, "has_failed": one.has_failed, "took_s": one.took_s}
+    return {
+        "begun_s": one.begun_s,
+        "answers": one.answers,
+        "is_wrong": one.is_wrong,
+        "has_failed": one.has_failed,
+        "took_s": one.took_s,
+    }
 
 
 def _next(orders: Any) -> dict[str, Any] | None:
@@ -176,20 +185,28 @@ def _next(orders: Any) -> dict[str, Any] | None:
         return {}
 
 
-def summary(made: dict[str, dict[str, Any]], ran: dict[str, int]) -> dict[str, Any]:
+def summary(
+    made: dict[str, dict[str, Any]], ran: dict[str, int], deaf: Sequence[tuple[float, float]] = ()
+) -> dict[str, Any]:
     """Return the calls by what became of them.
 
     Parameters
     ----------
     made : each call as its caller saw it, by its number
     ran : times that each ran at the server, by its number
+    deaf : begin and end of the times in which the ends did not hear each other (monotonic s)
     """
+    failed = [one for one in made.values() if one["has_failed"]]
     answered = {number: one for number, one in made.items() if one["answers"]}
     took = sorted(one["took_s"] for one in answered.values())
     return {
         "made": len(made),
         "answered": len(answered),
-        "failed": sum(one["has_failed"] for one in made.values()),
+        "failed": len(failed),
+        "failed_meanwhile": sum(
+            any(begin_s < one["begun_s"] + one["took_s"] and one["begun_s"] < over_s for begin_s, over_s in deaf)
+            for one in failed
+        ),
         "both": sum(one["has_failed"] for one in answered.values()),
         "neither": sum(not one["answers"] and not one["has_failed"] for one in made.values()),
         "answered_twice": sum(one["answers"] > 1 for one in answered.values()),

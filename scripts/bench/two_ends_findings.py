@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     Readings = Mapping[tuple[str, str], Sequence[Reading]]  # by topic and host
 
 
+_SERVICES_S = 1.0  # a call before a kill may be under way that long, and services may follow topics that late
+
+
 @dataclass(slots=True)
 class Course:
     """Everything that happened in a run.
@@ -66,10 +69,15 @@ def sets_of_three(found: dict[str, Any], readings: Readings, deaths: Sequence[De
     return {**one, **whole, "incomplete": len(partial), "incomplete_beside_a_death": len(beside)}
 
 
-def calls_of(found: dict[str, Any]) -> dict[str, Any]:
+def calls_of(found: dict[str, Any], course: Course) -> dict[str, Any]:
     """Return what became of the calls and of the goals."""
     made, ran = found["caller"], found["server"]
-    return {kind: summary(made[kind], ran[kind]) for kind in ("calls", "goals")}
+    deaf = [(begin_s, over_s) for what, begin_s, over_s in course.disturbed if what == "outage"]
+    for stream in STREAMS:
+        arrived = unfolded(found["ceddp" if stream.host == "robot" else "robot"]["streams"][stream.name]["spans"])
+        around = gaps(found[stream.host]["sent_s"][stream.name], arrived, course.lasting_deaths(), stream.host)
+        deaf += [(gap.begin_s - _SERVICES_S, gap.over_s + _SERVICES_S) for gap in around]
+    return {kind: summary(made[kind], ran[kind], deaf) for kind in ("calls", "goals")}
 
 
 def _visits(visits: list[dict[str, Any]], course: Course) -> list[dict[str, Any]]:

@@ -293,12 +293,14 @@ class Side:
         others = [stream for stream in STREAMS if stream.host != host]
         self._listener = Listener(self._node, others, has_sets=not is_robot)
         self._visitors: list[Visitors] = []
+        self._are_visiting = False  # only while the writers publish
 
     def take(self) -> None:
         """Take what has arrived."""
         self._listener.take()
-        for each in self._visitors:
-            each.step(time.monotonic())
+        if self._are_visiting:
+            for each in self._visitors:
+                each.step(time.monotonic())
 
     def answer(self, question: str) -> dict[str, Any]:
         """Do what the parent says, and return the answer."""
@@ -309,11 +311,13 @@ class Side:
                 self.talker.begin()
                 if not self._is_robot:
                     self._visitors = self._begun_visitors()
+                    self._are_visiting = True
                 return {"begun": True}
             case "newest":
                 return {"newest": self._listener.newest()}
             case "end":
                 self.talker.end()
+                self._are_visiting = False
                 return {"sent_s": self.talker.sent_s, "sets_s": self.talker.sets_s}
         demand, latched = [each.visits for each in self._visitors] or ([], [])
         return {**self._listener.document(), "demand": demand, "latched": latched}

@@ -124,7 +124,8 @@ def _latched(visits: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
 
 def _calls(kind: str, one: dict[str, Any]) -> list[tuple[str, str]]:
     words = {"calls": "service calls", "goals": "action goals"}[kind]
-    value = f"{one['answered']} answered, {one['failed']} failed, {one['both']} both, {one['neither']} neither"
+    value = f"{one['answered']} answered, {one['failed']} failed ({one['failed_meanwhile']} of these "
+    value += f"begun as the ends did not hear each other), {one['both']} both, {one['neither']} neither"
     if one["median_s"] is not None:
         value += f"; median {one['median_s']:.2f} s, longest {one['longest_s']:.1f} s"
     faults = ("answered_twice", "wrong", "ran_twice", "answered_but_never_ran")

@@ -97,9 +97,10 @@ def test_a_stamp_says_its_set(number):
 
 def test_a_call_that_fails_and_answers_is_a_fault():
     """Each call is answered or has failed, and its server ran it at most once."""
-    one = {"answers": 1, "is_wrong": False, "has_failed": False, "took_s": 0.5}
-    made = {"0": one, "1": one | {"has_failed": True}, "2": one | {"answers": 0, "has_failed": True}}
-    found = summary(made, {"0": 1, "1": 2, "2": 1})
+    one = {"begun_s": 4.0, "answers": 1, "is_wrong": False, "has_failed": False, "took_s": 0.5}
+    made = {"0": one, "1": one | {"has_failed": True}, "2": one | {"begun_s": 9.0, "answers": 0, "has_failed": True}}
+    found = summary(made, {"0": 1, "1": 2, "2": 1}, deaf=[(8.5, 9.5)])
+    assert found["failed_meanwhile"] == 1
     assert (found["answered"], found["failed"], found["both"], found["neither"]) == (2, 2, 1, 0)
     assert (found["ran_twice"], found["failed_but_ran"], found["answered_but_never_ran"]) == (1, 2, 0)
 
