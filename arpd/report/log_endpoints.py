@@ -88,7 +88,9 @@ class _TopicLog:
             lost, self._missed = sorted(self._missed), {}
             self._known.difference_update(lost)
             yield self._tell(EventKind.TOPIC_LOST, lost, "lost", "no longer announces it")
-            self._node_of = {topic: node for topic, node in self._node_of.items() if topic in self._known}
+            self._node_of = {
+                topic: node for topic, node in self._node_of.items() if topic in self._known or topic in self._found
+            }
 
     def _tell(self, kind: EventKind, topics: list[str], word: str, alone: str) -> Said:
         if len(topics) > 1:

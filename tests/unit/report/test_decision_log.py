@@ -555,6 +555,13 @@ def test_topics_that_are_lost_are_told_after_a_while(log):
     assert (told[0].topic, told[0].node) == ("/imu", "/imu")
 
 
+def test_a_topic_that_comes_as_another_is_lost_is_told(log):
+    """The loss of one topic leaves the node of another that was found meanwhile."""
+    robot = log.state["publishers"]
+    told = log.wait(1.0, publishers=robot[:3]) + log.wait(5.0, publishers=(*robot[:3], publisher("/n", "/map")))
+    assert texts(told) == ["/imu lost: /imu no longer announces it", "/map found: /n publishes it"]
+
+
 # -- configuration and other daemons
 
 
