@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from arpd.adapters.ros.ends.ghosts import GhostNodes
     from arpd.apply.relay.offers import ServiceOffer
 
-_TICK_S = 0.01  # a record waits so long at most
+_TICK_S = 0.02  # a record waits so long at most; EventsExecutor has no guard conditions, which could wake it earlier
 _LOOK_S = 0.5
 _QOS = QoSProfile(depth=1000)  # reliable; calls repeat themselves, so an overflow costs time only
 _OWNER = "services"
@@ -43,6 +43,7 @@ class CallLink:
     nodes : ghosts of the other side's nodes
     thread : takes the records
     own, other : topics of this end's records and of the other's
+    is_used : whether anything may be called
     allows, timeout_s, session, namespace : as in `Calls`
     local_name : returns the local name of a node of the other side
     """
@@ -56,6 +57,7 @@ class CallLink:
         thread: ReadingThread,
         own: str,
         other: str,
+        is_used: bool,
         allows: Callable[[str], bool],
         timeout_s: float,
         session: str,
@@ -85,7 +87,8 @@ class CallLink:
         self.failures: Mapping[str, int] = MappingProxyType({})
         # Services that the other end offers, and its session, None = unreachable; the end's own thread sets it.
         self.offered: tuple[Mapping[str, ServiceOffer], str | None] = MappingProxyType({}), None
-        node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if is_used:
+            node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
         """Destroy everything."""

@@ -122,6 +122,7 @@ class End:
             thread=self._incoming_thread,
             own=f"/arpd/relay/{own}/calls",
             other=f"/arpd/relay/{other}/calls",
+            is_used=bool(settings.services or settings.actions),
             allows=self._selection.may_call,
             timeout_s=settings.call_timeout_s,
             session=_words(session),
@@ -237,7 +238,7 @@ class End:
                 refused[name] = reason
             else:
                 accepted[name] = offer
-        self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF)
+        self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF, refused=refused)
         self._nodes.keep(OWNER, self.incoming.used_nodes)
         self.outgoing.follow(state.wants, self._offers)
         self._note_other_types(accepted)

@@ -17,7 +17,7 @@ from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.apply.relay.envelope import Record, unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
     from rclpy.node import Node
 
@@ -94,12 +94,21 @@ class Incoming:
         self.doubled = 0
         self.unknown = 0
 
-    def follow(self, offers: Mapping[str, TopicOffer], *, session: int) -> None:
-        """Make the ghosts of what is offered now, and remove those of what no longer is."""
+    def follow(self, offers: Mapping[str, TopicOffer], *, session: int, refused: Collection[str] = frozenset()) -> None:
+        """Make the ghosts of what is offered now, and remove those of what no longer is.
+
+        Parameters
+        ----------
+        offers : topics of the other side that enter here
+        session : of the other end, 32 bit
+        refused : topics that do not enter; their ghosts go at once, because a reader would hear samples twice
+        """
         now_s = self._clock()
         with self._lock:
             self._session = session
             self.refused = {}
+            for name in self._topics.keys() & set(refused):
+                self._drop(self._topics[name])
             for name, offer in offers.items():
                 try:
                     self._follow(name, offer)
