@@ -18,6 +18,7 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
+from arpd.adapters.ros.ends.survey import own_prefix
 from arpd.adapters.ros.relay import default_node_name
 from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, encode_state
@@ -225,6 +226,26 @@ def test_a_killed_far_end_returns(world, talking, eventually):
     assert found == sorted(set(found))
     maps = listen(ceddp.node("late"), "/map", latched(10))
     eventually(lambda: maps == ["map_server 0"])
+
+
+def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually):
+    """A reader on the link of a process that was killed matches for some seconds; no history is read for it alone."""
+    ends = world().start("robot")
+    still = Counter(ends.side("robot").node("map_server"), String, "/map", latched(1))
+    still.publish()
+    dead, living = ends.link_side().node("dead"), ends.link_side().node("living")
+    listen(dead, "/map", RELIABLE, UInt8MultiArray)
+    states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
+    signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    state = EndState(session="00", number=1, wants=frozenset({"/map"}), link_gids=own_prefix(living).hex())
+    states.publish(wrap(encode_state(state)))
+    eventually(lambda: dead.count_publishers("/map") == 1, timeout_s=30)
+    for _ in range(5):
+        signs.publish(wrap(b"00"))
+        time.sleep(0.4)
+        assert still.publisher.get_subscription_count() == 0
+    received = listen(living, "/map", RELIABLE, UInt8MultiArray)
+    eventually(lambda: len(received) == 1)
 
 
 def test_without_its_other_end_an_end_waits(world, eventually):

@@ -87,6 +87,7 @@ class EndState:
     topics, services : what it offers
     wants : topics of the other end that somebody reads here
     refused : topics of the other end that it does not carry, and the reason
+    link_gids : first 12 bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not told
     """
 
     session: str
@@ -97,6 +98,7 @@ class EndState:
     services: Mapping[str, ServiceOffer] = field(default_factory=lambda: MappingProxyType({}))
     wants: frozenset[str] = frozenset()
     refused: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    link_gids: str = ""
 
 
 def encode_state(state: EndState) -> bytes:
@@ -111,6 +113,7 @@ def encode_state(state: EndState) -> bytes:
         "services": {name: asdict(service) for name, service in state.services.items()},
         "wants": sorted(state.wants),
         "refused": dict(state.refused),
+        "link_gids": state.link_gids,
     }
     return zlib.compress(json.dumps(document, separators=(",", ":")).encode())
 
@@ -146,6 +149,7 @@ def decode_state(data: bytes) -> EndState:
             },
             wants=frozenset(map(str, document["wants"])),
             refused={str(name): str(reason) for name, reason in document["refused"].items()},
+            link_gids=str(document.get("link_gids", "")),
         )
     except (zlib.error, KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as fault:
         raise ValueError(f"no state of a relay ({fault})") from fault

@@ -80,6 +80,7 @@ class End:
         self._selection = Selection.of(settings)
         self._names = Names(settings)
         self._own_gids = own_prefix(node).hex()
+        self._link_gids = own_prefix(link_node).hex()
         self._partner = Partner()
         self._partner_session = ""
         self._fault = ""  # of the other end's messages
@@ -228,7 +229,7 @@ class End:
             return
         if state.session != self._partner_session:
             self._partner_session = state.session
-            self.outgoing.forget_histories()
+            self.outgoing.meet(state.link_gids)
             log.info("the other end is %s (arpd %s), session %s", state.host, state.arpd, state.session)
         self._offered_to_us = state.topics
         accepted = {}
@@ -301,6 +302,7 @@ class End:
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
+            link_gids=self._link_gids,
         )
         if state != self._told:
             self._number += 1

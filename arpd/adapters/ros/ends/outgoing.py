@@ -109,6 +109,7 @@ class Outgoing:
         self._session = session
         self._names = Names(settings)
         self._carried: dict[str, _Carried] = {}  # by the name on the link
+        self._readers_gids = ""
         self.refused: dict[str, str] = {}
 
     @property
@@ -145,7 +146,7 @@ class Outgoing:
     def step(self, offers: Mapping[str, TopicOffer]) -> None:
         """Open the readers of topics whose writer on the link has found its reader there."""
         for carried in self._carried.values():
-            if not carried.readers and not carried.publisher.get_subscription_count():
+            if not carried.readers and not self._is_heard(carried.publisher):
                 continue
             for topic in carried.wanted & offers.keys():
                 for kind in {(writer.is_reliable, writer.is_latched) for writer in offers[topic].writers}:
@@ -159,14 +160,28 @@ class Outgoing:
         for link_name in list(self._carried):
             self._drop(link_name)
 
-    def forget_histories(self) -> None:
+    def meet(self, link_gids: str) -> None:
         """Carry latched topics anew: the other end is another process now, and lacks their histories.
+
+        They are read once a reader of that process has matched: for some seconds those of the dead one still do.
 
         The other topics stay as they are, because the new process may hear them already: it asks for what it reads a
         second after its start, and new writers would cost it the samples of their match.
+
+        Parameters
+        ----------
+        link_gids : first bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not known
         """
+        self._readers_gids = link_gids
         for link_name in [name for name, carried in self._carried.items() if carried.is_latched]:
             self._drop(link_name)
+
+    def _is_heard(self, publisher: AdaptivePublisher) -> bool:
+        """Return whether the other end's process reads it, and not only the one before."""
+        if not publisher.get_subscription_count():
+            return False
+        found = self._link_node.get_subscriptions_info_by_topic(publisher.topic_name)
+        return any(bytes(info.endpoint_gid).hex().startswith(self._readers_gids) for info in found)
 
     def _carry(self, link_name: str, offers: list[TopicOffer]) -> _Carried:
         settings = self._settings
