@@ -48,13 +48,13 @@ class Gap:
     end : ``near`` if the end on the writer's host died, else ``far``
     begin_s : when the last sample was sent that crossed before the kill
     over_s : when the first sample was sent that crossed after the new start
-    again_s : time from the new start to that sample
+    again_s : time from the new start to that sample; None if the next kill came first
     """
 
     end: str
     begin_s: float
     over_s: float
-    again_s: float
+    again_s: float | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,15 +83,17 @@ def gaps(sent_s: Sequence[float], arrived: set[int], deaths: Iterable[Death], ho
     """
     crossed_s = [sent_s[number] for number in sorted(arrived)]
     found = []
-    for death in sorted(deaths, key=lambda each: each.killed_s):
+    ordered = sorted(deaths, key=lambda each: each.killed_s)
+    for death in ordered:
         before, after = bisect_left(crossed_s, death.killed_s), bisect_left(crossed_s, death.started_s)
         over_s = crossed_s[after] if after < len(crossed_s) else float("inf")
+        is_cut_short = any(death.killed_s < other.killed_s < over_s for other in ordered)
         found.append(
             Gap(
                 end=NEAR if death.host == host else FAR,
                 begin_s=crossed_s[before - 1] if before else float("-inf"),
                 over_s=over_s,
-                again_s=over_s - death.started_s,
+                again_s=None if is_cut_short else over_s - death.started_s,
             )
         )
     return found
@@ -171,9 +173,8 @@ def row(
     by_writer = []
     for name, sent_s, noted in writers:
         arrived = unfolded(noted["spans"])
-        found = gaps(sent_s, arrived, deaths, host)
-        if thinned := withheld(readings) > 0:
-            found = widened(found, readings)
+        around = gaps(sent_s, arrived, deaths, host)
+        found = widened(around, readings) if (thinned := withheld(readings) > 0) else around
         counts, others = missing(sent_s, arrived, found)
         by_writer.append(
             {
@@ -186,8 +187,8 @@ def row(
                 "reordered": noted["late"],
                 "missing_otherwise": len(others),
                 "first_missing_s": [] if thinned else [sent_s[number] for number in others[:20]],
-                "again_s": [gap.again_s for gap in found if gap.again_s != float("inf")],
-                "never_again": sum(gap.again_s == float("inf") for gap in found),
+                "again_s": [gap.again_s for gap in around if gap.again_s is not None and gap.over_s != float("inf")],
+                "never_again": sum(gap.over_s == float("inf") for gap in around),
             }
         )
     _, sent_s, noted = writers[0]

@@ -55,6 +55,13 @@ def test_an_end_that_starts_in_an_outage_is_reachable_after_it():
     assert reachable(KILL, [(1.0, 3.0), (12.0, 14.0)]) == KILL
 
 
+def test_a_kill_that_is_cut_short_has_no_time():
+    """The time until a topic flows again counts from the last of several kills."""
+    found = whole(noted(set(range(20)) - {6, 7, 8, 9}), deaths=(KILL, Death(host="ceddp", killed_s=8.5, started_s=9.5)))
+    assert found["again_s"] == [pytest.approx(0.5)]
+    assert found["never_again"] == 0
+
+
 def test_with_both_ends_dead_a_sample_counts_once():
     """A sample that neither end could carry never reached arpd."""
     both = (KILL, Death(host="ceddp", killed_s=5.5, started_s=6.5))
