@@ -188,7 +188,7 @@ def entry_point(monkeypatch):
         (
             ["relay", "--node-name", "r"],
             "arpd.adapters.ros.relay:run_relay",
-            {"config_path": "/etc/arpd/arpd.yaml", "node_name": "r", "log_level": "info"},
+            {"config_path": "/etc/arpd/arpd.yaml", "node_name": "r", "log_level": "info", "is_far": "False"},
         ),
         (
             ["relay", "--far"],

@@ -114,6 +114,7 @@ class End:
             local_name=self.local_name,
             settings=settings,
             session=session,
+            clock=clock,
         )
         own, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
         self._calls = CallLink(

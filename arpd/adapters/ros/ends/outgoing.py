@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from rclpy.node import Node
 
@@ -33,6 +34,7 @@ _RECEIVE_DEPTH = (
 )
 _LATCHED_DEPTH = 1000
 _MOST_HELD = 1000
+_LINGER_S = 3.0
 
 Class = tuple[bool, bool]  # whether writers are reliable, and latched
 
@@ -61,6 +63,7 @@ class _Carried:
 
     publisher: AdaptivePublisher
     sets: Sets | None
+    wanted_s: float  # when it was wanted last
     wanted: set[str] = field(default_factory=set)
     readers: dict[tuple[str, Class], RawReader] = field(default_factory=dict)
     held: deque[tuple[str, Class, Sample]] = field(default_factory=lambda: deque(maxlen=_MOST_HELD))
@@ -99,6 +102,7 @@ class Outgoing:
         local_name: Callable[[str], str],
         settings: RelaySettings,
         session: int,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
         self._link_node = link_node
@@ -107,6 +111,7 @@ class Outgoing:
         self._local_name = local_name
         self._settings = settings
         self._session = session
+        self._clock = clock
         self._names = Names(settings)
         self._carried: dict[str, _Carried] = {}  # by the name on the link
         self._readers_gids = ""
@@ -127,8 +132,7 @@ class Outgoing:
         wanted: dict[str, set[str]] = {}
         for topic in wants & offers.keys():
             wanted.setdefault(self._names.of(topic)[0], set()).add(topic)
-        for link_name in self._carried.keys() - wanted.keys():
-            self._drop(link_name)
+        self._drop_unwanted(wanted.keys())
         self.refused = {topic: reason for topic, reason in self.refused.items() if topic in wants}
         for link_name, topics in wanted.items():
             carried = self._carried.get(link_name)
@@ -154,6 +158,15 @@ class Outgoing:
                         self._read(carried, topic, kind, offers[topic].type_name)
             with carried.lock:
                 self._deliver_held(carried)
+
+    def _drop_unwanted(self, wanted: Collection[str]) -> None:
+        """Drop what has not been wanted for a while: an end that has just started tells at first that it wants nothing."""
+        now_s = self._clock()
+        for link_name, carried in list(self._carried.items()):
+            if link_name in wanted:
+                carried.wanted_s = now_s
+            elif now_s - carried.wanted_s > _LINGER_S:
+                self._drop(link_name)
 
     def forget(self) -> None:
         """Carry nothing: there is no other end."""
@@ -200,7 +213,7 @@ class Outgoing:
             overflow=settings.overflow.get(link_name, Overflow.QUEUE if is_latched else Overflow.LATEST),
             source_of=None if is_group else source_of,
         )
-        return _Carried(publisher=publisher, sets=Sets(()) if is_group else None)
+        return _Carried(publisher=publisher, sets=Sets(()) if is_group else None, wanted_s=self._clock())
 
     def _read(self, carried: _Carried, topic: str, kind: Class, type_name: str) -> None:
         is_reliable, is_latched = kind
