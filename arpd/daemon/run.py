@@ -65,7 +65,13 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         from arpd.adapters.ros.world import RosControl  # noqa: PLC0415
 
         link, resting, garbage = settings.link.interface, threading.Event(), Garbage()
-        world = RosControl(node, interface=link, graph=settings.graph, on_report=signals.wakeup.set)
+        world = RosControl(
+            node,
+            interface=link,
+            graph=settings.graph,
+            on_report=signals.wakeup.set,
+            has_two_ends=link_domain is not None,
+        )
         daemon = Daemon(
             world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
         )

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState, ReaderState
     from arpd.model.interface import LinkCounters
     from arpd.model.probing import PeerReport
+    from arpd.model.relay import RelaySummary
 
 
 class MessageKind(StrEnum):
@@ -22,6 +23,7 @@ class MessageKind(StrEnum):
     READERS = "readers"
     REPORTS = "reports"
     HEARTBEATS = "claims"
+    RELAY_SUMMARIES = "relay_summaries"
 
 
 class MessageRefusal(StrEnum):
@@ -78,6 +80,8 @@ class Observation:
     radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
     taken : messages refused, and endpoints not confirmed
+    relay : the relay with two ends, None without one and while its end on the robot tells nothing
+    is_relay_silent : True when that end should tell, and has told nothing for 3.5 s
     """
 
     now_s: float
@@ -96,3 +100,5 @@ class Observation:
     radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     taken: Taken = field(default_factory=Taken)
+    relay: RelaySummary | None = None
+    is_relay_silent: bool = False

@@ -20,8 +20,11 @@ from test_msgs.srv import BasicTypes
 
 from arpd.adapters.ros.ends.survey import own_prefix
 from arpd.adapters.ros.relay import default_node_name
+from arpd.adapters.ros.world import RosControl
 from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, encode_state
+from arpd.model.observation import MessageKind, MessageRefusal
+from arpd.model.settings import GraphSettings
 from tests.ros.ends_world import ROBOT, Counter, TwoEnds, numbers
 
 pytestmark = pytest.mark.ros
@@ -431,3 +434,34 @@ def test_services_and_actions_are_called_across_the_link(world, eventually):
     action_server.destroy()
     ends.end("robot")
     eventually(lambda: not planner.create_client(BasicTypes, "/add").service_is_ready())
+
+
+def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually):
+    """The robot's end alone tells the daemon what crosses and who is silent; the daemon notices when it ends."""
+    ends = world().start()
+    node = ends.link_side().node("arpd")
+    daemon = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None, has_two_ends=True)
+    talking(Counter(ends.side("robot").node("sensor"), String, "/chatter", 10))
+    listen(ends.side("ceddp").node("planner"), "/chatter")
+
+    def seen():
+        return daemon.observe(time.monotonic())
+
+    eventually(lambda: seen().relay is not None and seen().relay.to_ceddp.wanted == 1, timeout_s=30)
+    relay = seen().relay
+    assert (relay.is_reachable, relay.other_host, relay.fault) == (True, platform.node(), "")
+    assert (relay.to_ceddp.offered, relay.to_robot.offered, relay.to_ceddp.refused) == (1, 0, {})
+    assert node.count_publishers("/arpd/relay/summary") == 1
+    assert node.count_subscribers("/arpd/relay/summary") == 1
+    ends.end("ceddp")
+    eventually(lambda: seen().relay is not None and not seen().relay.is_reachable)
+    liar = node.create_publisher(UInt8MultiArray, "/arpd/relay/summary", BEST_EFFORT)
+
+    def is_refused():
+        liar.publish(UInt8MultiArray(data=b"{}"))
+        return seen().taken.refused.get((MessageKind.RELAY_SUMMARIES, MessageRefusal.MALFORMED))
+
+    eventually(is_refused)
+    ends.end("robot")
+    eventually(lambda: seen().is_relay_silent)
+    assert seen().relay is None

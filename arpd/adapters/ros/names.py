@@ -10,6 +10,7 @@ DAEMONS_TOPIC = "/arpd/daemons"
 PRICE_TOPIC = "/arpd/price"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
+RELAY_SUMMARY_TOPIC = "/arpd/relay/summary"  # in the link domain, from the robot's end
 GENERATION_PARAMETER = "arpd.generation"
 LEASE_PARAMETER = "arpd.lease"
 READERS_GENERATION_PARAMETER = "arpd.readers.generation"

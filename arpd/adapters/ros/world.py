@@ -27,6 +27,7 @@ from arpd.adapters.ros.parameters import ParameterApplier
 from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
+from arpd.adapters.ros.relay_summaries import RelaySummaries
 from arpd.adapters.ros.rmw import Rmw, current_rmw
 from arpd.model.endpoints import Direction, PublisherState, ReaderState
 from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
@@ -63,6 +64,7 @@ class RosControl:
     interface : the robot's link interface
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
+    has_two_ends : whether a relay with two ends is configured, whose end on this host sends summaries
     rmw : the middleware; this process's own when None
     randomness : gives the first number of a probe
     """
@@ -74,6 +76,7 @@ class RosControl:
         interface: str,
         graph: GraphSettings,
         on_report: Callable[[], None],
+        has_two_ends: bool = False,
         clock: Callable[[], float] = time.monotonic,
         rmw: Rmw | None = None,
         randomness: Callable[[int], int] = secrets.randbelow,
@@ -128,6 +131,7 @@ class RosControl:
         )
         self._applier = ParameterApplier(node)
         self._daemons = Daemons(node, **shared)
+        self._relay = RelaySummaries(node, **shared) if has_two_ends else None
         # In a thread: the tick must stay short, and reports wait in the executor.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
@@ -154,6 +158,7 @@ class RosControl:
         publishers = self._publishers.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
         pinned = self._graph_settings
         directions = [crossing.direction for crossing in crossings.values()]
+        relay, is_relay_silent = (None, False) if self._relay is None else self._relay.newest(now_s)
         sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
         return Observation(
             now_s=now_s,
@@ -172,6 +177,8 @@ class RosControl:
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             taken=Taken(refused=self._refused.counts, pending=self._publishers.pending + self._readers.pending),
+            relay=relay,
+            is_relay_silent=is_relay_silent,
         )
 
     # -- act

@@ -19,6 +19,7 @@ from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import OWNER, Incoming
 from arpd.adapters.ros.ends.outgoing import Names, Outgoing
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.ends.summaries import Summaries
 from arpd.adapters.ros.ends.survey import Survey, own_prefix
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.raw_subscription import octets
@@ -27,6 +28,7 @@ from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.apply.relay.partner import EVERY_S, Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
+from arpd.model.relay import RelaySummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -138,6 +140,8 @@ class End:
         self._signs = link_node.create_publisher(
             UInt8MultiArray, f"/arpd/relay/{own}/alive", _ALIVE, event_callbacks=no_publisher_events()
         )
+        # For the daemon on the robot.
+        self._summaries = None if is_far else Summaries(link_node, self.incoming, self.outgoing, self._calls)
         self._readers = [
             self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, is_state=True),
             self._listen(link_node, f"/arpd/relay/{other}/alive", _ALIVE, is_state=False),
@@ -320,6 +324,15 @@ class End:
         if status != self._status:
             self._status = status
             self._on_change(status)
+        if self._summaries is not None:
+            here = replace(self._told, refused=self._refused)
+            end = RelaySummary(
+                is_reachable=self._partner.is_reachable(now_s),
+                fault=self._fault,
+                strangers=tuple(self._strangers()),
+                types_differ=self._differ,
+            )
+            self._summaries.step(now_s, here=here, there=self._partner.state, status=status, end=end)
 
     def status_line(self, now_s: float) -> str:
         """Return one line for ``systemctl status``."""
