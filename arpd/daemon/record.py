@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.report.decision_log import DecisionLog
 from arpd.report.durations import SwapWatch
 from arpd.report.history import History
+from arpd.report.other_traffic import OtherTraffic
 from arpd.report.snapshot import Snapshot, Totals
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class Record:
         self._tell = tell
         self._totals = Totals()
         self._swaps = SwapWatch()
+        self._other_traffic = OtherTraffic()
         self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
         self._disagreements = 0
         self._decision_log = DecisionLog()
@@ -79,7 +81,8 @@ class Record:
         picture : the tick, without counts and events
         """
         self._totals = self._count(picture, world, program, governor, configuration)
-        picture = replace(picture, totals=self._totals)
+        other = self._other_traffic.update(picture.observation, probe_bytes=self._totals.probe_bytes)
+        picture = replace(picture, totals=self._totals, other_traffic=other)
         try:
             for event in self._decision_log.follow(picture):
                 self._tell(event)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.plan import Decision, ReaderPlan
     from arpd.report.events import Event
+    from arpd.report.other_traffic import OtherRates
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,6 +79,7 @@ class Snapshot:
     readers_confirmed : number of those whose announcement matches it
     lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     events : the last of the decision log, oldest first
+    other_traffic : what topics, probes and reports do not explain, None while unknown
     """
 
     version: str
@@ -100,6 +102,7 @@ class Snapshot:
     readers_confirmed: int = 0
     lease_s: float = 0.0
     events: tuple[Event, ...] = ()
+    other_traffic: OtherRates | None = None
 
     @property
     def managed(self) -> int:

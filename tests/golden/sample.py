@@ -15,6 +15,7 @@ from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import PeerReport
 from arpd.report.durations import Durations
+from arpd.report.other_traffic import OtherRates
 from arpd.report.snapshot import Snapshot, Totals
 from tests.sample_publishers import publisher, reader
 
@@ -270,6 +271,7 @@ def make_snapshot() -> Snapshot:
         confirmed=2,
         reader_plans=MappingProxyType({("/planner", "/camera/image"): ReaderPlan(depth=10, deadline_ns=150_000_000)}),
         readers_confirmed=1,
+        other_traffic=OtherRates(transmit=6144.0, receive=2048.0),
     )
 
 

@@ -40,6 +40,13 @@ def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         yield gauge_of("arpd_link_radio_bytes_per_second", text, ((labels, rate),))
     yield from _of_peers(snapshot.observation.peer_ages_s)
     yield from _of_probes(snapshot.link)
+    if (other := snapshot.other_traffic) is not None:
+        text = (
+            "Traffic of the last second that topics, probes and reports do not explain: DDS discovery, "
+            "acknowledgements, calls, and other programs."
+        )
+        rates = (({"direction": direction}, rate) for direction, rate in sorted(other._asdict().items()))
+        yield gauge_of("arpd_link_other_bytes_per_second", text, rates)
     if counters is None:
         return
     if counters.backlog_bytes is not None:

@@ -1,0 +1,87 @@
+"""Other traffic: what the interface carried beyond topics, heartbeats, probes and reports."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from arpd.estimate.probes import REPORT_BYTES
+from arpd.model.endpoints import Direction
+from arpd.model.probing import PeerReport
+from arpd.model.wire import ACKNACK_BYTES, wire_size
+from arpd.report.other_traffic import OtherTraffic
+from tests.sample_link import INTERFACE, observation
+from tests.sample_publishers import publisher
+
+TICK_S = 0.1
+HZ, PAYLOAD_BYTES = 50.0, 5000.0
+SAMPLE_BYTES, ACKNOWLEDGED_HZ = wire_size(PAYLOAD_BYTES, rate_hz=HZ)[0], 20.0
+DATA = HZ * SAMPLE_BYTES - ACKNOWLEDGED_HZ * ACKNACK_BYTES  # samples and heartbeats (bytes/s)
+REPORT = PeerReport(peer="p", received_at_s=0.0, interval_s=0.1, rx_bytes=0, rx_packets=0)
+
+
+def rates(*, transmit, receive, ticks=30, probe_rate=0.0, **fields):
+    """Return the other traffic of an interface that carries so many bytes a second."""
+    other = OtherTraffic()
+    found = []
+    for tick in range(ticks):
+        at_s = tick * TICK_S
+        counters = replace(INTERFACE, tx_bytes=round(transmit * at_s), rx_bytes=round(receive * at_s))
+        seen = observation(500.0 + at_s, **{"counters": counters, "peers": 1, **fields})
+        found.append(other.update(seen, probe_bytes=round(probe_rate * at_s)))
+    return found
+
+
+def topic(direction, **fields):
+    return publisher(
+        "/n", "/t", direction=direction, payload_bytes=PAYLOAD_BYTES, published_rate_hz=HZ, remote_readers=1, **fields
+    )
+
+
+def test_what_nobody_explains_is_other_traffic():
+    """Nothing is known before a second has passed; then all of an idle robot's bytes are other traffic."""
+    found = rates(transmit=3000.0, receive=1000.0)
+    assert found[:10] == [None] * 10
+    assert found[-1] == pytest.approx((3000.0, 1000.0), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("direction", "carried", "left"),
+    [
+        (Direction.SENSING, (DATA + 3000.0, 1000.0), (3000.0, 1000.0)),
+        (Direction.ACTUATION, (3000.0, DATA + 1000.0), (3000.0, 1000.0)),
+        (Direction.LOCAL, (3000.0, 1000.0), (3000.0, 1000.0)),
+    ],
+)
+def test_samples_count_in_their_direction(direction, carried, left):
+    """Samples and heartbeats are explained where they flow; the acknowledgements are not."""
+    transmit, receive = carried
+    found = rates(transmit=transmit, receive=receive, publishers=(topic(direction),))
+    assert found[-1] == pytest.approx(left, abs=20.0)
+
+
+def test_every_reader_across_the_link_has_a_copy():
+    """Two readers on other hosts receive every sample twice."""
+    twice = replace(topic(Direction.SENSING), remote_readers=2)
+    assert rates(transmit=2 * DATA + 500.0, receive=0.0, publishers=(twice,))[-1].transmit == pytest.approx(500, abs=20)
+
+
+def test_probes_and_reports_are_ours():
+    """A probe crosses once per peer, and each tick brings a report."""
+    reports_rate = REPORT_BYTES / TICK_S
+    found = rates(transmit=6500.0, receive=reports_rate + 250.0, probe_rate=3000.0, peers=2, reports=(REPORT,))
+    assert found[-1] == pytest.approx((500.0, 250.0), abs=20.0)
+
+
+def test_it_is_never_below_0():
+    """A rate that has just fallen explains more than was carried."""
+    both = topic(Direction.SENSING), replace(topic(Direction.ACTUATION), topic="/u")
+    assert rates(transmit=10.0, receive=10.0, publishers=both)[-1] == (0.0, 0.0)
+
+
+def test_an_interface_that_was_gone_begins_anew():
+    """After it returns nothing is known for a second."""
+    other = OtherTraffic()
+    seen = [observation(at_s, counters=INTERFACE if at_s != 2.0 else None) for at_s in (0.0, 1.0, 2.0, 3.0, 4.0)]
+    assert [other.update(each, probe_bytes=0) is not None for each in seen] == [False, True, False, False, True]
