@@ -135,6 +135,7 @@ def _facts(status: dict[str, Any], *, is_airy: bool) -> list[str]:
         ("", text(plan, "reason")),
         *(("", f"refused: {refusal}") for refusal in texts(plan, "refusals")),
         ("program", f"{solved}, {backend}"),
+        ("relay", _relay(status.get("relay"))),
         ("dropped", _dropped(status)),
         ("lease", lease(lease_s) if is_airy and (lease_s := number(status, "lease", "after_seconds")) else ""),
         ("rmw", "" if status.get("rmw") is None else text(status, "rmw", "refusal")),
@@ -162,6 +163,26 @@ def _link(status: dict[str, Any]) -> list[tuple[str, str]]:
         ("", text(link, "evidence")),
         ("", of_others if cross_traffic else ""),
     ]
+
+
+def _relay(relay: Any) -> str:
+    """Say what crosses between the two ends of the relay."""
+    if relay is None:
+        return ""
+    to_ceddp, to_robot = (
+        f"{count(find(relay, way), 'wanted')} of {count(find(relay, way), 'offered')}"
+        for way in ("to_ceddp", "to_robot")
+    )
+    others = (
+        (count(relay, "incomplete"), "samples of incomplete groups dropped"),
+        (sum(counts(relay, "calls_failed").values()), "calls failed"),
+        (len(differ) if isinstance(differ := find(relay, "types_differ"), dict) else 0, "topics with two types"),
+        (len(texts(relay, "strangers")), "nodes in the link domain that are not arpd's"),
+    )
+    host = f" ({host})" if (host := text(relay, "other_host")) else ""
+    now = "cross" if find(relay, "reachable") is True else "wait to cross"
+    crosses = f"{to_ceddp} topics {now} to the CEDDP{host}, {to_robot} to the robot"
+    return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
 
 
 def _budget(status: dict[str, Any]) -> str:

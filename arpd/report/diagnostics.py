@@ -28,6 +28,9 @@ _OF_PLAN = {
     Condition.DEGRADED,
     Condition.LIMITED,
     Condition.UNCONFIRMED,
+    Condition.RELAY_SILENT,
+    Condition.RELAY_CUT,
+    Condition.RELAY_REFUSES,
 }
 _OF_CONFIGURATION = {Condition.RELOAD_REFUSED, Condition.RESTART_NEEDED}
 

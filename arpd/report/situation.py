@@ -18,7 +18,7 @@ from arpd.model.quantities import format_duration, format_number, format_rate, f
 from arpd.model.settings import AUTO
 from arpd.report.events import EventKind, Severity
 from arpd.report.topic_rows import topic_rows
-from arpd.report.wording import AT_FLOORS, NOTHING_ANNOUNCED, confirmed, count, listed
+from arpd.report.wording import AT_FLOORS, NOTHING_ANNOUNCED, confirmed, count, listed, short
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Sequence
@@ -65,6 +65,9 @@ class Condition(StrEnum):
     CLEAR = "clear", Severity.INFO, "The link is fine", False
     STALE = "stale", Severity.ERROR, "No tick finishes", True
     RELOAD_REFUSED = "reload_refused", Severity.ERROR, "Reload refused", True
+    RELAY_SILENT = "relay_silent", Severity.ERROR, "The relay on the robot is silent", True
+    RELAY_CUT = "relay_cut", Severity.WARNING, "The relay's ends do not meet", True
+    RELAY_REFUSES = "relay_refuses", Severity.WARNING, "The relay refuses topics", True
     UNCONFIRMED = "unconfirmed", Severity.WARNING, "Plan not confirmed", True
     RESTART_NEEDED = "restart_needed", Severity.WARNING, "Restart needed", False
 
@@ -120,7 +123,7 @@ class Situation:
     Parameters
     ----------
     conditions : of link and plan, at least one, the most important first
-    faults : of ticks, configuration and publishers, the worst first
+    faults : of ticks, configuration, relay and publishers, the worst first
     slowed : topics that the link keeps below their sources' rates, the most slowed first
     """
 
@@ -237,12 +240,30 @@ def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]
         yield stale(age_s)
     if snapshot.config_error:
         yield reload_refused(snapshot)
+    yield from _relay_faults(snapshot)
     if (waited_s := _unconfirmed_s(snapshot)) > UNCONFIRMED_AFTER_S:
         # In whole seconds: the status line goes to systemd whenever it changes.
         yield Finding(Condition.UNCONFIRMED, f"{who_confirmed(snapshot)} after {format_duration(waited_s // 1)}")
     if keys := snapshot.keys_awaiting_restart:
         why = f"the file's {listed(keys)} {'is' if len(keys) == 1 else 'are'} not in force"
         yield Finding(Condition.RESTART_NEEDED, why)
+
+
+def _relay_faults(snapshot: Snapshot) -> Iterator[Finding]:
+    relay = snapshot.observation.relay
+    if snapshot.observation.is_relay_silent:
+        yield Finding(Condition.RELAY_SILENT, "it tells this daemon nothing; see systemctl status arpd-relay")
+    if relay is None:
+        return
+    if relay.fault:
+        yield Finding(Condition.RELAY_CUT, f"the CEDDP's end is not understood: {relay.fault}")
+    elif not relay.is_reachable and snapshot.link.state is not LinkState.OUTAGE:
+        who = f"the CEDDP's end on {relay.other_host} is silent" if relay.other_host else "no end on the CEDDP is heard"
+        yield Finding(Condition.RELAY_CUT, f"{who}, so no topic crosses")
+    if refused := {**relay.to_robot.refused, **relay.to_ceddp.refused}:
+        first, *more = sorted(refused)
+        also = f"; also {listed(more)}" if more else ""
+        yield Finding(Condition.RELAY_REFUSES, f"{short(first)}: {refused[first]}{also}")
 
 
 def reload_refused(snapshot: Snapshot) -> Finding:

@@ -9,6 +9,7 @@ Every key carries its unit. ``null`` stands for what JSON cannot say:
 - in ``interface_counters`` an interface that is gone, in ``backlog_bytes`` one without a queue,
 - in ``radio_bytes_per_second`` an interface without a radio, or a radio that does not tell,
 - in ``rmw`` a world without ROS,
+- in ``relay`` a robot without a relay of two ends, or one whose end is silent,
 - in ``after_seconds`` of ``lease`` a plan that outlives its daemon,
 - in ``loss_ratio`` and ``return_delay_seconds`` what nobody measures.
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.plan import ReaderPlan
     from arpd.model.price import Price
+    from arpd.model.relay import RelaySummary
     from arpd.report.events import Event
     from arpd.report.situation import Finding
     from arpd.report.snapshot import Snapshot, Totals
@@ -82,6 +84,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "others": list(snapshot.observation.other_daemons),
             "standing_by_for": snapshot.observation.active_daemon,
         },
+        "relay": None if (relay := snapshot.observation.relay) is None else _relay(relay),
         "gate": _finite(decision.gate),
         "price": decision.price and _price(decision.price),
         "level_bytes_per_second": _finite(decision.plan.level_bytes_per_second),
@@ -185,6 +188,12 @@ def _rmw(observation: Observation) -> dict[str, Any] | None:
     if not observation.rmw:
         return None
     return {"name": observation.rmw, "swaps": not observation.rmw_refusal, "refusal": observation.rmw_refusal}
+
+
+def _relay(relay: RelaySummary) -> dict[str, Any]:
+    document = {**asdict(relay), "reachable": relay.is_reachable, "strangers": list(relay.strangers)}
+    del document["is_reachable"]
+    return document
 
 
 def _price(price: Price) -> dict[str, Any]:

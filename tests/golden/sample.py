@@ -14,6 +14,7 @@ from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Obs
 from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import PeerReport
+from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
 from arpd.report.other_traffic import OtherRates
 from arpd.report.snapshot import Snapshot, Totals
@@ -224,6 +225,17 @@ def make_snapshot() -> Snapshot:
                     (MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 2,
                 },
                 pending=3,
+            ),
+            relay=RelaySummary(
+                other_host="ceddp",
+                is_reachable=True,
+                to_ceddp=RelayTopics(offered=14, wanted=4),
+                to_robot=RelayTopics(offered=3, wanted=1),
+                received=5000,
+                doubled=2,
+                unknown=1,
+                incomplete=40,
+                calls_failed={"timeout": 3},
             ),
         ),
         link=LinkEstimate(

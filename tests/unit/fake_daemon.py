@@ -101,6 +101,8 @@ def document(**changes):
             rmw="rmw_x",
             rmw_refusal=changes.pop("rmw_refusal", ""),
             active_daemon=changes.pop("active_daemon", ""),
+            relay=changes.pop("relay", None),
+            is_relay_silent=changes.pop("is_relay_silent", False),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=625_000.0,

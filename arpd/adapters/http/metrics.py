@@ -16,6 +16,7 @@ from prometheus_client.registry import Collector
 from arpd import __version__
 from arpd.adapters.http.families import counter_of, gauge, gauge_by, gauge_of
 from arpd.adapters.http.link_metrics import link_metrics
+from arpd.adapters.http.relay_metrics import relay_metrics
 from arpd.adapters.http.topic_metrics import reader_metrics, topic_metrics
 from arpd.adapters.http.total_metrics import total_metrics
 from arpd.model.allocation import AllocationStatus, Binding
@@ -187,6 +188,7 @@ class SnapshotCollector(Collector):
         yield from _of_daemon(snapshot)
         yield from total_metrics(snapshot.totals)
         yield from link_metrics(snapshot)
+        yield from relay_metrics(snapshot.observation)
         yield from topic_metrics(topic_rows(snapshot))
         yield from reader_metrics(snapshot)
         yield from refusal_metrics(snapshot)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import time
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -15,6 +16,7 @@ from arpd.cli.status import findings, screen
 from arpd.model.endpoints import RefusalReason
 from arpd.model.interface import InterfaceState
 from arpd.model.link import LinkState
+from arpd.model.relay import RelaySummary, RelayTopics
 from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
 
 
@@ -86,9 +88,21 @@ def test_all_is_well_exits_0(status):
         (calm(interface_state=InterfaceState.NO_CARRIER), "The link is down: wlan0 has no carrier"),
         (calm(link_state=LinkState.OUTAGE), "The link carries nothing"),
         (calm(config_error="a.yaml:1:1: x: y; z"), "Reload refused: a.yaml:1:1: x: y; z"),
+        (calm(is_relay_silent=True), "The relay on the robot is silent"),
+        (calm(relay=RelaySummary(other_host="ceddp")), "The relay's ends do not meet"),
         (document(), "Not everything asked for fits"),
     ],
-    ids=["not ready", "stuck", "standing by", "no carrier", "outage", "reload refused", "infeasible"],
+    ids=[
+        "not ready",
+        "stuck",
+        "standing by",
+        "no carrier",
+        "outage",
+        "reload refused",
+        "relay silent",
+        "relay cut",
+        "infeasible",
+    ],
 )
 def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
     """The fault is on the screen; with --json it is on stderr."""
@@ -126,6 +140,33 @@ def test_the_demo_robots_status_fits_a_terminal_of_80_by_24():
     assert max(map(len, lines)) <= 80
     assert sum("/link/" in line or "…" in line for line in lines) >= 11
     assert "DEPTH" in next(line for line in lines if line.startswith("TOPIC"))
+
+
+RELAY = RelaySummary(
+    other_host="ceddp",
+    is_reachable=True,
+    to_ceddp=RelayTopics(offered=14, wanted=4),
+    to_robot=RelayTopics(offered=3, wanted=1),
+)
+
+
+def test_a_relay_with_two_ends_has_a_line(status):
+    """It says what crosses, and what went wrong where something did."""
+    _, out, _ = status(calm(relay=RELAY))
+    assert "\nrelay    4 of 14 topics cross to the CEDDP (ceddp), 1 of 3 to the robot\n" in out
+    _, out, _ = status(calm(relay=RelaySummary()))
+    assert "\nrelay    0 of 0 topics wait to cross to the CEDDP, 0 of 0 to the robot\n" in out
+    troubled = replace(
+        RELAY, incomplete=40, calls_failed={"timeout": 2, "type": 1}, strangers=("rviz",), types_differ={"/a": "A, B"}
+    )
+    _, out, _ = status(calm(relay=troubled))
+    line = next(line for line in out.splitlines() if line.startswith("relay"))
+    assert line.split("; ")[1:] == [
+        "40 samples of incomplete groups dropped",
+        "3 calls failed",
+        "1 topics with two types",
+        "1 nodes in the link domain that are not arpd's",
+    ]
 
 
 def test_readers_that_no_plan_touches_are_counted(status):

@@ -15,6 +15,7 @@ from arpd.model.allocation import AllocationStatus
 from arpd.model.interface import InterfaceState
 from arpd.model.link import LinkState
 from arpd.model.plan import QosPlan
+from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.situation import STALE_AFTER_S, Condition, judge, status_line
 from tests.golden.sample import FINISHED_AT_S, changed
@@ -137,6 +138,37 @@ def test_a_plan_that_is_long_unconfirmed_is_a_fault(told, is_fault):
     """The decision log tells for how long; without events there is no fault."""
     conditions = {fault.condition for fault in judge(changed(events=events(*told))).faults}
     assert conditions == ({Condition.UNCONFIRMED} if is_fault else set())
+
+
+@pytest.mark.parametrize(
+    ("relay", "condition", "words"),
+    [
+        (RelaySummary(), Condition.RELAY_CUT, "no end on the CEDDP is heard"),
+        (RelaySummary(other_host="ceddp"), Condition.RELAY_CUT, "the CEDDP's end on ceddp is silent"),
+        (RelaySummary(is_reachable=True, fault="it speaks version 2"), Condition.RELAY_CUT, "it speaks version 2"),
+        (
+            RelaySummary(
+                is_reachable=True,
+                to_ceddp=RelayTopics(refused={"/scan": "two types"}),
+                to_robot=RelayTopics(refused={"/cmd": "not let in"}),
+            ),
+            Condition.RELAY_REFUSES,
+            "/cmd: not let in; also /scan",
+        ),
+        (None, Condition.RELAY_SILENT, "arpd-relay"),
+    ],
+)
+def test_a_relay_that_does_not_carry_is_a_fault(relay, condition, words):
+    """A silent end, ends that do not meet, and refused topics are wrong, and the sentence has the reason."""
+    situation = judge(changed(observation={"relay": relay, "is_relay_silent": relay is None}))
+    assert [fault.condition for fault in situation.faults] == [condition]
+    assert condition.is_wrong
+    assert words in situation.faults[0].text
+
+
+def test_an_outage_explains_a_silent_other_end():
+    """While the link carries nothing, the other end's silence is no further fault."""
+    assert not judge(changed(link={"state": LinkState.OUTAGE}, observation={"relay": RelaySummary()})).faults
 
 
 def test_a_confirmed_plan_is_no_fault():
