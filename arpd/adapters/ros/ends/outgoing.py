@@ -160,7 +160,7 @@ class Outgoing:
                 self._deliver_held(carried)
 
     def _drop_unwanted(self, wanted: Collection[str]) -> None:
-        """Drop what has not been wanted for a while: an end that has just started tells at first that it wants nothing."""
+        """Drop what has not been wanted for a while: an end that has just started wants nothing at first."""
         now_s = self._clock()
         for link_name, carried in list(self._carried.items()):
             if link_name in wanted:
