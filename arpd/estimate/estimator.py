@@ -11,6 +11,7 @@ from arpd.estimate import parameters
 from arpd.estimate.belief import Belief
 from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
+from arpd.estimate.idle import IdleLink
 from arpd.estimate.local_queue import LocalQueue
 from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
@@ -77,7 +78,7 @@ class Estimator:
         self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
         self._queues: deque[tuple[float, float]] = deque()  # time s, queue s; as far back as makes a queue stand
         self._learns_from_s = self._queued_here_s = -math.inf
-        self._crossed_s = math.inf  # when a topic crossed last; the start counts as one
+        self._idle = IdleLink()
 
     @property
     def has_evidence(self) -> bool:
@@ -102,8 +103,7 @@ class Estimator:
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._expect_bursts(observation)
-        if math.isinf(self._crossed_s) or observation.sensing_topics + observation.actuation_topics > 0:
-            self._crossed_s = now_s
+        self._idle.note(observation, capacity=self._belief.capacity)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
@@ -145,7 +145,7 @@ class Estimator:
                 surprise_bytes_per_second=self._surprise(now_s),
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
-                is_idle=now_s - self._crossed_s > parameters.IDLE_AFTER_S,
+                is_idle=self._idle.is_idle,
             )
         )
         for request in requests:

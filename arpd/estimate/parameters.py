@@ -24,7 +24,6 @@ FOREIGN = 1.1  # a peer that receives this multiple of what this host sends hear
 NOTICED = 0.015  # relative change that is stated
 FALLEN, URGENT_S = 0.8, 10.0  # part of the capacity below which trains are urgent, and time in which they are
 SURPRISE = 0.2  # relative difference at which a train is confirmed at once
-IDLE_AFTER_S = 10.0  # time without a topic that crosses, after which probes are rare
 TRAIN_MEMORY_S = 30.0  # age at which a train is forgotten
 # Most of a radio's bit rate that carries data: 802.11 spends the rest on preambles, contention and acknowledgements.
 RADIO_SHARE = 0.7

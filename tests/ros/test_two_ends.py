@@ -240,11 +240,11 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
-    state = EndState(session="00", number=1, wants=frozenset({"/map"}), link_gids=own_prefix(living).hex())
+    state = EndState(session="0" * 16, number=1, wants=frozenset({"/map"}), link_gids=own_prefix(living).hex())
     states.publish(wrap(encode_state(state)))
     eventually(lambda: dead.count_publishers("/map") == 1, timeout_s=30)
     for _ in range(5):
-        signs.publish(wrap(b"00"))
+        signs.publish(wrap(b"0" * 16))
         time.sleep(0.4)
         assert still.publisher.get_subscription_count() == 0
     received = listen(living, "/map", RELIABLE, UInt8MultiArray)

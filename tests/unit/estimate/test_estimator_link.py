@@ -75,7 +75,7 @@ class Run:
                 down=down,
                 publishers=(),
                 random=Random(f"{seed} peer {place}"),
-                graph=GraphSettings(),
+                graph=GraphSettings(sensing_topics=1),  # what crosses stands for a topic
                 on_report=self.wake,
                 into_peer=tuple(flow.after(START_S) for flow in flows(download)),
             )

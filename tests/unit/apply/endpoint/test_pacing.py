@@ -263,6 +263,6 @@ def test_the_newest_sample_of_each_source_waits():
     pacer.retune(rate_hz=1.0, depth=1, now_s=0.0)
     for k, sample in enumerate([b"q0", b"q1", *(b"b%d" % n for n in range(50)), b"q2", b"b50"]):
         pacer.offer(sample, 0.001 * k)
-    left = [sample for now_s in range(1, 8) if (sample := pacer.take(float(now_s))) is not None]
+    left = [taken for now_s in range(1, 8) if (taken := pacer.take(float(now_s))) is not None]
     assert left[-2:] == [b"q2", b"b50"]
     assert sum(dropped) + len(left) == 54

@@ -4,6 +4,11 @@ from arpd.apply.relay.offers import EndState
 from arpd.apply.relay.partner import Partner
 
 
+def in_force(partner):
+    assert partner.state is not None
+    return partner.state
+
+
 def state(session, number=1, host=""):
     return EndState(session=session, number=number, host=host)
 
@@ -24,7 +29,7 @@ def test_the_newest_state_of_a_session_counts():
     partner.hear("a", 0.0, state("a", 2))
     partner.hear("a", 0.1, state("a", 1))
     partner.look(0.1)
-    assert partner.state.number == 2
+    assert in_force(partner).number == 2
 
 
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
@@ -34,9 +39,9 @@ def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
     heard(partner, "old", from_s=0.0, to_s=5.0)
     partner.hear("new", 6.0, state("new"))
     partner.look(6.0)
-    assert partner.state.session == "old"
+    assert in_force(partner).session == "old"
     heard(partner, "new", from_s=6.0, to_s=7.0)
-    assert partner.state.session == "new"
+    assert in_force(partner).session == "new"
 
 
 def test_of_two_ends_the_first_stays_and_the_other_is_named():
@@ -46,10 +51,10 @@ def test_of_two_ends_the_first_stays_and_the_other_is_named():
     partner.look(0.0)
     partner.hear("b", 0.5, state("b", host="two"))
     heard(partner, "a", "b", from_s=1.0, to_s=20.0)
-    assert partner.state.host == "one"
+    assert in_force(partner).host == "one"
     assert partner.others(20.0) == ["two"]
     heard(partner, "b", from_s=21.0, to_s=23.0)
-    assert partner.state.host == "two"
+    assert in_force(partner).host == "two"
     assert partner.others(23.0) == []
 
 
@@ -60,7 +65,7 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     partner.look(0.0)
     assert partner.is_reachable(3.0)
     partner.look(20.0)
-    assert partner.state is not None
+    assert in_force(partner)
     assert not partner.is_reachable(20.0)
     partner.look(31.0)
     assert partner.state is None
