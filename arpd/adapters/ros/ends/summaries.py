@@ -63,6 +63,6 @@ class Summaries:
             doubled=self._incoming.doubled,
             unknown=self._incoming.unknown,
             incomplete=self._outgoing.incomplete,
-            calls_failed=self._calls.failures,
+            calls_failed=dict(self._calls.failures),
         )
         rcl().publish(self._publisher.handle, wrap(encode_summary(summary)))
