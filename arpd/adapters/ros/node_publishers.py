@@ -231,9 +231,20 @@ class NodePublishers:
                     swapped = {self._swapped.popleft() for _ in range(len(self._swapped))}
                     self._announce(one for one in self._publishers.values() if one in swapped)
             except InvalidHandle:
-                return  # the application destroyed the node
+                if not self._has_node:
+                    return
+                continue  # only a publisher was destroyed, between two looks
             next_s = min(announce_s, self._wakeups.next_s(), early_s if self._swapped else math.inf)
             self._wakeups.wait(next_s - self._clock())
+
+    @property
+    def _has_node(self) -> bool:
+        """False after the application destroyed the node."""
+        try:
+            with self._node.handle:
+                return True
+        except InvalidHandle:
+            return False
 
     def _service(self, now_s: float, *, until_s: float) -> None:
         """Serve the publishers that are due, and those that become due while a write blocks."""

@@ -30,6 +30,10 @@ def prepare_environment(profile: Path = FASTDDS_PROFILE) -> None:
     if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
 
+    if profile == TWO_ENDED_PROFILE:
+        # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
 
 @contextmanager
 def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
@@ -81,9 +85,9 @@ def control_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
 
 @contextmanager
 def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
-    """Let a context that is initialised meanwhile look for others on the link by unicast only.
+    """Let a context that is initialised meanwhile look for others at known addresses.
 
-    With a list of peers Fast DDS announces a participant to those alone, at the first four ports of the domain, and not
+    With a list of peers Fast DDS announces a participant to those, at the first four ports of the domain, and once more
     by multicast. LOCALHOST would announce it at 32 ports of each (rmw_fastrtps, participant.cpp), every three seconds.
     rcl reads these variables at each initialisation.
     """

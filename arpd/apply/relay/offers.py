@@ -88,6 +88,7 @@ class EndState:
     wants : topics of the other end that somebody reads here
     refused : topics of the other end that it does not carry, and the reason
     link_gids : first 12 bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not told
+    local_gids : the same of those in its local domain
     """
 
     session: str
@@ -99,6 +100,7 @@ class EndState:
     wants: frozenset[str] = frozenset()
     refused: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     link_gids: str = ""
+    local_gids: str = ""
 
 
 def encode_state(state: EndState) -> bytes:
@@ -114,6 +116,7 @@ def encode_state(state: EndState) -> bytes:
         "wants": sorted(state.wants),
         "refused": dict(state.refused),
         "link_gids": state.link_gids,
+        "local_gids": state.local_gids,
     }
     return zlib.compress(json.dumps(document, separators=(",", ":")).encode())
 
@@ -150,6 +153,7 @@ def decode_state(data: bytes) -> EndState:
             wants=frozenset(map(str, document["wants"])),
             refused={str(name): str(reason) for name, reason in document["refused"].items()},
             link_gids=str(document.get("link_gids", "")),
+            local_gids=str(document.get("local_gids", "")),
         )
     except (zlib.error, KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as fault:
         raise ValueError(f"no state of a relay ({fault})") from fault

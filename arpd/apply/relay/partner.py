@@ -25,11 +25,12 @@ class Partner:
         self._heard_s: dict[str, float] = {}  # last sign of life by session
         self._states: dict[str, EndState] = {}
         self._session = ""
+        self._is_gone = False
 
     @property
     def state(self) -> EndState | None:
-        """Newest state of the session in force."""
-        return self._states.get(self._session)
+        """Newest state of the session in force, None while it is gone; it may return, and says nothing new then."""
+        return None if self._is_gone else self._states.get(self._session)
 
     def hear(self, session: str, now_s: float, state: EndState | None = None) -> None:
         """Take a sign of life, with or without a state."""
@@ -41,13 +42,16 @@ class Partner:
     def look(self, now_s: float) -> None:
         """Choose the session in force."""
         for session in [each for each, heard_s in self._heard_s.items() if now_s - heard_s > _GONE_S]:
-            del self._heard_s[session]
-            self._states.pop(session, None)
+            if session != self._session:
+                del self._heard_s[session]
+                self._states.pop(session, None)
         if now_s - self._heard_s.get(self._session, -math.inf) <= _REPLACED_S and self._session in self._states:
+            self._is_gone = False
             return
         heard = [each for each in self._states if now_s - self._heard_s[each] <= _REPLACED_S]
         if heard or self._session not in self._states:
             self._session = max(heard, key=lambda each: self._heard_s[each], default=self._session)
+        self._is_gone = now_s - self._heard_s.get(self._session, -math.inf) > _GONE_S
 
     def is_reachable(self, now_s: float) -> bool:
         """Return whether the session in force spoke lately."""

@@ -54,7 +54,7 @@ class Sets:
         begun[record.member] = record
         if not self._members <= begun.keys():
             if len(self._begun) > _MOST_BEGUN:
-                self._drop(min(self._begun))
+                self._drop(next(iter(self._begun)))  # the one that was begun first: clocks may go back
             return None
         del self._begun[stamp]
         for older in [other for other in self._begun if other < stamp]:

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -69,18 +69,18 @@ class CallLink:
         self._local_name = local_name
         self._clock = clock
         self._records: deque[bytes] = deque()
-        self._publisher = link_node.create_publisher(UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events())
         self._calls = Calls(
             node,
             send=self._send,
-            ghost_node=partial(nodes.of, owner=_OWNER),
+            ghost_node=partial(nodes.served, owner=_OWNER),
             allows=allows,
             timeout_s=timeout_s,
             session=session,
             namespace=namespace,
             clock=clock,
         )
-        self._reader = RawReader(link_node, UInt8MultiArray, other, _QOS, deliver=self._arrive, thread=thread)
+        self._publisher: Any = None
+        self._reader: RawReader | None = None
         self._look_s = clock()
         self.offers: Mapping[str, ServiceOffer] = MappingProxyType({})
         self.refused: Mapping[str, str] = MappingProxyType({})
@@ -88,12 +88,17 @@ class CallLink:
         # Services that the other end offers, and its session, None = unreachable; the end's own thread sets it.
         self.offered: tuple[Mapping[str, ServiceOffer], str | None] = MappingProxyType({}), None
         if is_used:
+            self._publisher = link_node.create_publisher(
+                UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events()
+            )
+            self._reader = RawReader(link_node, UInt8MultiArray, other, _QOS, deliver=self._arrive, thread=thread)
             node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
         """Destroy everything."""
-        self._reader.destroy()
-        self._calls.destroy()
+        if self._reader is not None:
+            self._reader.destroy()
+            self._calls.destroy()
 
     def _tick(self) -> None:
         while self._records:
@@ -104,7 +109,7 @@ class CallLink:
             self.offers = self._calls.offers()
             offered, session = self.offered
             self._calls.follow(offered, session=session)
-            self._nodes.keep(_OWNER, {self._local_name(offer.node) for offer in offered.values()})
+            self._nodes.release(_OWNER, {self._local_name(offer.node) for offer in offered.values()})
             self.refused, self.failures = dict(self._calls.refused), dict(self._calls.failures)
         self._calls.step(now_s)
 

@@ -14,6 +14,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd import __version__
+from arpd.adapters.ros.ends.announced import AnnouncedParticipants
 from arpd.adapters.ros.ends.call_link import CallLink
 from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import OWNER, Incoming
@@ -28,10 +29,11 @@ from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.apply.relay.partner import EVERY_S, Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
+from arpd.apply.relay.status import MOST_NAMED, status_line
 from arpd.model.relay import RelaySummary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from rclpy.node import Node
 
@@ -43,7 +45,6 @@ _LOOK_S = 0.5  # the graph of the local domain
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_MOST_NAMED = 3  # topics in one part of the status line
 
 
 class End:
@@ -57,7 +58,6 @@ class End:
     host : name of this host
     session : number of this process, 32 random bits
     on_change : called with the status line at the start and whenever it changes
-    add : lets the executor of ``node`` serve another node
     """
 
     def __init__(
@@ -70,18 +70,20 @@ class End:
         host: str,
         session: int,
         on_change: Callable[[str], None],
-        add: Callable[[Node], None] = lambda _node: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._settings = settings
         self._is_far = is_far
         self._host = host
-        self._session = session
         self._on_change = on_change
         self._clock = clock
         self._selection = Selection.of(settings)
         self._names = Names(settings)
+        self._node = node
         self._own_gids = own_prefix(node).hex()
+        self._announced = AnnouncedParticipants(node.context.get_domain_id())
+        self._is_shared = False  # whether both ends are in one domain
+        self._others: list[str] = []  # nodes in the link domain that are not arpd's
         self._link_gids = own_prefix(link_node).hex()
         self._partner = Partner()
         self._partner_session = ""
@@ -91,13 +93,13 @@ class End:
         self._offered_to_us: Mapping[str, TopicOffer] = {}
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
-        self._told = EndState(session="", number=0)
+        self._told = EndState(session=f"{session:016x}", number=0)
         self._number = 0
         self._begun_s = clock()
         self._look_s = self._alive_s = self._begun_s
         # Two threads: a write onto a full link blocks, and what comes from the link must not wait for it.
         self._outgoing_thread, self._incoming_thread = ReadingThread(), ReadingThread()
-        self._nodes = GhostNodes(node, add=add)
+        self._nodes = GhostNodes(node)
         self._link_node = link_node
         self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
@@ -129,7 +131,7 @@ class End:
             is_used=bool(settings.services or settings.actions),
             allows=self._selection.may_call,
             timeout_s=settings.call_timeout_s,
-            session=_words(session),
+            session=self._told.session,
             namespace=settings.namespace if is_far else "",
             local_name=self.local_name,
             clock=clock,
@@ -150,8 +152,14 @@ class End:
         # Steady time, so that a paused simulation does not stop the end from following the graph.
         link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    @property
+    def threads(self) -> tuple[ReadingThread, ReadingThread]:
+        """Threads that carry the data, for the watchdog."""
+        return self._outgoing_thread, self._incoming_thread
+
     def close(self) -> None:
-        """Destroy everything in both domains."""
+        """Destroy everything in both domains; no executor calls the end any more."""
+        self._announced.close()
         for reader in self._readers:
             reader.destroy()
         self._calls.close()
@@ -189,8 +197,10 @@ class End:
             self._look_s = now_s + _LOOK_S
             self.survey.look()
             self._offers = self._survey_offers()
+            self._others = self._nodes_of_others()
             self._follow(now_s)
         self.incoming.step()
+        self._nodes.keep(OWNER, self.incoming.used_nodes)
         self.outgoing.step(self._offers)
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell(now_s)
@@ -207,9 +217,9 @@ class End:
                     state = decode_state(octet)
                     self._partner.hear(state.session, now_s, state)
                     is_new = True
+                    self._fault = ""
                 else:
                     self._partner.hear(octet[:16].decode(), now_s)
-                self._fault = ""
             except OtherVersionError as fault:
                 self._note_fault(str(fault))
             except ValueError as fault:
@@ -230,7 +240,8 @@ class End:
                 self._partner_session = ""
                 self.outgoing.forget()
                 self._offered_to_us = {}
-                self.incoming.follow({}, session=0)
+                self._refused, self._differ = {}, {}
+            self.incoming.follow({}, session=0)
             return
         if state.session != self._partner_session:
             self._partner_session = state.session
@@ -239,33 +250,41 @@ class End:
         self._offered_to_us = state.topics
         accepted = {}
         refused = {}
+        self._is_shared = self._sees(state.local_gids)
+        announced = self._announced.recent()
+        if self._is_shared:
+            self._calls.offered = {}, None
         for name, offer in state.topics.items():
-            if reason := self._reason_against(name, offer):
+            if self._is_shared:
+                refused[name] = "both ends are in one ROS domain"
+            elif reason := self._reason_against(name, offer, announced):
                 refused[name] = reason
             else:
                 accepted[name] = offer
         self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF, refused=refused)
-        self._nodes.keep(OWNER, self.incoming.used_nodes)
-        self.outgoing.follow(state.wants, self._offers)
+        self.outgoing.follow(frozenset() if self._is_shared else state.wants, self._offers)
         self._note_other_types(accepted)
         self._note_refusals(
             {**refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused, **self._conflicts()}
         )
 
-    def _reason_against(self, name: str, offer: TopicOffer) -> str:
+    def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
         if not self._may_enter(name):
             return "the configuration of this end does not let it in; give both ends one file"
         here = self.survey.gids(self.local_name(name))
         for writer in offer.writers:
-            if writer.gid in here:
+            if writer.gid in here or writer.gid[: len(self._own_gids)] in announced:
                 return (
                     f"{writer.node} of the other side is visible in this domain without the relay; give the two sides "
                     "different ROS_DOMAIN_IDs, or its nodes ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
                 )
-            if writer.gid.startswith(self._own_gids):
-                return "this end's own writer is visible on the other side; give the two sides different ROS_DOMAIN_IDs"
         return ""
+
+    def _sees(self, gids: str) -> bool:
+        """Return whether the other end's process is in this end's local graph: then its ghosts are, too."""
+        found = self._node.get_publishers_info_by_topic("/parameter_events")
+        return bool(gids) and any(bytes(info.endpoint_gid).hex().startswith(gids) for info in found)
 
     def _note_other_types(self, accepted: Mapping[str, TopicOffer]) -> None:
         """Name the topics that nodes here use with another type than the other side."""
@@ -299,7 +318,7 @@ class End:
     def _tell(self, now_s: float) -> None:
         """Send this end's state if it has changed, and a sign of life once a second."""
         state = EndState(
-            session=_words(self._session),
+            session=self._told.session,
             number=self._number,
             host=self._host,
             arpd=__version__,
@@ -308,6 +327,7 @@ class End:
             wants=self.incoming.wants,
             refused=self._refused,
             link_gids=self._link_gids,
+            local_gids=self._own_gids,
         )
         if state != self._told:
             self._number += 1
@@ -329,35 +349,31 @@ class End:
             end = RelaySummary(
                 is_reachable=self._partner.is_reachable(now_s),
                 fault=self._fault,
-                strangers=tuple(self._strangers()),
+                strangers=tuple(self._others),
                 types_differ=self._differ,
             )
             self._summaries.step(now_s, here=here, there=self._partner.state, status=status, end=end)
 
     def status_line(self, now_s: float) -> str:
         """Return one line for ``systemctl status``."""
-        here, there = ("CEDDP", "robot") if self._is_far else ("robot", "CEDDP")
-        state = self._partner.state
-        if self._fault:
-            return f"the {there}'s end is not understood: {self._fault}"
-        if state is None:
-            return f"waiting for the {there}'s end; {len(self._offers)} topics of the {here} could cross"
-        line = (
-            f"{len(self.outgoing.carried)} of {len(self._offers)} topics cross to the {there}, "
-            f"{len(self.incoming.wants)} of {len(state.topics)} to the {here}"
+        return status_line(
+            is_far=self._is_far,
+            fault=self._fault,
+            state=self._partner.state,
+            is_reachable=self._partner.is_reachable(now_s),
+            is_shared=self._is_shared,
+            offered=len(self._offers),
+            carried=len(self.outgoing.carried),
+            wanted=len(self.incoming.wants),
+            second_ends=self._partner.others(now_s),
+            others=self._others,
+            refused=self._refused,
+            differ=self._differ,
         )
-        if not self._partner.is_reachable(now_s):
-            line = f"the {there}'s end is silent; {line}"
-        if strangers := self._strangers():
-            line += f"; the link domain has other nodes ({', '.join(strangers)}): only arpd's may live there"
-        if others := self._partner.others(now_s):
-            line += f"; ignored another {there}'s end on {', '.join(others)}: one robot has one"
-        refused = _named("refused", self._refused) + _named(f"the {there}'s end refuses", state.refused)
-        return line + refused + _named("two types of", self._differ)
 
-    def _strangers(self) -> list[str]:
-        names = sorted(set(self._link_node.get_node_names()))
-        return [name for name in names if not name.startswith("arpd")][:_MOST_NAMED]
+    def _nodes_of_others(self) -> list[str]:
+        names = sorted({*self._link_node.get_node_names()} - {self._link_node.get_name()})
+        return [name for name in names if not name.startswith("arpd")][:MOST_NAMED]
 
     def _note_fault(self, words: str) -> None:
         if words != self._fault:
@@ -378,17 +394,3 @@ class End:
 
     def _send(self, publisher: Any, data: bytes) -> None:
         rcl().publish(publisher.handle, wrap(data))
-
-
-def _words(session: int) -> str:
-    """Return a session as the ends tell it."""
-    return f"{session:016x}"
-
-
-def _named(what: str, reasons: Mapping[str, str]) -> str:
-    """Return the first of them with its reason, and the names of some others; empty if there are none."""
-    if not reasons:
-        return ""
-    first, *more = sorted(reasons)
-    named = ", ".join(more[:_MOST_NAMED]) + (f" and {len(more) - _MOST_NAMED} more" if len(more) > _MOST_NAMED else "")
-    return f"; {what} {first}: {reasons[first]}" + (f"; also {named}" if more else "")

@@ -34,12 +34,10 @@ class GhostNodes:
     Parameters
     ----------
     node : the end's own node; a ghost with its name, or a name that ROS refuses, is this node itself
-    add : called with each new node, so that an executor serves it
     """
 
-    def __init__(self, node: Node, *, add: Callable[[Node], None] = lambda _node: None) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._add = add
         self._ghosts: dict[str, Node] = {}
         self._kept: dict[str, set[str]] = {}
         self._lock = threading.Lock()
@@ -57,6 +55,13 @@ class GhostNodes:
             self._kept.setdefault(owner, set()).add(name)
             return self._of(name)
 
+    def served(self, name: str, *, owner: str) -> Node:
+        """Return the ghost, served by the executor of the end's own node; only for the thread of that executor."""
+        ghost = self.of(name, owner=owner)
+        if ghost.executor is None and self._node.executor is not None:
+            self._node.executor.add_node(ghost)
+        return ghost
+
     def keep(self, owner: str, names: set[str]) -> None:
         """Destroy the ghosts that no owner keeps any more; their endpoints are destroyed before.
 
@@ -70,6 +75,14 @@ class GhostNodes:
             for name in self._ghosts.keys() - set().union(*self._kept.values()):
                 self._ghosts.pop(name).destroy_node()
 
+    def release(self, owner: str, names: set[str]) -> None:
+        """Do as `keep`, after the executor has left the ghosts that this owner no longer keeps; as for `served`."""
+        for name in self._kept.get(owner, set()) - names:
+            ghost = self._ghosts.get(name)
+            if ghost is not None and ghost.executor is not None:
+                ghost.executor.remove_node(ghost)  # it would keep the node for ever
+        self.keep(owner, names)
+
     def close(self) -> None:
         """Destroy all ghosts."""
         with self._lock:
@@ -80,7 +93,7 @@ class GhostNodes:
         if name not in self._ghosts:
             namespace, _, base = name.rpartition("/")
             try:
-                ghost = rclpy.create_node(
+                self._ghosts[name] = rclpy.create_node(
                     base,
                     namespace=namespace or "/",
                     context=self._node.context,
@@ -91,8 +104,6 @@ class GhostNodes:
                 )
             except (ValueError, RuntimeError):  # a foreign middleware may have names that rcl refuses
                 return self._node
-            self._ghosts[name] = ghost
-            self._add(ghost)
         return self._ghosts[name]
 
 

@@ -17,7 +17,7 @@ from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.apply.relay.envelope import Record, unpack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from rclpy.node import Node
 
@@ -119,8 +119,6 @@ class Incoming:
                 present = {writer.gid for writer in offers[name].writers} if name in offers else set()
                 self._retire(topic, present, now_s)
                 self._write_held(topic, now_s)
-            writers = [ghost.offer for topic in self._topics.values() for ghost in topic.ghosts.values()]
-        self.used_nodes = {self._local_name(writer.node) for writer in writers}
 
     def step(self) -> None:
         """Look for readers, and open or close what they need."""
@@ -137,16 +135,13 @@ class Incoming:
                     links.add(topic.offer.link_name)
                 if topic.gone_s:
                     self._retire(topic, topic.ghosts.keys() - topic.gone_s.keys(), now_s)
+            writers = [ghost.offer for topic in self._topics.values() for ghost in topic.ghosts.values()]
+        self.used_nodes = {self._local_name(writer.node) for writer in writers}
         for name in links - self._readers.keys():
             self._readers[name] = self._reader(name)
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
         self.wants = frozenset(wants)
-
-    def types(self) -> Iterator[tuple[str, str]]:
-        """Yield the local name and the type of every topic."""
-        for topic in self._topics.values():
-            yield self._local_name(topic.name), topic.offer.type_name
 
     def close(self) -> None:
         """Destroy everything."""

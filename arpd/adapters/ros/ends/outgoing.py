@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
-_RECEIVE_DEPTH = (
-    1000  # within the host, so this only bridges the end's own scheduling, and holds every writer's history
-)
+# Within the host, so this only bridges the end's own scheduling, and holds every writer's history.
+_RECEIVE_DEPTH = 1000
 _LATCHED_DEPTH = 1000
 _MOST_HELD = 1000
+_HELD_S = 3.0
 _LINGER_S = 3.0
 
-Class = tuple[bool, bool]  # whether writers are reliable, and latched
+WriterClass = tuple[bool, bool]  # whether writers are reliable, and latched
 
 
 class Names:
@@ -57,22 +57,33 @@ class Names:
         return link_name in self._groups
 
 
+class _Held(NamedTuple):
+    """A sample whose writer the graph does not name yet."""
+
+    topic: str
+    writers: WriterClass  # that its reader hears
+    sample: Sample
+    at_s: float
+
+
 @dataclass(slots=True)
 class _Carried:
     """One topic, or one group of topics, on the link."""
 
     publisher: AdaptivePublisher
     sets: Sets | None
+    is_latched: bool  # on the link
     wanted_s: float  # when it was wanted last
     wanted: set[str] = field(default_factory=set)
-    readers: dict[tuple[str, Class], RawReader] = field(default_factory=dict)
-    held: deque[tuple[str, Class, Sample]] = field(default_factory=lambda: deque(maxlen=_MOST_HELD))
+    types: dict[str, str] = field(default_factory=dict)  # of its topics
+    readers: dict[tuple[str, WriterClass], RawReader] = field(default_factory=dict)
+    held: deque[_Held] = field(default_factory=lambda: deque(maxlen=_MOST_HELD))
     lock: threading.Lock = field(default_factory=threading.Lock)
 
-    @property
-    def is_latched(self) -> bool:
-        """True if it has a reader of latched writers."""
-        return any(is_latched for _, (_, is_latched) in self.readers)
+    def close_readers(self, topics: Collection[str]) -> None:
+        """Destroy the readers of these topics."""
+        for key in [key for key in self.readers if key[0] in topics]:
+            self.readers.pop(key).destroy()
 
 
 class Outgoing:
@@ -115,6 +126,7 @@ class Outgoing:
         self._names = Names(settings)
         self._carried: dict[str, _Carried] = {}  # by the name on the link
         self._readers_gids = ""
+        self._incomplete = 0  # of groups that are not carried any more
         self.refused: dict[str, str] = {}
 
     @property
@@ -125,7 +137,7 @@ class Outgoing:
     @property
     def incomplete(self) -> int:
         """Count the samples of groups whose set was never complete."""
-        return sum(carried.sets.dropped for carried in self._carried.values() if carried.sets is not None)
+        return self._incomplete + sum(each.sets.dropped for each in self._carried.values() if each.sets is not None)
 
     def follow(self, wants: frozenset[str], offers: Mapping[str, TopicOffer]) -> None:
         """Carry the wanted topics, and no other."""
@@ -135,16 +147,15 @@ class Outgoing:
         self._drop_unwanted(wanted.keys())
         self.refused = {topic: reason for topic, reason in self.refused.items() if topic in wants}
         for link_name, topics in wanted.items():
+            is_latched = any(writer.is_latched for topic in topics for writer in offers[topic].writers)
             carried = self._carried.get(link_name)
+            if carried is not None and is_latched and not carried.is_latched:
+                self._drop(link_name)  # the history of a latched writer that joins needs a deep writer on the link
+                carried = None
             if carried is None:
-                offered = [offers[topic] for topic in topics]
-                carried = self._carried[link_name] = self._carry(link_name, offered)
+                carried = self._carried[link_name] = self._carry(link_name, is_latched=is_latched)
+            carried.close_readers(carried.wanted - topics)
             carried.wanted = topics
-            if carried.sets is not None:
-                with carried.lock:
-                    carried.sets.members = {self._names.of(topic)[1] for topic in topics}
-            for topic, kind in [key for key in carried.readers if key[0] not in topics]:
-                carried.readers.pop((topic, kind)).destroy()
         self.step(offers)
 
     def step(self, offers: Mapping[str, TopicOffer]) -> None:
@@ -153,11 +164,21 @@ class Outgoing:
             if not carried.readers and not self._is_heard(carried.publisher):
                 continue
             for topic in carried.wanted & offers.keys():
-                for kind in {(writer.is_reliable, writer.is_latched) for writer in offers[topic].writers}:
-                    if (topic, kind) not in carried.readers and topic not in self.refused:
-                        self._read(carried, topic, kind, offers[topic].type_name)
+                self._read_all(carried, topic, offers[topic])
             with carried.lock:
+                if carried.sets is not None:
+                    carried.sets.members = {self._names.of(topic)[1] for topic in carried.wanted - self.refused.keys()}
                 self._deliver_held(carried)
+
+    def _read_all(self, carried: _Carried, topic: str, offer: TopicOffer) -> None:
+        """Read a topic with a reader for each class of its writers."""
+        if carried.types.get(topic) != offer.type_name:
+            carried.close_readers((topic,))
+            carried.types[topic] = offer.type_name
+            self.refused.pop(topic, None)
+        for writers in {(writer.is_reliable, writer.is_latched) for writer in offer.writers}:
+            if (topic, writers) not in carried.readers and topic not in self.refused:
+                self._read(carried, topic, writers, offer.type_name)
 
     def _drop_unwanted(self, wanted: Collection[str]) -> None:
         """Drop what has not been wanted for a while: an end that has just started wants nothing at first."""
@@ -196,9 +217,8 @@ class Outgoing:
         found = self._link_node.get_subscriptions_info_by_topic(publisher.topic_name)
         return any(bytes(info.endpoint_gid).hex().startswith(self._readers_gids) for info in found)
 
-    def _carry(self, link_name: str, offers: list[TopicOffer]) -> _Carried:
+    def _carry(self, link_name: str, *, is_latched: bool) -> _Carried:
         settings = self._settings
-        is_latched = any(writer.is_latched for offer in offers for writer in offer.writers)
         is_group = self._names.is_group(link_name)
         depth = settings.depths.get(link_name, DEFAULT_RELAY_DEPTH)
         publisher = AdaptivePublisher(
@@ -213,23 +233,27 @@ class Outgoing:
             overflow=settings.overflow.get(link_name, Overflow.QUEUE if is_latched else Overflow.LATEST),
             source_of=None if is_group else source_of,
         )
-        return _Carried(publisher=publisher, sets=Sets(()) if is_group else None, wanted_s=self._clock())
+        sets = Sets(()) if is_group else None
+        return _Carried(publisher=publisher, sets=sets, is_latched=is_latched, wanted_s=self._clock())
 
-    def _read(self, carried: _Carried, topic: str, kind: Class, type_name: str) -> None:
-        is_reliable, is_latched = kind
+    def _read(self, carried: _Carried, topic: str, writers: WriterClass, type_name: str) -> None:
+        is_reliable, is_latched = writers
 
         def deliver(sample: Sample) -> None:
             with carried.lock:
-                if carried.held:  # earlier samples, perhaps of the same writer
-                    carried.held.append((topic, kind, sample))
+                # Behind those that are held, perhaps of the same writer.
+                if carried.held or not self._deliver(carried, topic, writers, sample):
+                    carried.held.append(_Held(topic, writers, sample, self._clock()))
                     self._deliver_held(carried)
-                else:
-                    self._deliver(carried, topic, kind, sample)
 
         try:
-            carried.readers[topic, kind] = RawReader(
+            message = message_class(type_name)
+            if carried.sets is not None and not has_header(message):
+                self.refused[topic] = f"{type_name} has no header stamp, by which its group is thinned"
+                return
+            carried.readers[topic, writers] = RawReader(
                 self._node,
-                message_class(type_name),
+                message,
                 self._local_name(topic),
                 QoSProfile(
                     depth=_RECEIVE_DEPTH,
@@ -242,30 +266,43 @@ class Outgoing:
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             self.refused[topic] = str(fault)
 
-    def _deliver(self, carried: _Carried, topic: str, kind: Class, sample: Sample) -> None:
-        """Send a sample if its writer is of the reader's class; hold it while the graph does not name the writer."""
-        gid = sample.writer.hex()
-        surveyed = self._survey.topics.get(self._local_name(topic))
-        writer = surveyed.writers.get(gid) if surveyed is not None else None
+    def _deliver(self, carried: _Carried, topic: str, writers: WriterClass, sample: Sample) -> bool:
+        """Send a sample if its writer is of the reader's class; return whether the graph names the writer."""
+        gid, local = sample.writer.hex(), self._local_name(topic)
+        surveyed = self._survey.topics.get(local)
+        if surveyed is None or gid not in surveyed.known:
+            surveyed = self._survey.read_soon(local)
+        writer = surveyed.known.get(gid) if surveyed is not None else None
         if writer is None:
-            surveyed = self._survey.read_soon(self._local_name(topic))
-            writer = surveyed.writers.get(gid) if surveyed is not None else None
-        if writer is None:
-            carried.held.append((topic, kind, sample))
-        elif (writer.is_reliable, writer.is_latched) == kind:
+            return False
+        if (writer.is_reliable, writer.is_latched) == writers:
             record = Record(self._names.of(topic)[1], writer.number, sample.sequence, sample.data)
             records: list[Record] | None = [record]
             if carried.sets is not None:
                 records = carried.sets.add(record)
             if records is not None:
                 carried.publisher.offer(pack(self._session, records))
+        return True
 
     def _deliver_held(self, carried: _Carried) -> None:
+        """Send the samples whose writer is known by now, each writer's in their order."""
+        now_s = self._clock()
+        unknown: set[bytes] = set()
         for _ in range(len(carried.held)):
-            self._deliver(carried, *carried.held.popleft())
+            held = carried.held.popleft()
+            if held.sample.writer in unknown or not self._deliver(carried, held.topic, held.writers, held.sample):
+                unknown.add(held.sample.writer)
+                if now_s - held.at_s < _HELD_S:
+                    carried.held.append(held)
 
     def _drop(self, link_name: str) -> None:
         carried = self._carried.pop(link_name)
-        for reader in carried.readers.values():
-            reader.destroy()
+        carried.close_readers(carried.wanted)
         carried.publisher.destroy()
+        if carried.sets is not None:
+            self._incomplete += carried.sets.dropped
+
+
+def has_header(msg_type: Any) -> bool:
+    """Return whether the first field of a message class is a std_msgs/Header."""
+    return next(iter(msg_type.get_fields_and_field_types().values()), "") == "std_msgs/Header"

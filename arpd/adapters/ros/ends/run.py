@@ -67,7 +67,6 @@ def run_end(
             host=host,
             session=secrets.randbits(32),
             on_change=notifier.status,
-            add=executor.add_node,
         )
         publishers = NodePublishers.of(link_node)
         heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s])

@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections import Counter
-from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSReliabilityPolicy
@@ -24,45 +23,61 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _EVERY_LOOK = 10  # every tenth look at a topic reads its writers, even when their number is unchanged
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
+_BARE = "_CREATED_BY_BARE_DDS_APP_"  # and for one that does not exist
 _MOST_UNNAMED = 4  # looks; a writer made without ROS never has a node
 _SOON_S = 0.02
-_MOST_WRITERS = 65_000  # of one topic in one session: their numbers have 16 bits
+_MOST_WRITERS = 2**16  # of one topic: their numbers have 16 bits
+_REMEMBERED_S = 30.0  # a writer that left; its number is free again then
 
 
 class Surveyed:
-    """One topic as it was read last: types and writers of other processes than this one."""
+    """One topic as it was read last: types and writers of other processes than this one.
+
+    A read replaces whole mappings, because the reading thread and the end's own look at them without a lock.
+    """
 
     def __init__(self) -> None:
         self.types: tuple[str, ...] = ()
-        self.writers: dict[str, WriterOffer] = {}  # by GUID
+        self.writers: Mapping[str, WriterOffer] = {}  # by GUID
+        self.known: Mapping[str, WriterOffer] = {}  # with those that left lately, whose samples may still come
         self.type_name = ""  # type that is offered
         self.counted = -1
         self.read_s = -math.inf
-        self._numbers = count()
-        self._unnamed: Counter[str] = Counter()  # reads in which a writer's node had no name
+        self._seen_s: dict[str, float] = {}
+        self._unnamed: Counter[str] = Counter()  # looks at which a writer's node had no name
 
-    def read(self, infos: list[Any]) -> bool:
-        """Take the writers of the topic; return whether each has a node, or will never have one."""
-        waiting = [info for info in infos if _UNKNOWN in info.node_name and self._waits_for_name(info)]
-        infos = [info for info in infos if info not in waiting]
-        self.types = tuple(sorted({info.topic_type for info in infos}))
+    def read(self, infos: list[Any], now_s: float, *, is_look: bool) -> bool:
+        """Take the writers of the topic; return whether each has a node, or will never have one.
+
+        Parameters
+        ----------
+        now_s : monotonic clock (s)
+        is_look : whether this is one of the regular looks, after some of which a nameless node stays nameless
+        """
+        gids = {bytes(info.endpoint_gid).hex(): info for info in infos}
+        self._unnamed = Counter({gid: count for gid, count in self._unnamed.items() if gid in gids})
+        if is_look:
+            self._unnamed.update(gid for gid, info in gids.items() if _UNKNOWN in info.node_name)
+        waiting = {
+            gid for gid, info in gids.items() if _UNKNOWN in info.node_name and self._unnamed[gid] < _MOST_UNNAMED
+        }
+        named = {gid: info for gid, info in gids.items() if gid not in waiting}
+        self.types = tuple(sorted({info.topic_type for info in named.values()}))
         if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
             self.type_name = self.types[0] if len(self.types) == 1 else ""
-        known = self.writers
-        self.writers = {}
-        for info in infos:
-            if info.topic_type == self.type_name:
-                gid = bytes(info.endpoint_gid).hex()
-                before = known.get(gid)
-                number = before.number if before is not None else next(self._numbers)
-                if number < _MOST_WRITERS:
-                    self.writers[gid] = _offer(info, gid, number)
+        offered = {gid: info for gid, info in named.items() if info.topic_type == self.type_name}
+        self._seen_s.update(dict.fromkeys(offered, now_s))
+        self._seen_s = {gid: at_s for gid, at_s in self._seen_s.items() if now_s - at_s < _REMEMBERED_S}
+        known = {gid: writer for gid, writer in self.known.items() if gid in self._seen_s}
+        taken = {writer.number for writer in known.values()}
+        free = (number for number in range(_MOST_WRITERS) if number not in taken)
+        for gid, info in offered.items():
+            number = known[gid].number if gid in known else next(free, None)
+            if number is not None:
+                known[gid] = _offer(info, gid, number)
+        self.known = known
+        self.writers = {gid: known[gid] for gid in offered if gid in known}
         return not waiting
-
-    def _waits_for_name(self, info: Any) -> bool:
-        gid = bytes(info.endpoint_gid).hex()
-        self._unnamed[gid] += 1
-        return self._unnamed[gid] <= _MOST_UNNAMED
 
 
 class Survey:
@@ -95,17 +110,17 @@ class Survey:
             with self._node.handle:  # Node.count_publishers would check the name again
                 writers = self._node.handle.get_count_publishers(topic)
             if writers != surveyed.counted or (self._looks + number) % _EVERY_LOOK == 0:
-                self.read(topic)
+                self.read(topic, is_look=True)
 
-    def read(self, topic: str) -> Surveyed | None:
+    def read(self, topic: str, *, is_look: bool = False) -> Surveyed | None:
         """Read the writers of one topic now; for any thread."""
         surveyed = self.topics.get(topic)
         if surveyed is not None:
             with self._lock:
                 infos = self._node.get_publishers_info_by_topic(topic)
                 others = [info for info in infos if bytes(info.endpoint_gid)[:12] != self._own]
-                surveyed.counted = len(infos) if surveyed.read(others) else -1
                 surveyed.read_s = time.monotonic()
+                surveyed.counted = len(infos) if surveyed.read(others, surveyed.read_s, is_look=is_look) else -1
         return surveyed
 
     def read_soon(self, topic: str) -> Surveyed | None:
@@ -137,7 +152,7 @@ def _offer(info: Any, gid: str, number: int) -> WriterOffer:
     qos = info.qos_profile
     return WriterOffer(
         number=number,
-        node="" if _UNKNOWN in info.node_name else node_name_of(info),
+        node="" if _UNKNOWN in info.node_name or _BARE in info.node_name else node_name_of(info),
         gid=gid,
         is_reliable=qos.reliability == QoSReliabilityPolicy.RELIABLE,
         is_latched=qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,

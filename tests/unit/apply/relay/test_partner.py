@@ -70,6 +70,9 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     partner.look(31.0)
     assert partner.state is None
     assert not partner.is_reachable(31.0)
+    partner.hear("a", 40.0)
+    partner.look(40.0)
+    assert in_force(partner)
 
 
 def test_signs_of_life_alone_are_no_end():
