@@ -51,6 +51,7 @@ def broken_rules(
     elif (link_domain := _value(Relay, "link_domain", relay)) is not None:
         yield from _bad_link_domain(source, relay, link_domain, local_domain)
         yield from _long_far_names(source, relay)
+        yield from _named_members(source)
 
 
 def _missing_interface(source: YamlSource, interfaces: Collection[str]) -> Iterator[Fault]:
@@ -175,6 +176,22 @@ def _bad_groups(source: YamlSource) -> Iterator[Fault]:
         if name in first and first[name][: len(location)] != location:
             wrong = f"'{name}' is a topic of the group on line {source.place(first[name]).line}; choose another name"
             yield source.fault((*location, "name"), wrong)
+
+
+def _named_members(source: YamlSource) -> Iterator[Fault]:
+    """Yield settings of a topic that crosses under the name of its group, which nothing would read."""
+    group_of: dict[str, str] = {}
+    for location in _items(source, ("relay", "groups")):
+        members = [source.value(topic) for topic in _items(source, (*location, "topics"))]
+        group = {"name": next(iter(members), None)} | _mapping(source, location)
+        if (name := _value(RelayGroup, "name", group)) is not None:
+            group_of = {member: name for member in members if _is_topic(member) and member != name} | group_of
+    for path, section in ((("topics",), TopicEntry), (("relay", "topics"), RelayTopic)):
+        for location in _items(source, path):
+            name = _value(section, "name", _mapping(source, location))
+            if name in group_of:
+                wrong = f"'{name}' is in group {group_of[name]}; set this for the group"
+                yield source.fault((*location, "name"), wrong)
 
 
 def _grouped(source: YamlSource) -> list[Location]:

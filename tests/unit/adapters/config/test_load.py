@@ -332,6 +332,20 @@ ONE_FAULT = {
         "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - {topics: [/a, /b]}\n  - {name: /b, topics: [/c, /d]}\n",
         "6:12: relay.groups[1].name: '/b' is a topic of the group on line 5; choose another name",
     ),
+    "settings of a grouped topic": (
+        (
+            "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - topics: [/left/image, /right/image]\n"
+            "  topics:\n  - {name: /left/image, depth: 3}\n  - {name: /right/image, depth: 3}\n"
+        ),
+        "8:12: relay.topics[1].name: '/right/image' is in group /left/image; set this for the group",
+    ),
+    "preferences of a grouped topic": (
+        (
+            "relay: {link_domain: 77, robot: a, groups: [{name: /g, topics: [/a, /b]}, {name: /d, topics: [/c, /d]}]}\n"
+            "topics:\n- name: /g\n- name: /d\n- name: /a\n  weight: 2\n"
+        ),
+        "5:9: topics[2].name: '/a' is in group /g; set this for the group",
+    ),
     "long name on the CEDDP": (
         f"relay: {{link_domain: 77, robot: a, namespace: /r1, topics: [{{name: /{'a' * 244}}}]}}",
         "1:68: relay.topics[0].name: with relay.namespace is 248 characters long; ROS allows 247",
