@@ -53,9 +53,9 @@ _ESTIMATE_AGE = timeseries(
         query("arpd_link_estimate_age_seconds{}", "estimate"),
         query("arpd_peer_report_age_seconds{}", "report of {{peer}}"),
     ],
-    Scale("s", 1, (30, 60)),
+    Scale("s", 1, (75, 150)),
     shows="Time since the evidence behind the capacity, and since the last report of each peer.",
-    bad="reports older than 1 s, or an estimate older than a minute: arpd would not see a change of the link.",
+    bad="reports older than 1 s, or an estimate older than 150 s: arpd would not see a change of the link.",
     then="see whether arpd-peer runs on the other end and reaches the robot.",
 )
 
