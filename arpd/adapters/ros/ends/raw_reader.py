@@ -152,11 +152,6 @@ class RawReader:
         self._thread = thread
         self._event = thread.watch(self)
 
-    def matched(self) -> int:
-        """Count the matched writers."""
-        with self.handle:
-            return int(self.handle.get_publisher_count())
-
     def destroy(self) -> None:
         """Destroy the reader; a sample may still be delivered while this is called."""
         self._thread.unwatch(self, self._event)
