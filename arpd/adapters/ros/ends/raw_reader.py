@@ -15,6 +15,7 @@ import logging
 import os
 import select
 import threading
+import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed reader raises
 _MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
+_TURN_S = 1.0  # longest wait for a sample
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 
 
@@ -43,9 +45,18 @@ class Sample(NamedTuple):
 
 
 class ReadingThread:
-    """Takes the samples of any number of `RawReader`; their functions are called in this thread."""
+    """Takes the samples of any number of `RawReader`; their functions are called in this thread.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    clock : monotonic clock (s)
+    """
+
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        # When it last finished a sample or a wait. A function may write, and a write onto a full link blocks for long,
+        # so the watchdog's time runs for one sample alone.
+        self.finished_s = clock()
         self._rcl = rcl()
         self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
@@ -83,7 +94,8 @@ class ReadingThread:
     def _run(self) -> None:
         unfinished: set[int] = set()  # readers with more samples than one turn takes
         while True:
-            ready = {event for event, _ in self._events.poll(0 if unfinished else None)}
+            ready = {event for event, _ in self._events.poll(0 if unfinished else _TURN_S)}
+            self.finished_s = self._clock()
             if self._stop in ready:
                 return
             for event in ready | unfinished:
@@ -117,6 +129,7 @@ class ReadingThread:
                     info.publication_sequence_number,
                 )
             )
+            self.finished_s = self._clock()
         return False
 
 

@@ -69,7 +69,10 @@ def run_end(
             on_change=notifier.status,
         )
         publishers = NodePublishers.of(link_node)
-        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s])
+        heartbeat = Watchdog(
+            notifier,
+            parts=[lambda: publishers.finished_s, *(lambda thread=thread: thread.finished_s for thread in end.threads)],
+        )
         notifier.ready()
         with spinning(executor):
             try:

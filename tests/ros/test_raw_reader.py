@@ -1,0 +1,56 @@
+"""A thread that takes samples says when it finished the last one, for the watchdog."""
+
+import threading
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def thread():
+    thread = ReadingThread()
+    yield thread
+    thread.stop()
+
+
+def test_a_thread_without_samples_finishes_rounds(thread, eventually):
+    """A thread that has nothing to take finishes a round every second."""
+    begun_s = thread.finished_s
+    eventually(lambda: thread.finished_s > begun_s, 5.0)
+
+
+def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
+    """A sample whose function blocks finishes no round; each one after it does, although more of them wait."""
+    begun, gates = [], [threading.Event() for _ in range(3)]
+
+    def deliver(sample):
+        begun.append(thread.finished_s)
+        gates[len(begun) - 1].wait(15.0)
+
+    node = ros.node("raw_reader_check")
+    reader = RawReader(node, String, "/raw_reader_check", QoSProfile(depth=10), deliver=deliver, thread=thread)
+    publisher = node.create_publisher(String, "/raw_reader_check", 10)
+    try:
+        eventually(lambda: publisher.get_subscription_count() == 1)
+        for _ in gates:
+            publisher.publish(String(data="x"))
+        for number, gate in enumerate(gates, 1):
+            eventually(lambda number=number: len(begun) == number)
+            time.sleep(1.2)  # longer than a wait for samples
+            assert thread.finished_s == begun[-1]
+            gate.set()
+        assert begun[0] < begun[1] < begun[2]
+        eventually(lambda: thread.finished_s > begun[2])
+    finally:
+        for gate in gates:
+            gate.set()
+        reader.destroy()
