@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 from arpd.adapters.ros.runtime import (
@@ -74,12 +75,11 @@ def run_end(
             parts=[lambda: publishers.finished_s, *(lambda thread=thread: thread.finished_s for thread in end.threads)],
         )
         notifier.ready()
-        with spinning(executor):
+        with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
             try:
                 serve_until(link_executor, stopping, heartbeat=heartbeat, addresses=addresses)
             finally:
                 notifier.stopping()
-                end.close()
 
 
 def check_deaf_to_itself(node: Node) -> None:
