@@ -26,11 +26,13 @@ class Rmw:
         sequence numbers that show duplicates
     tells_hosts : whether bytes 2 and 3 of an endpoint's GID name its host. Under DDS Security they do not: bytes 0 to 5
         are a hash of the certificate's subject, the enclave
+    can_ignore_itself : whether a profile keeps the endpoints of one participant from matching, as two ends need
     """
 
     name: str
     can_swap: bool
     tells_hosts: bool
+    can_ignore_itself: bool
 
     @property
     def refusal(self) -> str:
@@ -43,7 +45,7 @@ class Rmw:
 def rmw_of(name: str) -> Rmw:
     """Return a middleware by its identifier; one that was never measured has no abilities."""
     is_fast_dds = name in _FAST_DDS
-    return Rmw(name=name, can_swap=is_fast_dds, tells_hosts=is_fast_dds)
+    return Rmw(name=name, can_swap=is_fast_dds, tells_hosts=is_fast_dds, can_ignore_itself=is_fast_dds)
 
 
 def lasting_refusal(rmw: Rmw, *, latched: str) -> Refusal | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import secrets
 import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.runtime import (
     TWO_ENDED_PROFILE,
     best_executor,
@@ -21,14 +23,17 @@ from arpd.model.errors import RosUnavailableError
 
 if TYPE_CHECKING:
     import threading
+    from collections.abc import Mapping
 
     from rclpy.node import Node
 
     from arpd.adapters.host.addresses import Addresses
+    from arpd.adapters.ros.rmw import Rmw
     from arpd.adapters.systemd.notify import Notifier
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def run_end(
@@ -48,13 +53,14 @@ def run_end(
     LinkError
         If only a new process can use the link's address.
     RosUnavailableError
-        If ROS 2 does not start here, or its profile lets an end hear itself.
+        If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
     """
     prepare_environment(TWO_ENDED_PROFILE)
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         from arpd.adapters.ros.ends.end import End  # noqa: PLC0415 - ROS is checked in ros_node
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
 
+        check_middleware(current_rmw())
         check_deaf_to_itself(node)
         link_executor = best_executor(link_node.context, hears_itself=False)
         link_executor.add_node(link_node)
@@ -82,6 +88,21 @@ def run_end(
                 notifier.stopping()
 
 
+def check_middleware(rmw: Rmw) -> None:
+    """Refuse a middleware that no profile keeps from hearing itself.
+
+    Raises
+    ------
+    RosUnavailableError
+        If it is not Fast DDS.
+    """
+    if not rmw.can_ignore_itself:
+        raise RosUnavailableError(
+            f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
+            "it, or remove relay.link_domain"
+        )
+
+
 def check_deaf_to_itself(node: Node) -> None:
     """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
 
@@ -105,6 +126,10 @@ def check_deaf_to_itself(node: Node) -> None:
     if hears_itself:
         raise RosUnavailableError(
             "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
-            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset "
-            "FASTRTPS_DEFAULT_PROFILES_FILE"
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {profile_variables()}"
         )
+
+
+def profile_variables(environ: Mapping[str, str] = os.environ) -> str:
+    """Return the variables that choose the profile of this process."""
+    return " and ".join(name for name in _PROFILE_VARIABLES if name in environ)

@@ -1,14 +1,17 @@
 """Abilities of a middleware, by its name."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
 from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.adapters.ros.ends.run import check_middleware, profile_variables
 from arpd.adapters.ros.graph import Crossing, Endpoint, crossing_without_hosts
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 from arpd.model.endpoints import Direction
+from arpd.model.errors import RosUnavailableError
 from arpd.report.status import status_document
 
 MS = 1_000_000
@@ -34,6 +37,19 @@ def test_what_was_not_measured_is_only_paced(name):
     assert not rmw.can_swap
     assert not rmw.tells_hosts
     assert rmw.refusal.startswith(f"{name} is only paced")
+
+
+@pytest.mark.parametrize(("name", "is_able"), [("rmw_fastrtps_cpp", True), ("rmw_cyclonedds_cpp", False)])
+def test_two_ends_refuse_a_middleware_that_hears_itself(name, is_able):
+    """Two ends start on Fast DDS; on another middleware they name it and end."""
+    with nullcontext() if is_able else pytest.raises(RosUnavailableError, match=name):
+        check_middleware(rmw_of(name))
+
+
+@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
+def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(name):
+    """Only the variable that is set is named."""
+    assert profile_variables({"PATH": "/bin", name: "/a.xml"}) == name
 
 
 def endpoint(process, deadline_ns=0):
