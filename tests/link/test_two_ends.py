@@ -33,8 +33,8 @@ def link(tmp_path):
     (tmp_path / "arpd.yaml").write_text("relay:\n  link_domain: 102\n  robot: 10.77.0.1\n  ceddp: 10.77.0.2\n")
     with SimLink(f"ends-{time.monotonic_ns() % 10**9}") as wire:
 
-        def start(host, *argv, reach="LOCALHOST"):
-            log = (tmp_path / f"{host}-{argv[-1][:5]}.log").open("w")
+        def start(host, name, *argv, reach="LOCALHOST"):
+            log = (tmp_path / f"{name}.log").open("w")
             environment = ["env", f"PYTHONPATH={REPO}", f"ROS_AUTOMATIC_DISCOVERY_RANGE={reach}"]
             return wire.popen(host, [*environment, sys.executable, "-u", *argv], stderr=log, stdout=subprocess.DEVNULL)
 
@@ -43,8 +43,8 @@ def link(tmp_path):
 
 def ends(start, folder):
     config = str(folder / "arpd.yaml")
-    start("robot", "-m", "arpd.cli", "relay", "--config", config)
-    start("ceddp", "-m", "arpd.cli", "relay", "--config", config, "--far")
+    start("robot", "near", "-m", "arpd.cli", "relay", "--config", config)
+    start("ceddp", "far", "-m", "arpd.cli", "relay", "--config", config, "--far")
 
 
 @pytest.mark.parametrize(("reach", "is_seen"), [("SUBNET", True), ("LOCALHOST", False)])
@@ -52,8 +52,8 @@ def test_a_node_that_announces_itself_on_the_link_is_named(link, tmp_path, reach
     """A node of the robot that announces itself on the link is refused by name; a confined one is not."""
     _wire, start = link
     ends(start, tmp_path)
-    start("robot", "-c", TALKER, reach=reach)
-    log = tmp_path / "ceddp---far.log"
+    start("robot", "talker", "-c", TALKER, reach=reach)
+    log = tmp_path / "far.log"
     words = "cannot carry /chatter: /talker of the other side is visible in this domain without the relay"
     eventually(lambda: "the other end is" in log.read_text(), timeout_s=40)
     if is_seen:
