@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from arpd.adapters.ros.ends.survey import own_prefix
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.offers import ServiceOffer
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _EVERY_LOOK = 10  # every tenth look at a service reads its servers, even when their number is unchanged
-_PARTICIPANT_BYTES = 12  # of a GID
 _UNNAMED = frozenset({"_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"})
 
 
@@ -39,7 +39,7 @@ class LocalServices:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._participant = b""
+        self._own = b""  # first bytes of the GUIDs of this process
         self._found: dict[str, _Found] = {}
         self._looks = 0
 
@@ -82,24 +82,15 @@ class LocalServices:
     def _servers(self, name: str) -> list[ServiceOffer]:
         """Return the servers of other processes: the readers of the DDS topic that carries the requests."""
         readers = self._node.get_subscriptions_info_by_topic(f"rq{name}Request", no_mangle=True)
-        own = self._own_participant()
+        self._own = self._own or own_prefix(self._node)
         return [
             ServiceOffer(
                 type_name=_ros_type(reader.topic_type),
                 node="" if reader.node_name in _UNNAMED else node_name_of(reader),
             )
             for reader in readers
-            if bytes(reader.endpoint_gid)[:_PARTICIPANT_BYTES] != own
+            if bytes(reader.endpoint_gid)[:12] != self._own
         ]
-
-    def _own_participant(self) -> bytes:
-        """Return the GID prefix of all endpoints of this process, from the topic that every node of rclpy writes."""
-        if not self._participant:
-            own = self._node.get_fully_qualified_name()
-            for writer in self._node.get_publishers_info_by_topic("/parameter_events"):
-                if node_name_of(writer) == own:
-                    self._participant = bytes(writer.endpoint_gid)[:_PARTICIPANT_BYTES]
-        return self._participant
 
 
 def _ros_type(dds_type: str) -> str:
