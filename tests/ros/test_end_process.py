@@ -1,0 +1,59 @@
+"""The process of one end: its watchdog, its stop, and what it refuses."""
+
+import os
+import signal
+import socket
+from contextlib import ExitStack
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from std_msgs.msg import String
+from test_msgs.srv import BasicTypes
+
+from tests.ros.ends_world import TwoEnds
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def ends(ros, tmp_path):
+    with ExitStack() as stack:
+        yield TwoEnds(tmp_path, stack, ["services: [/add]"])
+
+
+def test_an_end_that_calls_and_carries_stops_without_a_fault(ends, tmp_path, background, eventually):
+    """SIGTERM ends both ends with status 0 and no traceback, although calls and samples arrive meanwhile."""
+    ends.start()
+    robot, ceddp = ends.side("robot").node("server"), ends.side("ceddp").node("client")
+    robot.create_service(BasicTypes, "/add", lambda _request, response: response)
+    talker, heard = robot.create_publisher(String, "/talk", 10), []
+    ceddp.create_subscription(String, "/talk", heard.append, 10)
+    client = ceddp.create_client(BasicTypes, "/add")
+    assert client.wait_for_service(30)
+    answers = []
+
+    def use(stopping):
+        while not stopping.wait(0.005):
+            talker.publish(String(data="x"))
+            answers.append(client.call_async(BasicTypes.Request()))
+
+    background(use)
+    eventually(lambda: len(heard) > 10 and any(answer.done() for answer in answers))
+    assert [ends.end(end, signal.SIGTERM) for end in ("ceddp", "robot")] == [0, 0]
+    logs = [(tmp_path / f"{end}.log").read_text() for end in ("ceddp", "robot")]
+    assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
+
+
+def test_an_end_feeds_the_watchdog(ends):
+    """An end pings systemd again and again while its threads wait for samples."""
+    address = f"\0arpd-test-{os.getpid()}-watchdog"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
+        notices.bind(address)
+        notices.settimeout(20.0)
+        ends.start("robot", NOTIFY_SOCKET="@" + address[1:], WATCHDOG_USEC="20000000")
+        pings = 0
+        while pings < 8:  # the parts would be stale after five seconds
+            pings += notices.recv(65536) == b"WATCHDOG=1"
+        ends.end("robot", signal.SIGTERM)
