@@ -98,14 +98,14 @@ class End:
         self._begun_s = clock()
         self._look_s = self._alive_s = self._begun_s
         # Two threads: a write onto a full link blocks, and what comes from the link must not wait for it.
-        self._outgoing_thread, self._incoming_thread = ReadingThread(), ReadingThread()
+        self._outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
         self._link_node = link_node
         self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
             link_node=link_node,
             nodes=self._nodes,
-            thread=self._incoming_thread,
+            thread=self.incoming_thread,
             local_name=self.local_name,
             depths=settings.depths,
             clock=clock,
@@ -125,7 +125,7 @@ class End:
             node,
             link_node,
             nodes=self._nodes,
-            thread=self._incoming_thread,
+            thread=self.incoming_thread,
             own=f"/arpd/relay/{own}/calls",
             other=f"/arpd/relay/{other}/calls",
             is_used=bool(settings.services or settings.actions),
@@ -152,11 +152,6 @@ class End:
         # Steady time, so that a paused simulation does not stop the end from following the graph.
         link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    @property
-    def threads(self) -> tuple[ReadingThread, ReadingThread]:
-        """Threads that carry the data, for the watchdog."""
-        return self._outgoing_thread, self._incoming_thread
-
     def close(self) -> None:
         """Destroy everything in both domains; no executor calls the end any more."""
         self._announced.close()
@@ -166,7 +161,7 @@ class End:
         self.outgoing.forget()
         self.incoming.close()
         self._outgoing_thread.stop()
-        self._incoming_thread.stop()
+        self.incoming_thread.stop()
         self._nodes.close()
 
     # -- names: the configuration and the link have those on the robot
@@ -390,7 +385,7 @@ class End:
         def deliver(sample: Sample) -> None:
             self._arrived.append((sample.data, is_state))
 
-        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self._incoming_thread)
+        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self.incoming_thread)
 
     def _send(self, publisher: Any, data: bytes) -> None:
         rcl().publish(publisher.handle, wrap(data))

@@ -76,10 +76,8 @@ def run_end(
             on_change=notifier.status,
         )
         publishers = NodePublishers.of(link_node)
-        heartbeat = Watchdog(
-            notifier,
-            parts=[lambda: publishers.finished_s, *(lambda thread=thread: thread.finished_s for thread in end.threads)],
-        )
+        # Not the other reading thread: its writes may block for as long as the link stands still.
+        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s, lambda: end.incoming_thread.finished_s])
         notifier.ready()
         with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
             try:
