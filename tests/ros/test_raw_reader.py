@@ -54,3 +54,32 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
         for gate in gates:
             gate.set()
         reader.destroy()
+
+
+def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread, eventually, monkeypatch):
+    """When the middleware does not let go of a sample, its reader is replaced, and later samples arrive, each once."""
+    taken, node = [], ros.node("raw_reader_check")
+    reader = RawReader(node, String, "/stuck", QoSProfile(depth=10), deliver=taken.append, thread=thread)
+    publisher = ros.node("talker").create_publisher(String, "/stuck", 10)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(String(data="one"))
+    eventually(lambda: len(taken) == 1)
+    before = reader.handle
+
+    class Stuck:
+        def __getattr__(self, name):
+            return getattr(real, name)
+
+        def take(self, *arguments):
+            return 0 if reader.handle is before else real.take(*arguments)
+
+    real = thread._rcl
+    monkeypatch.setattr(thread, "_rcl", Stuck())
+    publisher.publish(String(data="two"))
+    eventually(lambda: reader.handle is not before)
+    eventually(lambda: publisher.get_subscription_count() == 1)
+    assert len(taken) == 1
+    publisher.publish(String(data="three"))
+    eventually(lambda: taken[-1].data.endswith(b"three\0"))
+    assert len({sample.sequence for sample in taken}) == len(taken)
+    reader.destroy()

@@ -462,3 +462,25 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
     ends.end("robot")
     eventually(lambda: seen().is_relay_silent)
     assert seen().relay is None
+
+
+def test_a_restarted_far_end_serves_at_once(world, eventually):
+    """Calls work again soon after a kill -9 of the far end, although its ghosts stay in the graph for a while."""
+    ends = world("services: [/add]").start()
+    server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
+    server.create_service(BasicTypes, "/add", lambda request, response: response)
+    client = planner.create_client(BasicTypes, "/add")
+    assert client.wait_for_service(30)
+    for _ in range(2):
+        ends.end("ceddp")
+        ends.start("ceddp")
+        eventually(lambda: "0 of 0 topics cross to the robot" in ends.status["ceddp"], timeout_s=30)
+
+        def is_answered():
+            call = client.call_async(BasicTypes.Request())
+            until_s = time.monotonic() + 2.0
+            while not call.done() and time.monotonic() < until_s:
+                time.sleep(0.02)
+            return call.done()
+
+        eventually(is_answered, timeout_s=15)

@@ -33,6 +33,7 @@ _GRACE_S = (
 )
 _MOST_HELD = 1000
 _HELD_S = 3.0
+_WARN_EVERY_S = 60.0
 
 
 class _Held(NamedTuple):
@@ -90,6 +91,7 @@ class Incoming:
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
         self.used_nodes: set[str] = set()  # local names of the ghost nodes that have writers
+        self._warned_s = float("-inf")
         self.received = 0
         self.doubled = 0
         self.unknown = 0
@@ -169,7 +171,9 @@ class Incoming:
         try:
             session, records = unpack(sample.data)
         except ValueError as fault:
-            log.warning("ignored a sample of %s: %s", link_name, fault)
+            if self._clock() - self._warned_s > _WARN_EVERY_S:
+                self._warned_s = self._clock()
+                log.warning("ignored a sample of %s: %s (logged once a minute)", link_name, fault)
             return
         with self._lock:
             for record in records:

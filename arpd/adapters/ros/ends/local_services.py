@@ -6,7 +6,7 @@ import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.ros.ends.survey import own_prefix
+from arpd.adapters.ros.ends.survey import GUID_PREFIX, namesakes
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.offers import ServiceOffer
@@ -39,7 +39,6 @@ class LocalServices:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._own = b""  # first bytes of the GUIDs of this process
         self._found: dict[str, _Found] = {}
         self._looks = 0
 
@@ -82,14 +81,14 @@ class LocalServices:
     def _servers(self, name: str) -> list[ServiceOffer]:
         """Return the servers of other processes: the readers of the DDS topic that carries the requests."""
         readers = self._node.get_subscriptions_info_by_topic(f"rq{name}Request", no_mangle=True)
-        self._own = self._own or own_prefix(self._node)
+        ours = namesakes(self._node)
         return [
             ServiceOffer(
                 type_name=_ros_type(reader.topic_type),
                 node="" if reader.node_name in _UNNAMED else node_name_of(reader),
             )
             for reader in readers
-            if bytes(reader.endpoint_gid)[:12] != self._own
+            if bytes(reader.endpoint_gid)[:GUID_PREFIX] not in ours
         ]
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
+import secrets
 import threading
 import time
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSReliabilityPolicy
+from std_msgs.msg import Empty
 
+from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.graph import node_name_of
 from arpd.adapters.ros.names import INFINITE_NS, is_full_name
 from arpd.apply.relay.offers import WriterOffer
@@ -26,6 +29,8 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not
 _BARE = "_CREATED_BY_BARE_DDS_APP_"  # and for one that does not exist
 _MOST_UNNAMED = 4  # looks; a writer made without ROS never has a node
 _SOON_S = 0.02
+_OWN_S = 2.0
+GUID_PREFIX = 12  # bytes of a GUID that name its process in a domain
 _MOST_WRITERS = 2**16  # of one topic: their numbers have 16 bits
 _REMEMBERED_S = 30.0  # a writer that left; its number is free again then
 
@@ -93,6 +98,7 @@ class Survey:
     def __init__(self, node: Node, *, own: bytes, is_of_interest: Callable[[str], bool]) -> None:
         self._node = node
         self._own = own
+        self._ours = frozenset({own})
         self._is_of_interest = is_of_interest
         self._lock = threading.Lock()
         self._looks = 0
@@ -102,6 +108,8 @@ class Survey:
     def look(self) -> None:
         """Read what has changed."""
         self._looks += 1
+        ours = namesakes(self._node) | {self._own}
+        is_changed, self._ours = ours != self._ours, ours
         self.types = dict(self._node.get_topic_names_and_types())
         found = {topic for topic in self.types if is_full_name(topic) and self._is_of_interest(topic)}
         topics = {topic: self.topics.get(topic) or Surveyed() for topic in sorted(found)}
@@ -109,7 +117,7 @@ class Survey:
         for number, (topic, surveyed) in enumerate(topics.items()):
             with self._node.handle:  # Node.count_publishers would check the name again
                 writers = self._node.handle.get_count_publishers(topic)
-            if writers != surveyed.counted or (self._looks + number) % _EVERY_LOOK == 0:
+            if is_changed or writers != surveyed.counted or (self._looks + number) % _EVERY_LOOK == 0:
                 self.read(topic, is_look=True)
 
     def read(self, topic: str, *, is_look: bool = False) -> Surveyed | None:
@@ -118,7 +126,7 @@ class Survey:
         if surveyed is not None:
             with self._lock:
                 infos = self._node.get_publishers_info_by_topic(topic)
-                others = [info for info in infos if bytes(info.endpoint_gid)[:12] != self._own]
+                others = [info for info in infos if bytes(info.endpoint_gid)[:GUID_PREFIX] not in self._ours]
                 surveyed.read_s = time.monotonic()
                 surveyed.counted = len(infos) if surveyed.read(others, surveyed.read_s, is_look=is_look) else -1
         return surveyed
@@ -141,11 +149,27 @@ class Survey:
 
 
 def own_prefix(node: Node) -> bytes:
-    """Return the first 12 bytes of the GUIDs of a node's process in its domain."""
-    for info in node.get_publishers_info_by_topic("/parameter_events"):
-        if node_name_of(info) == node.get_fully_qualified_name():
-            return bytes(info.endpoint_gid)[:12]
+    """Return the first 12 bytes of the GUIDs of a node's process in its domain, by a topic that no other one writes."""
+    publisher = node.create_publisher(Empty, f"~/arpd_{secrets.token_hex(8)}", 1, event_callbacks=no_publisher_events())
+    try:
+        until_s = time.monotonic() + _OWN_S
+        while time.monotonic() < until_s:
+            for info in node.get_publishers_info_by_topic(publisher.topic_name):
+                return bytes(info.endpoint_gid)[:GUID_PREFIX]
+            time.sleep(0.01)
+    finally:
+        node.destroy_publisher(publisher)
     raise RuntimeError(f"{node.get_fully_qualified_name()} is not in its own graph")
+
+
+def namesakes(node: Node) -> frozenset[bytes]:
+    """Return the first bytes of the GUIDs of all processes with a node of this name.
+
+    A killed end stays in the graph until DDS gives it up, and so do its ghosts. They belong to nobody on this side.
+    """
+    own = node.get_fully_qualified_name()
+    infos = node.get_publishers_info_by_topic("/parameter_events")
+    return frozenset(bytes(info.endpoint_gid)[:GUID_PREFIX] for info in infos if node_name_of(info) == own)
 
 
 def _offer(info: Any, gid: str, number: int) -> WriterOffer:
