@@ -27,7 +27,7 @@ ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy
 # The daemon comes first: if a new version does not start, the relays, which carry the data, still run the old one.
 all_units=(arpd arpd-peer arpd-relay-far arpd-relay)
 # Imports of the daemon, the peer and the relay; the script does not switch to a version that lacks one.
-imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay'
+imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay, arpd.adapters.ros.ends.end'
 
 usage() {
     cat <<END
