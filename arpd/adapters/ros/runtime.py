@@ -22,17 +22,28 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 
 
-def prepare_environment(profile: Path = FASTDDS_PROFILE) -> None:
-    """Give Fast DDS arpd's default profile (short heartbeats), unless the user has chosen one."""
-    if not any(name in os.environ for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")):
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
-
+def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
+    """Give Fast DDS arpd's profile (short heartbeats), unless the user has chosen another one than arpd's."""
+    chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
+    if all(_is_ours(Path(path)) for path in chosen):
+        for name in PROFILE_VARIABLES:
+            environment.pop(name, None)
+        environment[PROFILE_VARIABLES[0]] = str(profile)
     if profile == TWO_ENDED_PROFILE:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def _is_ours(path: Path) -> bool:
+    """Return whether this is arpd's profile for the user's nodes, which an environment for everything may name."""
+    try:
+        return path.read_bytes() == FASTDDS_PROFILE.read_bytes()
+    except OSError:
+        return False
 
 
 @contextmanager
@@ -124,7 +135,7 @@ def best_executor(context: Any = None, *, hears_itself: bool = True) -> Any:
     from std_msgs.msg import Empty  # noqa: PLC0415
 
     executor = EventsExecutor(context=context)
-    node = rclpy.create_node("arpd_executor_check", context=context, enable_rosout=False)
+    node = rclpy.create_node("arpd_executor_check", context=context, enable_rosout=hears_itself)
     arrived = threading.Event()
     try:
         node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)

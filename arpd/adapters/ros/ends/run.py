@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.runtime import (
+    PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     best_executor,
     prepare_environment,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def run_end(
@@ -130,4 +130,4 @@ def check_deaf_to_itself(node: Node) -> None:
 
 def profile_variables(environ: Mapping[str, str] = os.environ) -> str:
     """Return the variables that choose the profile of this process."""
-    return " and ".join(name for name in _PROFILE_VARIABLES if name in environ)
+    return " and ".join(name for name in PROFILE_VARIABLES if name in environ)
