@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Hashable, Iterable
 
     from arpd.model.observation import MessageKind, MessageRefusal
 
 _LOG_AGAIN_S = 60.0
-_MOST_LOGGED = 32  # sources in that time: invented names must not fill the log
+_MOST_LOGGED = 32  # things in that time: invented names must not fill the log
 
 
 @dataclass(slots=True)
@@ -64,12 +64,30 @@ class SourceRateLimiter:
         return self._known.get(source, self._strangers).take(now_s)
 
 
+class OncePerMinute:
+    """Picks what is worth a line in the log: each thing once a minute, and at most 32 things in that time."""
+
+    def __init__(self) -> None:
+        self._logged_s: dict[Hashable, float] = {}
+
+    def take(self, what: Hashable, now_s: float) -> bool:
+        """Return whether to log this now."""
+        if now_s - self._logged_s.get(what, -math.inf) < _LOG_AGAIN_S:
+            return False
+        if what not in self._logged_s and len(self._logged_s) >= _MOST_LOGGED:
+            self._logged_s = {known: at_s for known, at_s in self._logged_s.items() if now_s - at_s < _LOG_AGAIN_S}
+            if len(self._logged_s) >= _MOST_LOGGED:
+                return False
+        self._logged_s[what] = now_s
+        return True
+
+
 class RefusalCounts:
     """Counts refusals, and picks those that are worth a line in the log."""
 
     def __init__(self) -> None:
         self._counts: Counter[tuple[MessageKind, MessageRefusal]] = Counter()
-        self._logged_s: dict[tuple[MessageKind, MessageRefusal, str], float] = {}
+        self._logged = OncePerMinute()
 
     @property
     def counts(self) -> dict[tuple[MessageKind, MessageRefusal], int]:
@@ -79,12 +97,4 @@ class RefusalCounts:
     def note(self, kind: MessageKind, reason: MessageRefusal, source: str, now_s: float) -> bool:
         """Count a refusal; return whether to log it: once a minute per source and reason, for 32 of them at most."""
         self._counts[kind, reason] += 1
-        what = kind, reason, source
-        if now_s - self._logged_s.get(what, -math.inf) < _LOG_AGAIN_S:
-            return False
-        if what not in self._logged_s and len(self._logged_s) >= _MOST_LOGGED:
-            self._logged_s = {known: at_s for known, at_s in self._logged_s.items() if now_s - at_s < _LOG_AGAIN_S}
-            if len(self._logged_s) >= _MOST_LOGGED:
-                return False
-        self._logged_s[what] = now_s
-        return True
+        return self._logged.take((kind, reason, source), now_s)

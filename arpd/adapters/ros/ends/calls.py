@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -21,6 +20,8 @@ from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.call_records import CallFailure, FailureReason, Request, decode_record
 from arpd.apply.relay.calls import Caller
 from arpd.apply.relay.offers import ServiceOffer
+from arpd.apply.relay.selection import far_name, robot_name
+from arpd.observe.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
-_LOG_AGAIN_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Calls:
         self._caller = Caller(session=session, send=send)
         self._served = ServedCalls(node, send=send, session=session, offered=self._offered, clock=clock)
         self._ghosts: dict[str, _Ghost] = {}  # by name on the link, as `refused`
-        self._logged_s: dict[tuple[str, str], float] = {}
+        self._logged = OncePerMinute()
         self.failures: Counter[str] = Counter()
         self.refused: dict[str, str] = {}
         self.malformed = 0
@@ -102,7 +102,9 @@ class Calls:
         """Return the services of this side that the other side may call, by their names on the link."""
         found = self._services.look(lambda name: self._link_name(name) is not None)
         return {
-            link_name: ServiceOffer(type_name=offer.type_name, node=self._on_link(offer.node) or offer.node)
+            link_name: ServiceOffer(
+                type_name=offer.type_name, node=robot_name(offer.node, self._namespace) or offer.node
+            )
             for name, offer in found.items()
             if (link_name := self._link_name(name)) is not None
         }
@@ -132,7 +134,7 @@ class Calls:
             decoded = decode_record(record)
         except ValueError as error:
             self.malformed += 1
-            if self._is_new("the other end", "malformed"):
+            if self._logged.take("malformed", self._clock()):
                 log.warning("a record of the other end was ignored: %s", error)
             return
         self._caller.receive(decoded)
@@ -153,11 +155,11 @@ class Calls:
     def _serve(self, name: str, offer: ServiceOffer) -> None:
         """Have a ghost of this service, unless a node on this side serves it."""
         ghost = self._ghosts.get(name)
-        if not is_full_name(self._namespace + name) or not is_full_name(self._namespace + offer.node):
+        if not is_full_name(far_name(name, self._namespace)) or not is_full_name(far_name(offer.node, self._namespace)):
             self._refuse(name, f"no names of ROS: {name!r} on {offer.node!r}")
         elif not self._allows(name):
             self._refuse(name, "relay.services and relay.actions of this end do not allow it")
-        elif self._services.is_served(self._namespace + name, ghosts=int(ghost is not None)):
+        elif self._services.is_served(far_name(name, self._namespace), ghosts=int(ghost is not None)):
             self._withdraw(name, "a node on this side serves it")
             self._refuse(name, "a node on this side serves it, too; that one stays")
         elif ghost is None:
@@ -167,9 +169,9 @@ class Calls:
         try:
             kind = service_class(offer.type_name)
             service = GhostService(
-                self._ghost_node(self._namespace + offer.node),
+                self._ghost_node(far_name(offer.node, self._namespace)),
                 kind,
-                self._namespace + name,
+                far_name(name, self._namespace),
                 on_request=partial(self._call, name),
             )
         except UnknownTypeError as error:
@@ -219,28 +221,16 @@ class Calls:
 
     def _failed(self, name: str, ghost: _Ghost, failure: CallFailure) -> Any:
         self.failures[failure.reason.value] += 1
-        if self._is_new(name, failure.reason):
+        if self._logged.take((name, failure.reason), self._clock()):
             log.warning("a call of %s failed: %s", name, failure.message)
         return failed_response(ghost.kind, ghost.offer.type_name, reason=failure.reason, message=failure.message)
 
-    def _is_new(self, source: str, reason: str) -> bool:
-        """Return whether to log this: once a minute for each source and reason."""
-        now_s = self._clock()
-        if now_s - self._logged_s.get((source, reason), -math.inf) < _LOG_AGAIN_S:
-            return False
-        self._logged_s[source, reason] = now_s
-        return True
-
-    def _on_link(self, name: str) -> str | None:
-        """Return the name on the robot of a name on this side, None for one outside the namespace."""
-        return name.removeprefix(self._namespace) if name.startswith(f"{self._namespace}/") else None
-
     def _link_name(self, name: str) -> str | None:
         """Return the name on the link of a service on this side, None where it may not be called across the link."""
-        on_link = self._on_link(name)
+        on_link = robot_name(name, self._namespace)
         return on_link if on_link is not None and self._allows(on_link) else None
 
     def _offered(self, name: str) -> tuple[str, str] | None:
         """Return name and type on this side of a service that the other end calls, None where it is not offered."""
-        type_name = self._services.type_of(self._namespace + name)
-        return None if type_name is None or name in self._ghosts else (self._namespace + name, type_name)
+        type_name = self._services.type_of(far_name(name, self._namespace))
+        return None if type_name is None or name in self._ghosts else (far_name(name, self._namespace), type_name)

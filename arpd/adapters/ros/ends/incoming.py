@@ -15,6 +15,8 @@ from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.apply.relay.envelope import Record, unpack
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
+from arpd.observe.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -24,16 +26,13 @@ if TYPE_CHECKING:
     from arpd.apply.relay.offers import TopicOffer
 
 log = logging.getLogger(__name__)
-OWNER = "topics"  # of ghost nodes
+_OWNER = "topics"  # of ghost nodes
 _LINK_DEPTH = 1000  # the reading thread takes samples at once, so this only bridges its scheduling
-_DEPTH = 10
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
-_GRACE_S = (
-    5.0  # samples of a writer that is gone may still be on their way, and an end that restarts knows none at first
-)
+# Samples of a writer that is gone may still be on their way, and an end that restarts knows no writer at first.
+_GRACE_S = 5.0
 _MOST_HELD = 1000
 _HELD_S = 3.0
-_WARN_EVERY_S = 60.0
 
 
 class _Held(NamedTuple):
@@ -90,8 +89,7 @@ class Incoming:
         self._readers: dict[str, RawReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
-        self.used_nodes: set[str] = set()  # local names of the ghost nodes that have writers
-        self._warned_s = float("-inf")
+        self._logged = OncePerMinute()
         self.received = 0
         self.doubled = 0
         self.unknown = 0
@@ -138,7 +136,7 @@ class Incoming:
                 if topic.gone_s:
                     self._retire(topic, topic.ghosts.keys() - topic.gone_s.keys(), now_s)
             writers = [ghost.offer for topic in self._topics.values() for ghost in topic.ghosts.values()]
-        self.used_nodes = {self._local_name(writer.node) for writer in writers}
+        self._nodes.keep(_OWNER, {self._local_name(writer.node) for writer in writers})
         for name in links - self._readers.keys():
             self._readers[name] = self._reader(name)
         for name in self._readers.keys() - links:
@@ -171,8 +169,7 @@ class Incoming:
         try:
             session, records = unpack(sample.data)
         except ValueError as fault:
-            if self._clock() - self._warned_s > _WARN_EVERY_S:
-                self._warned_s = self._clock()
+            if self._logged.take(link_name, self._clock()):
                 log.warning("ignored a sample of %s: %s (logged once a minute)", link_name, fault)
             return
         with self._lock:
@@ -203,11 +200,11 @@ class Incoming:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
                 ghost = topic.ghosts[writer.gid] = GhostWriter(
-                    self._nodes.of(self._local_name(writer.node), owner=OWNER),
+                    self._nodes.of(self._local_name(writer.node), owner=_OWNER),
                     kind,
                     self._local_name(name),
                     writer,
-                    depth=self._depths.get(name, _DEPTH),
+                    depth=self._depths.get(name, DEFAULT_RELAY_DEPTH),
                     clock=self._clock,
                 )
             topic.gone_s.pop(writer.gid, None)
