@@ -77,7 +77,7 @@ class ProbeSchedule:
         surprise_bytes_per_second : what the last train saw, if that contradicts the capacity
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
-        is_idle : True while no topic crosses, so that nobody needs the capacity soon
+        is_idle : True while no topic crosses; nobody needs the capacity then
         """
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
-from arpd.adapters.ros.ends.survey import own_prefix
+from arpd.adapters.ros.ends.survey import own_participant
 from arpd.adapters.ros.relay import default_node_name
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.relay.envelope import wrap
@@ -240,7 +240,7 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
-    state = EndState(session="0" * 16, number=1, wants=frozenset({"/map"}), link_gids=own_prefix(living).hex())
+    state = EndState(session="0" * 16, number=1, wants=frozenset({"/map"}), link_gids=own_participant(living).hex())
     states.publish(wrap(encode_state(state)))
     eventually(lambda: dead.count_publishers("/map") == 1, timeout_s=30)
     for _ in range(5):

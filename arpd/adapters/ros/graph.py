@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import NameValidationException
-from rclpy.qos import QoSReliabilityPolicy
+from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
 from arpd.adapters.ros.names import (
@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 # rmw_dds_common's names for the node of an endpoint whose participant has not named its nodes, yet or ever.
-_UNNAMED = frozenset({"_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"})
+NOT_NAMED_YET = "_NODE_NAME_UNKNOWN_"
+_UNNAMED = frozenset({NOT_NAMED_YET, "_CREATED_BY_BARE_DDS_APP_"})
+_PARTICIPANT_BYTES = 12  # of a GUID (OMG DDSI-RTPS 2.3, 9.3.1)
 _MOST_TOPICS = 3000  # read each second, so that a graph full of topics does not take the processor
 
 
@@ -207,13 +209,36 @@ def _read(node: Any, topic: str, cross: Callable[..., Crossing], own_name: str) 
 
 def deadline_ns_of(qos: Any) -> int:
     """Return the deadline of a QoS profile, 0 = infinite, for which rclpy has 2^63-1 or 0 (ns)."""
-    nanoseconds = int(qos.deadline.nanoseconds)
+    return period_ns_of(qos.deadline)
+
+
+def period_ns_of(duration: Any) -> int:
+    """Return a period of a QoS profile, 0 = infinite, for which rclpy has 2^63-1 or 0 (ns)."""
+    nanoseconds = int(duration.nanoseconds)
     return 0 if nanoseconds >= INFINITE_NS else nanoseconds
+
+
+def policies_of(*, is_reliable: bool, is_latched: bool) -> dict[str, Any]:
+    """Return reliability and durability as arguments of a QoS profile."""
+    return {
+        "reliability": QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        "durability": QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE,
+    }
 
 
 def node_name_of(info: Any) -> str:
     """Return the fully qualified name of an endpoint's node."""
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+def known_node_of(info: Any) -> str:
+    """Return the same, empty while the graph does not know the node, or if there is none."""
+    return "" if info.node_name in _UNNAMED else node_name_of(info)
+
+
+def participant_of(info: Any) -> bytes:
+    """Return the first bytes of an endpoint's GUID, which name its process in the domain."""
+    return bytes(info.endpoint_gid)[:_PARTICIPANT_BYTES]
 
 
 def type_name_of(msg_type: Any) -> str:
@@ -223,12 +248,12 @@ def type_name_of(msg_type: Any) -> str:
 
 
 def _endpoint(info: Any) -> Endpoint:
-    gid = bytes(info.endpoint_gid)
+    participant = participant_of(info)
     return Endpoint(
-        host=gid[2:4],
-        participant=gid[:12],
+        host=participant[2:4],
+        participant=participant,
         deadline_ns=deadline_ns_of(info.qos_profile),
-        node="" if info.node_name in _UNNAMED else node_name_of(info),
+        node=known_node_of(info),
     )
 
 

@@ -14,7 +14,7 @@ from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
-from arpd.adapters.ros.graph import node_name_of
+from arpd.adapters.ros.graph import NOT_NAMED_YET, node_name_of, policies_of
 from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
@@ -35,7 +35,6 @@ log = logging.getLogger(__name__)
 _DISCOVER_S = 0.5
 _EVERY_LOOK = 10  # every tenth look at a topic reads its endpoints, even when their number is unchanged
 _KEEP_LOOKS = 20  # 10 s: enough for a source to restart, and an end for a loop whose source never comes
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
 _RECEIVE_DEPTH = 100  # within the host, so this only bridges the relay's own scheduling
 
 
@@ -126,7 +125,7 @@ class Relay:
         endpoints = self._endpoints(topic, carried)  # first: endpoints that come later change the next count
         sources = [_source(info) for info in self._node.get_publishers_info_by_topic(topic)]
         readers = {node_name_of(info) for info in self._node.get_subscriptions_info_by_topic(output)}
-        unknown = {name for name in (*readers, *(source.node for source in sources)) if _UNKNOWN in name}
+        unknown = {name for name in (*readers, *(source.node for source in sources)) if NOT_NAMED_YET in name}
         route = choose_route(
             sources,
             carrier=self._node.get_fully_qualified_name(),
@@ -196,12 +195,12 @@ class Relay:
         from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow  # noqa: PLC0415
 
         kind = message_class(route.type_name)
-        reliability, durability = _policies(route)
+        policies = policies_of(is_reliable=route.is_reliable, is_latched=route.is_latched)
         publisher = AdaptivePublisher(
             self._node,
             kind,
             self._settings.prefix + topic,
-            QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=durability),
+            QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=policies["durability"]),
             overflow=self._settings.overflow.get(topic, Overflow.LATEST),
         )
         try:
@@ -210,7 +209,7 @@ class Relay:
                 kind,
                 topic,
                 publisher.offer,
-                QoSProfile(depth=_RECEIVE_DEPTH, reliability=reliability, durability=durability),
+                QoSProfile(depth=_RECEIVE_DEPTH, **policies),
                 raw=True,
             )
         except Exception:
@@ -242,21 +241,12 @@ class _Carried:
         self.route = route
 
     def _wanted(self, route: Route) -> ReaderQos:
-        reliability, durability = _policies(route)
-        return replace(self.subscription.qos, reliability=reliability, durability=durability)
+        policies = policies_of(is_reliable=route.is_reliable, is_latched=route.is_latched)
+        return replace(self.subscription.qos, **policies)
 
     def destroy(self) -> None:
         self.subscription.destroy()
         self.publisher.destroy()
-
-
-def _policies(route: Route) -> tuple[Any, Any]:
-    from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in ros_node
-
-    return (
-        QoSReliabilityPolicy.RELIABLE if route.is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
-        QoSDurabilityPolicy.TRANSIENT_LOCAL if route.is_latched else QoSDurabilityPolicy.VOLATILE,
-    )
 
 
 def _source(info: Any) -> TopicWriter:

@@ -24,8 +24,8 @@ _FORGET_S = 60.0
 class AnnouncedParticipants:
     """Hears the multicast discovery of the local domain, and remembers whose it is.
 
-    The nodes of this host are among them. But whoever announces itself here and belongs to the other side has crossed
-    the link on its own. An end confined to its host would not see it in its graph.
+    It hears this host's nodes, too. A participant of the other side that announces itself here has crossed the link
+    without the relay. An end confined to its host does not see it in its graph.
 
     Parameters
     ----------

@@ -17,11 +17,11 @@ from arpd import __version__
 from arpd.adapters.ros.ends.announced import AnnouncedParticipants
 from arpd.adapters.ros.ends.call_link import CallLink
 from arpd.adapters.ros.ends.ghosts import GhostNodes
-from arpd.adapters.ros.ends.incoming import OWNER, Incoming
-from arpd.adapters.ros.ends.outgoing import Names, Outgoing
+from arpd.adapters.ros.ends.incoming import Incoming
+from arpd.adapters.ros.ends.outgoing import Outgoing
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.summaries import Summaries
-from arpd.adapters.ros.ends.survey import Survey, own_prefix
+from arpd.adapters.ros.ends.survey import Survey, own_participant
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.raw_subscription import octets
 from arpd.adapters.ros.rcl import rcl
@@ -78,13 +78,12 @@ class End:
         self._on_change = on_change
         self._clock = clock
         self._selection = Selection.of(settings)
-        self._names = Names(settings)
-        self._node = node
-        self._own_gids = own_prefix(node).hex()
+        own = own_participant(node)
+        self._own_gids = own.hex()
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
-        self._link_gids = own_prefix(link_node).hex()
+        self._link_gids = own_participant(link_node).hex()
         self._partner = Partner()
         self._partner_session = ""
         self._fault = ""  # of the other end's messages
@@ -94,14 +93,13 @@ class End:
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
         self._told = EndState(session=f"{session:016x}", number=0)
-        self._number = 0
         self._begun_s = clock()
         self._look_s = self._alive_s = self._begun_s
         # Two threads: a write onto a full link blocks, and what comes from the link must not wait for it.
         self._outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
         self._link_node = link_node
-        self.survey = Survey(node, own=own_prefix(node), is_of_interest=self._is_of_interest)
+        self.survey = Survey(node, own=own, is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
             link_node=link_node,
             nodes=self._nodes,
@@ -120,13 +118,13 @@ class End:
             session=session,
             clock=clock,
         )
-        own, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
+        role, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
         self._calls = CallLink(
             node,
             link_node,
             nodes=self._nodes,
             thread=self.incoming_thread,
-            own=f"/arpd/relay/{own}/calls",
+            own=f"/arpd/relay/{role}/calls",
             other=f"/arpd/relay/{other}/calls",
             is_used=bool(settings.services or settings.actions),
             allows=self._selection.may_call,
@@ -137,10 +135,10 @@ class End:
             clock=clock,
         )
         self._states = link_node.create_publisher(
-            UInt8MultiArray, f"/arpd/relay/{own}", _LATCHED, event_callbacks=no_publisher_events()
+            UInt8MultiArray, f"/arpd/relay/{role}", _LATCHED, event_callbacks=no_publisher_events()
         )
         self._signs = link_node.create_publisher(
-            UInt8MultiArray, f"/arpd/relay/{own}/alive", _ALIVE, event_callbacks=no_publisher_events()
+            UInt8MultiArray, f"/arpd/relay/{role}/alive", _ALIVE, event_callbacks=no_publisher_events()
         )
         # For the daemon on the robot.
         self._summaries = None if is_far else Summaries(link_node, self.incoming, self.outgoing, self._calls)
@@ -153,7 +151,7 @@ class End:
         link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """Destroy everything in both domains; no executor calls the end any more."""
+        """Destroy everything in both domains; the executors have stopped."""
         self._announced.close()
         for reader in self._readers:
             reader.destroy()
@@ -195,7 +193,6 @@ class End:
             self._others = self._nodes_of_others()
             self._follow(now_s)
         self.incoming.step()
-        self._nodes.keep(OWNER, self.incoming.used_nodes)
         self.outgoing.step(self._offers)
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell(now_s)
@@ -245,7 +242,7 @@ class End:
         self._offered_to_us = state.topics
         accepted = {}
         refused = {}
-        self._is_shared = self._sees(state.local_gids)
+        self._is_shared = state.local_gids in self.survey.participants  # then its ghosts are in this graph, too
         announced = self._announced.recent()
         if self._is_shared:
             self._calls.offered = {}, None
@@ -276,11 +273,6 @@ class End:
                 )
         return ""
 
-    def _sees(self, gids: str) -> bool:
-        """Return whether the other end's process is in this end's local graph: then its ghosts are, too."""
-        found = self._node.get_publishers_info_by_topic("/parameter_events")
-        return bool(gids) and any(bytes(info.endpoint_gid).hex().startswith(gids) for info in found)
-
     def _note_other_types(self, accepted: Mapping[str, TopicOffer]) -> None:
         """Name the topics that nodes here use with another type than the other side."""
         differ = {}
@@ -303,7 +295,7 @@ class End:
         for local, surveyed in self.survey.topics.items():
             name = self._robot_name(local)
             if name is not None and surveyed.writers and self._may_leave(name):
-                link_name, member = self._names.of(name)
+                link_name, member = self.outgoing.names.of(name)
                 writers = tuple(sorted(surveyed.writers.values(), key=lambda writer: writer.number))
                 offers[name] = TopicOffer(
                     type_name=surveyed.type_name, writers=writers, link_name=link_name, member=member
@@ -314,7 +306,7 @@ class End:
         """Send this end's state if it has changed, and a sign of life once a second."""
         state = EndState(
             session=self._told.session,
-            number=self._number,
+            number=self._told.number,
             host=self._host,
             arpd=__version__,
             topics=self._offers,
@@ -325,8 +317,7 @@ class End:
             local_gids=self._own_gids,
         )
         if state != self._told:
-            self._number += 1
-            self._told = state = replace(state, number=self._number)
+            self._told = state = replace(state, number=state.number + 1)
             self._send(self._states, encode_state(state))
         if now_s >= self._alive_s:
             self._alive_s = now_s + EVERY_S
@@ -339,7 +330,7 @@ class End:
         if status != self._status:
             self._status = status
             self._on_change(status)
-        if self._summaries is not None:
+        if self._summaries is not None and self._summaries.is_due(now_s, status):
             here = replace(self._told, refused=self._refused)
             end = RelaySummary(
                 is_reachable=self._partner.is_reachable(now_s),
@@ -347,7 +338,7 @@ class End:
                 strangers=tuple(self._others),
                 types_differ=self._differ,
             )
-            self._summaries.step(now_s, here=here, there=self._partner.state, status=status, end=end)
+            self._summaries.send(now_s, here=here, there=self._partner.state, status=status, end=end)
 
     def status_line(self, now_s: float) -> str:
         """Return one line for ``systemctl status``."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
 from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.graph import policies_of
 from arpd.adapters.ros.rcl import rcl
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class GhostNodes:
         return ghost
 
     def keep(self, owner: str, names: set[str]) -> None:
-        """Destroy the ghosts that no owner keeps any more; their endpoints are destroyed before.
+        """Destroy the ghosts that no owner keeps; the caller has destroyed their endpoints.
 
         Parameters
         ----------
@@ -80,7 +81,7 @@ class GhostNodes:
         for name in self._kept.get(owner, set()) - names:
             ghost = self._ghosts.get(name)
             if ghost is not None and ghost.executor is not None:
-                ghost.executor.remove_node(ghost)  # it would keep the node for ever
+                ghost.executor.remove_node(ghost)  # an executor holds its nodes, destroyed ones too
         self.keep(owner, names)
 
     def close(self) -> None:
@@ -179,8 +180,7 @@ def profile_of(offer: WriterOffer, depth: int) -> QoSProfile:
     """Return the QoS of a writer."""
     return QoSProfile(
         depth=depth,
-        reliability=QoSReliabilityPolicy.RELIABLE if offer.is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if offer.is_latched else QoSDurabilityPolicy.VOLATILE,
+        **policies_of(is_reliable=offer.is_reliable, is_latched=offer.is_latched),
         deadline=Duration(nanoseconds=offer.deadline_ns),
         lifespan=Duration(nanoseconds=offer.lifespan_ns),
         liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if offer.is_manual else QoSLivelinessPolicy.AUTOMATIC,

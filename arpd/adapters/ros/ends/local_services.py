@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.ros.ends.survey import GUID_PREFIX, namesakes
-from arpd.adapters.ros.graph import node_name_of
+from arpd.adapters.ros.ends.survey import namesakes
+from arpd.adapters.ros.graph import known_node_of, participant_of
 from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.offers import ServiceOffer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-log = logging.getLogger(__name__)
 _EVERY_LOOK = 10  # every tenth look at a service reads its servers, even when their number is unchanged
-_UNNAMED = frozenset({"_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +80,9 @@ class LocalServices:
         readers = self._node.get_subscriptions_info_by_topic(f"rq{name}Request", no_mangle=True)
         ours = namesakes(self._node)
         return [
-            ServiceOffer(
-                type_name=_ros_type(reader.topic_type),
-                node="" if reader.node_name in _UNNAMED else node_name_of(reader),
-            )
+            ServiceOffer(type_name=_ros_type(reader.topic_type), node=known_node_of(reader))
             for reader in readers
-            if bytes(reader.endpoint_gid)[:GUID_PREFIX] not in ours
+            if participant_of(reader) not in ours
         ]
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
+from arpd.adapters.ros.graph import participant_of, policies_of
 from arpd.adapters.ros.publisher import AdaptivePublisher
 from arpd.apply.relay.envelope import Record, pack, source_of
 from arpd.apply.relay.sets import Sets
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from arpd.apply.relay.offers import TopicOffer
     from arpd.model.settings import RelaySettings
 
-log = logging.getLogger(__name__)
 # Within the host, so this only bridges the end's own scheduling, and holds every writer's history.
 _RECEIVE_DEPTH = 1000
 _LATCHED_DEPTH = 1000
@@ -123,7 +122,7 @@ class Outgoing:
         self._settings = settings
         self._session = session
         self._clock = clock
-        self._names = Names(settings)
+        self.names = Names(settings)
         self._carried: dict[str, _Carried] = {}  # by the name on the link
         self._readers_gids = ""
         self._incomplete = 0  # of groups that are not carried any more
@@ -143,7 +142,7 @@ class Outgoing:
         """Carry the wanted topics, and no other."""
         wanted: dict[str, set[str]] = {}
         for topic in wants & offers.keys():
-            wanted.setdefault(self._names.of(topic)[0], set()).add(topic)
+            wanted.setdefault(self.names.of(topic)[0], set()).add(topic)
         self._drop_unwanted(wanted.keys())
         self.refused = {topic: reason for topic, reason in self.refused.items() if topic in wants}
         for link_name, topics in wanted.items():
@@ -167,7 +166,7 @@ class Outgoing:
                 self._read_all(carried, topic, offers[topic])
             with carried.lock:
                 if carried.sets is not None:
-                    carried.sets.members = {self._names.of(topic)[1] for topic in carried.wanted - self.refused.keys()}
+                    carried.sets.members = {self.names.of(topic)[1] for topic in carried.wanted - self.refused.keys()}
                 self._deliver_held(carried)
 
     def _read_all(self, carried: _Carried, topic: str, offer: TopicOffer) -> None:
@@ -195,7 +194,7 @@ class Outgoing:
             self._drop(link_name)
 
     def meet(self, link_gids: str) -> None:
-        """Carry latched topics anew: the other end is another process now, and lacks their histories.
+        """Begin again with latched topics: the other end is another process now, and lacks their histories.
 
         They are read once a reader of that process has matched: for some seconds those of the dead one still do.
 
@@ -215,11 +214,11 @@ class Outgoing:
         if not publisher.get_subscription_count():
             return False
         found = self._link_node.get_subscriptions_info_by_topic(publisher.topic_name)
-        return any(bytes(info.endpoint_gid).hex().startswith(self._readers_gids) for info in found)
+        return any(participant_of(info).hex().startswith(self._readers_gids) for info in found)
 
     def _carry(self, link_name: str, *, is_latched: bool) -> _Carried:
         settings = self._settings
-        is_group = self._names.is_group(link_name)
+        is_group = self.names.is_group(link_name)
         depth = settings.depths.get(link_name, DEFAULT_RELAY_DEPTH)
         publisher = AdaptivePublisher(
             self._link_node,
@@ -228,7 +227,7 @@ class Outgoing:
             # TRANSIENT_LOCAL on the link keeps the plan from shortening the depth, so that no history overflows it.
             QoSProfile(
                 depth=max(depth, _LATCHED_DEPTH) if is_latched else depth,
-                durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE,
+                **policies_of(is_reliable=True, is_latched=is_latched),
             ),
             overflow=settings.overflow.get(link_name, Overflow.QUEUE if is_latched else Overflow.LATEST),
             source_of=None if is_group else source_of,
@@ -255,11 +254,7 @@ class Outgoing:
                 self._node,
                 message,
                 self._local_name(topic),
-                QoSProfile(
-                    depth=_RECEIVE_DEPTH,
-                    reliability=QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
-                    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE,
-                ),
+                QoSProfile(depth=_RECEIVE_DEPTH, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
                 deliver=deliver,
                 thread=self._thread,
             )
@@ -276,7 +271,7 @@ class Outgoing:
         if writer is None:
             return False
         if (writer.is_reliable, writer.is_latched) == writers:
-            record = Record(self._names.of(topic)[1], writer.number, sample.sequence, sample.data)
+            record = Record(self.names.of(topic)[1], writer.number, sample.sequence, sample.data)
             records: list[Record] | None = [record]
             if carried.sets is not None:
                 records = carried.sets.add(record)

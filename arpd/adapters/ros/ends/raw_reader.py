@@ -201,7 +201,7 @@ class RawReader:
         """Begin again with a new reader; only for the thread that takes its samples."""
         with self._lock:
             if not self._is_destroyed:
-                log.warning("%s gives one sample again and again; it is read anew", self.topic)
+                log.warning("%s gives one sample again and again; a new reader takes its place", self.topic)
                 self._repeats = 0
                 self._unmake()
                 self._make()

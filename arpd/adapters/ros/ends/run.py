@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import secrets
 import time
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from arpd.adapters.ros.rmw import Rmw
     from arpd.adapters.systemd.notify import Notifier
     from arpd.model.settings import RelaySettings
-
-log = logging.getLogger(__name__)
 
 
 def run_end(
@@ -76,7 +73,7 @@ def run_end(
             on_change=notifier.status,
         )
         publishers = NodePublishers.of(link_node)
-        # Not the other reading thread: its writes may block for as long as the link stands still.
+        # The other reading thread is left out: while the link stands still, its writes may block.
         heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s, lambda: end.incoming_thread.finished_s])
         notifier.ready()
         with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from arpd.apply.relay.call_records import Record, Request
     from arpd.apply.relay.calls import CallId
 
-log = logging.getLogger(__name__)
 _AT_ONCE = 5  # requests to one server in one step: its own history has ten places, and the link delivers in bursts
 _READY_S = 1.0  # for a new client to match its server
 _GONE_S = 1.0  # without its server; it may seem to be gone for a moment when a second one leaves

@@ -41,8 +41,12 @@ class Summaries:
         self._due_s = -math.inf
         self._status = ""
 
-    def step(self, now_s: float, *, here: EndState, there: EndState | None, status: str, end: RelaySummary) -> None:
-        """Send one if it is due.
+    def is_due(self, now_s: float, status: str) -> bool:
+        """Return whether to send one now."""
+        return now_s >= self._due_s or status != self._status
+
+    def send(self, now_s: float, *, here: EndState, there: EndState | None, status: str, end: RelaySummary) -> None:
+        """Send one.
 
         Parameters
         ----------
@@ -50,8 +54,6 @@ class Summaries:
         status : the status line
         end : what only the end itself knows
         """
-        if now_s < self._due_s and status == self._status:
-            return
         self._due_s, self._status = now_s + EVERY_S, status
         there = there or _NOBODY
         summary = replace(

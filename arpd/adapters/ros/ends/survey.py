@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import secrets
 import threading
@@ -14,23 +13,19 @@ from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSReliabilityPo
 from std_msgs.msg import Empty
 
 from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.graph import node_name_of
-from arpd.adapters.ros.names import INFINITE_NS, is_full_name
+from arpd.adapters.ros.graph import NOT_NAMED_YET, known_node_of, node_name_of, participant_of, period_ns_of
+from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.offers import WriterOffer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from rclpy.node import Node
 
-log = logging.getLogger(__name__)
 _EVERY_LOOK = 10  # every tenth look at a topic reads its writers, even when their number is unchanged
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the graph's name for a node that it does not know yet
-_BARE = "_CREATED_BY_BARE_DDS_APP_"  # and for one that does not exist
 _MOST_UNNAMED = 4  # looks; a writer made without ROS never has a node
 _SOON_S = 0.02
 _OWN_S = 2.0
-GUID_PREFIX = 12  # bytes of a GUID that name its process in a domain
 _MOST_WRITERS = 2**16  # of one topic: their numbers have 16 bits
 _REMEMBERED_S = 30.0  # a writer that left; its number is free again then
 
@@ -61,11 +56,10 @@ class Surveyed:
         """
         gids = {bytes(info.endpoint_gid).hex(): info for info in infos}
         self._unnamed = Counter({gid: count for gid, count in self._unnamed.items() if gid in gids})
+        unnamed = [gid for gid, info in gids.items() if info.node_name == NOT_NAMED_YET]
         if is_look:
-            self._unnamed.update(gid for gid, info in gids.items() if _UNKNOWN in info.node_name)
-        waiting = {
-            gid for gid, info in gids.items() if _UNKNOWN in info.node_name and self._unnamed[gid] < _MOST_UNNAMED
-        }
+            self._unnamed.update(unnamed)
+        waiting = {gid for gid in unnamed if self._unnamed[gid] < _MOST_UNNAMED}
         named = {gid: info for gid, info in gids.items() if gid not in waiting}
         self.types = tuple(sorted({info.topic_type for info in named.values()}))
         if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
@@ -91,7 +85,7 @@ class Survey:
     Parameters
     ----------
     node : the end's node in the local domain
-    own : first 12 bytes of the GUIDs of this process there
+    own : first bytes of the GUIDs of this process there
     is_of_interest : returns whether to look at a topic, by its local name
     """
 
@@ -102,13 +96,16 @@ class Survey:
         self._is_of_interest = is_of_interest
         self._lock = threading.Lock()
         self._looks = 0
+        self.participants: frozenset[str] = frozenset()  # first bytes of the GUIDs of every process with a node
         self.topics: Mapping[str, Surveyed] = {}
         self.types: Mapping[str, Sequence[str]] = {}  # of every topic, those of its readers and of this process too
 
     def look(self) -> None:
         """Read what has changed."""
         self._looks += 1
-        ours = namesakes(self._node) | {self._own}
+        infos = self._node.get_publishers_info_by_topic("/parameter_events")
+        self.participants = frozenset(participant_of(info).hex() for info in infos)
+        ours = namesakes(self._node, infos) | {self._own}
         is_changed, self._ours = ours != self._ours, ours
         self.types = dict(self._node.get_topic_names_and_types())
         found = {topic for topic in self.types if is_full_name(topic) and self._is_of_interest(topic)}
@@ -126,7 +123,7 @@ class Survey:
         if surveyed is not None:
             with self._lock:
                 infos = self._node.get_publishers_info_by_topic(topic)
-                others = [info for info in infos if bytes(info.endpoint_gid)[:GUID_PREFIX] not in self._ours]
+                others = [info for info in infos if participant_of(info) not in self._ours]
                 surveyed.read_s = time.monotonic()
                 surveyed.counted = len(infos) if surveyed.read(others, surveyed.read_s, is_look=is_look) else -1
         return surveyed
@@ -148,45 +145,45 @@ class Survey:
         return ((topic, each.types) for topic, each in self.topics.items() if len(each.types) > 1)
 
 
-def own_prefix(node: Node) -> bytes:
-    """Return the first 12 bytes of the GUIDs of a node's process in its domain, by a topic that no other one writes."""
+def own_participant(node: Node) -> bytes:
+    """Return the first bytes of the GUIDs of a node's process in its domain, by a topic that no other one writes."""
     publisher = node.create_publisher(Empty, f"~/arpd_{secrets.token_hex(8)}", 1, event_callbacks=no_publisher_events())
     try:
         until_s = time.monotonic() + _OWN_S
         while time.monotonic() < until_s:
             for info in node.get_publishers_info_by_topic(publisher.topic_name):
-                return bytes(info.endpoint_gid)[:GUID_PREFIX]
+                return participant_of(info)
             time.sleep(0.01)
     finally:
         node.destroy_publisher(publisher)
     raise RuntimeError(f"{node.get_fully_qualified_name()} is not in its own graph")
 
 
-def namesakes(node: Node) -> frozenset[bytes]:
+def namesakes(node: Node, infos: Iterable[Any] | None = None) -> frozenset[bytes]:
     """Return the first bytes of the GUIDs of all processes with a node of this name.
 
     A killed end stays in the graph until DDS gives it up, and so do its ghosts. They belong to nobody on this side.
+
+    Parameters
+    ----------
+    infos : writers of /parameter_events, which every node of rclpy writes; read here when None
     """
     own = node.get_fully_qualified_name()
-    infos = node.get_publishers_info_by_topic("/parameter_events")
-    return frozenset(bytes(info.endpoint_gid)[:GUID_PREFIX] for info in infos if node_name_of(info) == own)
+    if infos is None:
+        infos = node.get_publishers_info_by_topic("/parameter_events")
+    return frozenset(participant_of(info) for info in infos if node_name_of(info) == own)
 
 
 def _offer(info: Any, gid: str, number: int) -> WriterOffer:
     qos = info.qos_profile
     return WriterOffer(
         number=number,
-        node="" if _UNKNOWN in info.node_name or _BARE in info.node_name else node_name_of(info),
+        node=known_node_of(info),
         gid=gid,
         is_reliable=qos.reliability == QoSReliabilityPolicy.RELIABLE,
         is_latched=qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
-        deadline_ns=_period_ns(qos.deadline),
-        lifespan_ns=_period_ns(qos.lifespan),
-        lease_ns=_period_ns(qos.liveliness_lease_duration),
+        deadline_ns=period_ns_of(qos.deadline),
+        lifespan_ns=period_ns_of(qos.lifespan),
+        lease_ns=period_ns_of(qos.liveliness_lease_duration),
         is_manual=qos.liveliness == QoSLivelinessPolicy.MANUAL_BY_TOPIC,
     )
-
-
-def _period_ns(duration: Any) -> int:
-    """Return a period of a QoS profile, 0 = infinite (ns)."""
-    return 0 if duration.nanoseconds >= INFINITE_NS else int(duration.nanoseconds)
