@@ -80,8 +80,10 @@ class GhostNodes:
         """Do as `keep`, after the executor has left the ghosts that this owner no longer keeps; as for `served`."""
         for name in self._kept.get(owner, set()) - names:
             ghost = self._ghosts.get(name)
-            if ghost is not None and ghost.executor is not None:
-                ghost.executor.remove_node(ghost)  # an executor holds its nodes, destroyed ones too
+            if ghost is not None:
+                # An executor holds its nodes, destroyed ones too. `remove_node` alone would leave the node with an
+                # executor that does not serve it: one that another owner keeps would never be served again.
+                ghost.executor = None
         self.keep(owner, names)
 
     def close(self) -> None:
