@@ -1,0 +1,129 @@
+"""The half of arpd that a robot's nodes import: it needs the standard library and ROS 2, and says so without them."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+import arpd
+
+REPO = Path(__file__).resolve().parents[2]
+ENDPOINTS = ("arpd.adapters.ros.publisher", "arpd.adapters.ros.subscription")
+DEPENDS = {str(depend.text) for depend in ET.parse(REPO / "package.xml").iter("exec_depend")}
+
+
+def path_of(module):
+    """Return the file of one of arpd's modules, or None if there is no such module."""
+    path = REPO.joinpath(*module.split("."))
+    return next((each for each in (path / "__init__.py", path.with_suffix(".py")) if each.exists()), None)
+
+
+def is_for_types(node):
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+
+
+def imports(node):
+    """Names that a module imports when it runs, at its top or in a function."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import):
+            yield from (alias.name for alias in child.names)
+        elif isinstance(child, ast.ImportFrom):
+            yield child.module
+            yield from (name for alias in child.names if path_of(name := f"{child.module}.{alias.name}"))
+        elif not is_for_types(child):
+            yield from imports(child)
+
+
+def reach(*modules):
+    """Modules of arpd that these import, directly or not, and the foreign packages of each."""
+    found, waiting = {}, list(modules)
+    while waiting:
+        module = waiting.pop()
+        if module in found:
+            continue
+        names = set(imports(ast.parse(path_of(module).read_text())))
+        found[module] = {name.partition(".")[0] for name in names} - {"arpd"}
+        parents = {module.rpartition(".")[0]} - {"", "arpd"}  # arpd itself imports the endpoints on demand
+        waiting += parents | {name for name in names if name.startswith("arpd.")}
+    return found
+
+
+def test_the_endpoints_import_the_standard_library_and_packages_of_ros_alone():
+    """No module that an endpoint reaches imports anything that package.xml does not name."""
+    found = reach(*ENDPOINTS)
+    allowed = sys.stdlib_module_names | {name for name in DEPENDS if not name.startswith("python3-")}
+    assert {module: foreign for module, packages in found.items() if (foreign := packages - allowed)} == {}
+    assert len(found) > 20
+    assert {"rclpy", "rcl_interfaces", "diagnostic_msgs", "std_msgs"} <= set().union(*found.values())
+
+
+def test_the_reach_of_a_module_is_followed():
+    """The search of the test above finds what the daemon and the configuration need."""
+    found = set().union(*reach("arpd.daemon.run").values())
+    assert {"pydantic", "psutil", "yaml", "osqp", "cvxpy"} & found >= {"pydantic", "psutil", "yaml"}
+
+
+@pytest.fixture
+def python(tmp_path):
+    """Run code in a process that finds only arpd and the given packages beside the standard library."""
+
+    def python(code, **packages):
+        for name, text in packages.items():
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "__init__.py").write_text(text)
+        return subprocess.run(
+            [sys.executable, "-I", "-S", "-c", f"import sys; sys.path[:0] = sys.argv[1:]\n{code}", tmp_path, REPO],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return python
+
+
+@pytest.mark.parametrize(
+    ("packages", "missing", "way_out"),
+    [
+        ({}, "needs rcl(py|_interfaces), which", "first run: source /opt/ros/jazzy/setup.bash"),
+        ({"rclpy": "import numpy"}, "needs numpy, which", "--system-site-packages"),
+        ({"rclpy": "import rcl_interfaces.msg"}, "needs rcl_interfaces, which", "apt install ros-jazzy-rcl-interfaces"),
+        (
+            {"rclpy": "raise ImportError('no _rclpy\\nhere', name='rclpy._rclpy')"},
+            "cannot load rclpy into",
+            "(no _rclpy here); source /opt/ros/jazzy/setup.bash",
+        ),
+    ],
+    ids=["no ROS", "rclpy without numpy", "no messages", "ROS for another Python"],
+)
+@pytest.mark.parametrize("name", ["AdaptivePublisher", "AdaptiveSubscription"])
+def test_an_import_without_ros_names_what_is_missing_and_the_way_out(python, name, packages, missing, way_out):
+    """One line at the end of a short traceback, instead of the depths of arpd."""
+    messages = {} if "rcl_interfaces" in missing or not packages else {"rcl_interfaces": "import rclpy"}
+    done = python(f"from arpd import {name}", **packages, **messages)
+    *traceback, last = done.stderr.splitlines()
+    assert re.match(rf"ImportError: arpd\.{name} {missing} {re.escape(sys.executable)} ", last), last
+    assert way_out in last
+    assert len(traceback) <= 6
+
+
+def test_a_fault_of_arpd_itself_is_not_explained_away(python):
+    """An import inside arpd that fails keeps its own message."""
+    done = python(f"sys.modules['{ENDPOINTS[0]}'] = None\nfrom arpd import AdaptivePublisher")
+    assert f"ModuleNotFoundError: import of {ENDPOINTS[0]} halted" in done.stderr.splitlines()[-1]
+
+
+def test_an_old_python_is_told_so(python):
+    """Python 3.10 cannot run arpd; where a link makes the package importable, no pip has checked that."""
+    done = python("sys.version_info = (3, 10, 12)\nfrom arpd import AdaptivePublisher")
+    last = done.stderr.splitlines()[-1]
+    assert last == f"ImportError: arpd.AdaptivePublisher needs Python 3.11 or newer; {sys.executable} is Python 3.10"
+
+
+def test_import_arpd_loads_nothing_slow(python):
+    """`import arpd` loads no other module of arpd, and its version needs no metadata."""
+    done = python("import arpd\nprint(arpd.__version__, *[m for m in sys.modules if m[:4] in {'arpd', 'impo'}])")
+    assert done.stdout == f"{arpd.__version__} arpd\n", done.stderr
