@@ -14,7 +14,7 @@ from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
 from arpd.cli.top import add_top
-from arpd.model.errors import ArpdError, ConfigError
+from arpd.model.errors import ArpdError, ConfigError, RosUnavailableError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,6 +44,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ArpdError as error:
         print(f"arpd: {error}", file=sys.stderr)
         return error.exit_code
+    except ImportError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in {"", "arpd"}:  # a fault of arpd itself
+            raise
+        print(f"arpd: {_incomplete(package, error)}", file=sys.stderr)
+        return RosUnavailableError.exit_code
     except KeyboardInterrupt:
         return _INTERRUPTED
     except BrokenPipeError:
@@ -51,6 +57,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     return code
+
+
+def _incomplete(package: str, error: ImportError) -> str:
+    if package == "rclpy" or package.endswith(("_interfaces", "_msgs")):
+        way_out = "source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
+    else:
+        way_out = (
+            "scripts/install.sh and arpd's Debian package bring all that its commands need; "
+            "a colcon workspace brings the library for nodes alone"
+        )
+    return f"{package} cannot be imported by {sys.executable} ({' '.join(str(error).split())}); {way_out}"
 
 
 def _parser() -> argparse.ArgumentParser:
