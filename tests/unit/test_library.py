@@ -1,4 +1,4 @@
-"""The half of arpd that a robot's nodes import: it needs the standard library and ROS 2, and says so without them."""
+"""The half of arpd that a robot's nodes import needs the standard library and ROS 2; one line says what is missing."""
 
 import ast
 import re
@@ -127,3 +127,29 @@ def test_import_arpd_loads_nothing_slow(python):
     """`import arpd` loads no other module of arpd, and its version needs no metadata."""
     done = python("import arpd\nprint(arpd.__version__, *[m for m in sys.modules if m[:4] in {'arpd', 'impo'}])")
     assert done.stdout == f"{arpd.__version__} arpd\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "packages", "missing", "way_out"),
+    [
+        ("run", {}, "pydantic cannot be imported by", "scripts/install.sh"),
+        ("relay", {}, "pydantic cannot be imported by", "scripts/install.sh"),
+        ("peer", {}, "pydantic cannot be imported by", "scripts/install.sh"),
+        ("run", {"pydantic": ""}, "pydantic cannot be imported by", "cannot import name"),
+        ("check", {"pydantic": "import std_msgs"}, "std_msgs cannot be imported by", "/opt/ros/jazzy/setup.bash"),
+    ],
+)
+def test_a_command_without_its_packages_ends_in_one_line(python, command, packages, missing, way_out):
+    """`ros2 run arpd run` in a colcon workspace has the library alone; it exits 69."""
+    done = python(f"from arpd.cli.main import main\nsys.exit(main(['{command}']))", **packages)
+    assert (done.returncode, done.stdout) == (69, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"arpd: {missing} {sys.executable} ")
+    assert way_out in line
+
+
+def test_a_command_that_a_fault_of_arpd_stops_shows_where(python):
+    """A broken import inside arpd is no missing package."""
+    done = python("from arpd.cli.main import main\nsys.modules['arpd.daemon.run'] = None\nsys.exit(main(['run']))")
+    assert done.returncode == 1
+    assert done.stderr.startswith("Traceback ")
