@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from arpd.model.endpoints import PublisherState, ReaderState
     from arpd.model.interface import LinkCounters
-    from arpd.model.probing import PeerReport
+    from arpd.model.probing import ClockOffset, PeerReport
     from arpd.model.relay import RelaySummary
 
 
@@ -79,6 +79,7 @@ class Observation:
     active_daemon : host of the active daemon when that is another one, else empty
     radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
+    peer_clocks : clocks of the peers against this host's, by peer; those that nothing tells are missing
     taken : messages refused, and endpoints not confirmed
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 3.5 s
@@ -99,6 +100,7 @@ class Observation:
     active_daemon: str = ""
     radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    peer_clocks: Mapping[str, ClockOffset] = field(default_factory=lambda: MappingProxyType({}))
     taken: Taken = field(default_factory=Taken)
     relay: RelaySummary | None = None
     is_relay_silent: bool = False

@@ -60,6 +60,20 @@ class PeerReport:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ClockOffset:
+    """Difference of a peer's clock from this host's.
+
+    Parameters
+    ----------
+    offset_s : the peer's clock less this host's; above 0 the peer's is ahead (s)
+    uncertainty_s : most error of it, half a round trip (s)
+    """
+
+    offset_s: float
+    uncertainty_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeRequest:
     """Burst that the estimator wants on the link.
 

@@ -10,6 +10,7 @@ Every key carries its unit. ``null`` stands for what JSON cannot say:
 - in ``radio_bytes_per_second`` an interface without a radio, or a radio that does not tell,
 - in ``rmw`` a world without ROS,
 - in ``relay`` a robot without a relay of two ends, or one whose end is silent,
+- in ``clock_offset_seconds`` and ``clock_uncertainty_seconds`` a peer that answered no probe in the last 30 s,
 - in ``after_seconds`` of ``lease`` a plan that outlives its daemon,
 - in ``loss_ratio`` and ``return_delay_seconds`` what nobody measures.
 
@@ -67,10 +68,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "interface_state": str(state_of(snapshot.observation.counters)),
         "interface_counters": _counters(snapshot.observation.counters),
         "link": _link(snapshot),
-        "peers": [
-            {"peer": peer, "report_age_seconds": _finite(age_s)}
-            for peer, age_s in sorted(snapshot.observation.peer_ages_s.items())
-        ],
+        "peers": _peers(snapshot.observation),
         "memory": {
             "total_bytes": snapshot.observation.memory.total_bytes,
             "available_bytes": snapshot.observation.memory.available_bytes,
@@ -182,6 +180,21 @@ def _counters(counters: LinkCounters | None) -> dict[str, Any] | None:
         "transmit_dropped_packets": counters.tx_dropped,
         "backlog_bytes": counters.backlog_bytes,
     }
+
+
+def _peers(observation: Observation) -> list[dict[str, Any]]:
+    rows = []
+    for peer, age_s in sorted(observation.peer_ages_s.items()):
+        clock = observation.peer_clocks.get(peer)
+        rows.append(
+            {
+                "peer": peer,
+                "report_age_seconds": _finite(age_s),
+                "clock_offset_seconds": clock and _finite(clock.offset_s),
+                "clock_uncertainty_seconds": clock and _finite(clock.uncertainty_s),
+            }
+        )
+    return rows
 
 
 def _rmw(observation: Observation) -> dict[str, Any] | None:

@@ -13,7 +13,7 @@ from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
 from arpd.model.price import Price
-from arpd.model.probing import PeerReport
+from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
 from arpd.report.other_traffic import OtherRates
@@ -219,6 +219,7 @@ def make_snapshot() -> Snapshot:
             rmw="rmw_fastrtps_cpp",
             radio_bytes_per_second=8_125_000.0,
             peer_ages_s=MappingProxyType({"ceddp-3f2a": 0.0625, "edge-c001": 12.5}),
+            peer_clocks=MappingProxyType({"ceddp-3f2a": ClockOffset(offset_s=-0.75, uncertainty_s=0.00390625)}),
             taken=Taken(
                 refused={
                     (MessageKind.REPORTS, MessageRefusal.UNANSWERED): 7,

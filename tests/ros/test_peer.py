@@ -13,9 +13,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.peer import Peer, default_name
 from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.adapters.ros.world import RosControl
 from arpd.estimate.probes import ProbeLoss
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.probing import ProbeRequest
+from arpd.model.settings import GraphSettings
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.receiver import PROMPT_S, WORTH_BYTES
 from tests.ros.domain import DOMAIN
@@ -276,3 +278,20 @@ def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, eventuall
         finally:
             peer.terminate()
         assert peer.wait(timeout=15.0) == 0
+
+
+def test_the_daemon_knows_the_peers_clock(ros, interface, eventually):
+    """On one host both clocks are the same: the daemon finds that, within half a round trip."""
+    Peer(ros.node("peer"), reader=interface, name="ceddp-3f2a")
+    control = RosControl(ros.node("daemon"), interface="lo", graph=GraphSettings(), on_report=lambda: None)
+    numbers = count(1)
+
+    def clock():
+        control.probe(ProbeRequest(packets=1, packet_bytes=100, number=next(numbers), quiet_s=0.25))
+        time.sleep(0.1)
+        return control.observe(time.monotonic()).peer_clocks.get("ceddp-3f2a")
+
+    eventually(lambda: clock() is not None)
+    found = [each for each in (clock() for _ in range(20)) if each][-1]
+    assert 0 < found.uncertainty_s < 0.2
+    assert abs(found.offset_s) <= found.uncertainty_s

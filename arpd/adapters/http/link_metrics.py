@@ -9,12 +9,13 @@ from arpd.model.interface import InterfaceState, state_of
 from arpd.model.link import EstimatorEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from prometheus_client.metrics_core import Metric
 
     from arpd.model.interface import LinkCounters
     from arpd.model.link import LinkEstimate
+    from arpd.model.observation import Observation
     from arpd.report.snapshot import Snapshot
 
 _INTERFACE_COUNTERS: tuple[tuple[str, str, Callable[[LinkCounters], int]], ...] = (
@@ -38,7 +39,7 @@ def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
     if (rate := snapshot.observation.radio_bytes_per_second) is not None:
         text = "Bit rate at which the radio transmits; only a part of it is usable."
         yield gauge_of("arpd_link_radio_bytes_per_second", text, ((labels, rate),))
-    yield from _of_peers(snapshot.observation.peer_ages_s)
+    yield from _of_peers(snapshot.observation)
     yield from _of_probes(snapshot.link)
     if (other := snapshot.other_traffic) is not None:
         text = (
@@ -56,10 +57,16 @@ def link_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         yield counter_of(name, text, ((labels, read(counters)),))
 
 
-def _of_peers(ages_s: Mapping[str, float]) -> Iterator[Metric]:
+def _of_peers(observation: Observation) -> Iterator[Metric]:
+    ages_s, clocks = observation.peer_ages_s, sorted(observation.peer_clocks.items())
     yield gauge("arpd_peers", "Peers heard in the last minute.", len(ages_s))
     series = (({"peer": peer}, age_s) for peer, age_s in sorted(ages_s.items()))
     yield gauge_of("arpd_peer_report_age_seconds", "Time since the peer's last report.", series)
+    text = "The peer's clock less this host's, by the shortest round trip of the last 30 seconds."
+    yield gauge_of("arpd_peer_clock_offset_seconds", text, (({"peer": peer}, clock.offset_s) for peer, clock in clocks))
+    text = "Most error of the clock offset: half that round trip."
+    errors = (({"peer": peer}, clock.uncertainty_s) for peer, clock in clocks)
+    yield gauge_of("arpd_peer_clock_uncertainty_seconds", text, errors)
 
 
 def _of_probes(link: LinkEstimate) -> Iterator[Metric]:

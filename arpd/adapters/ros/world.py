@@ -33,6 +33,7 @@ from arpd.model.endpoints import Direction, PublisherState, ReaderState
 from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
+from arpd.observe.peer_clocks import PeerClocks
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ class RosControl:
         self._ceiling = Ceiling()
         self._reports: list[PeerReport] = []
         self._peers_heard: dict[str, float] = {}  # when each reported last (s)
+        self._peer_clocks = PeerClocks()
         self._crossings: Mapping[str, Crossing] = {}
         self._peers: int | None = None
         self._probes = 0
@@ -149,6 +151,7 @@ class RosControl:
                 peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
+            peer_clocks = self._peer_clocks.offsets(now_s)
         crossings = self._crossings
         readers = self._readers.live(now_s, partial(_known_of_reader, crossings=crossings))
         driven: dict[str, set[str]] = {}
@@ -176,6 +179,7 @@ class RosControl:
             active_daemon=self._daemons.active_daemon(),
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
+            peer_clocks=MappingProxyType(peer_clocks),
             taken=Taken(refused=self._refused.counts, pending=self._publishers.pending + self._readers.pending),
             relay=relay,
             is_relay_silent=is_relay_silent,
@@ -231,6 +235,7 @@ class RosControl:
                 self._reports.append(believed)
                 del self._reports[:-_MOST_REPORTS]
                 self._peers_heard[report.peer] = now_s
+                self._peer_clocks.note(believed)
         if isinstance(believed, MessageRefusal):
             self._refuse_report(believed, report.peer, f"reports of {report.peer!r}: {_WHY[believed]}")
         else:

@@ -167,8 +167,18 @@ def test_every_peer_shows_with_the_age_of_its_last_report(sample_snapshot):
     assert value(sample_snapshot, "arpd_peers") == 2
     assert value(sample_snapshot, "arpd_peer_report_age_seconds", peer="edge-c001") == 12.5
     assert status_document(sample_snapshot)["peers"] == [
-        {"peer": "ceddp-3f2a", "report_age_seconds": 0.0625},
-        {"peer": "edge-c001", "report_age_seconds": 12.5},
+        {
+            "peer": "ceddp-3f2a",
+            "report_age_seconds": 0.0625,
+            "clock_offset_seconds": -0.75,
+            "clock_uncertainty_seconds": 0.00390625,
+        },
+        {
+            "peer": "edge-c001",
+            "report_age_seconds": 12.5,
+            "clock_offset_seconds": None,
+            "clock_uncertainty_seconds": None,
+        },
     ]
     nobody = observe(sample_snapshot, peer_ages_s={})
     assert (value(nobody, "arpd_peers"), status_document(nobody)["peers"]) == (0, [])
