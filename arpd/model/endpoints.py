@@ -217,6 +217,7 @@ class PublisherState(FlowState):
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     refusal, refusal_reason : why the last request was refused, in words and by name; empty and ``none`` if it was not
     keeps_all : True when its history is KEEP_ALL, where a depth means nothing
+    lacks_profile : True when it says that its process runs without arpd's Fast DDS profile
     remote_readers : participants on other hosts that read the topic
     requested_deadline_ns : tightest deadline that a reader not driven by arpd requests, 0 when none does
     age_s : time since the announcement (s)
@@ -233,6 +234,7 @@ class PublisherState(FlowState):
     refusal: str = ""
     refusal_reason: RefusalReason = RefusalReason.NONE
     keeps_all: bool = False
+    lacks_profile: bool = False
     remote_readers: int = 0
     requested_deadline_ns: int = 0
     age_s: float = 0.0

@@ -292,6 +292,7 @@ def _topic(row: TopicRow) -> dict[str, Any]:
         "swaps_begun": publisher.swaps_begun,
         "swap_seconds_by_phase": _sorted(publisher.swap_seconds_by_phase),
         "last_swap": publisher.last_swap and _swap(publisher.last_swap),
+        "lacks_profile": publisher.lacks_profile,
         "refusal": publisher.refusal,
         "refusal_reason": str(publisher.refusal_reason),
         "refusal_lasts": publisher.refusal_reason.is_lasting,

@@ -27,6 +27,7 @@ REPLACED = publisher(
     "/n",
     "/t",
     direction=Direction.LOCAL,
+    lacks_profile=True,
     published_rate_hz=7.25,
     rate_hz=12.5,
     paced_rate_hz=7.5,

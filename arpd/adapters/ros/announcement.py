@@ -30,6 +30,7 @@ _MISSED = "deadlines_missed"
 _PUBLISHED_RATE = "published_rate_hz"
 _PACED_RATE = "paced_rate_hz"
 _KEEP_ALL = "keep_all"
+_PROFILE, _MISSING = "profile", "missing"
 _FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
 _INTEGERS = (
     "offered",
@@ -98,6 +99,7 @@ def from_status(status: Any) -> PublisherState:
     return PublisherState(
         type_name=_plain(fields.pop("type")),
         direction=Direction.LOCAL,
+        lacks_profile=values.get(_PROFILE) == _MISSING,
         published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
         paced_rate_hz=_number(_PACED_RATE, values.get(_PACED_RATE, values["rate_hz"])),
         swaps_by_result=_counts(values, _WRITER_RESULTS),
@@ -169,6 +171,7 @@ def _account(state: PublisherState) -> list[tuple[str, str]]:
     """Return the pairs that explain rate and counters; those that would say nothing are left out."""
     is_slowed = state.paced_rate_hz != state.rate_hz
     values = [(_PACED_RATE, f"{state.paced_rate_hz:.6g}")] if is_slowed else []
+    values += [(_PROFILE, _MISSING)] if state.lacks_profile else []
     values += [(_PUBLISHED_RATE, f"{state.published_rate_hz:.6g}")] if state.published_rate_hz else []
     values += [(_CAUSES, _words(state.withheld_by_cause))] if state.withheld_by_cause else []
     values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []

@@ -50,6 +50,8 @@ from arpd.adapters.ros.names import (
 )
 from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.adapters.ros.price_message import decode_price
+from arpd.adapters.ros.profile import missing_here, warn_once
+from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.wakeups import Wakeups
 from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.model.plan import TopicPlan
@@ -143,6 +145,10 @@ class NodePublishers:
             whose="publishers",
             clock=clock,
         )
+        # Only Fast DDS has profiles, and only its writers can be swapped.
+        self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
+        if self._lacks_profile:
+            warn_once(node.get_logger(), missing)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -276,7 +282,8 @@ class NodePublishers:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         generation, lease_s = self._grant.generation, self._grant.lease.granted_s
-        message.status = [to_status(one.state(generation=generation, lease_s=lease_s)) for one in publishers]
+        states = (one.state(generation=generation, lease_s=lease_s) for one in publishers)
+        message.status = [to_status(replace(state, lacks_profile=self._lacks_profile)) for state in states]
         if message.status:  # the last one may just be destroyed, and an empty message is none
             self._announcer.publish(message)
 

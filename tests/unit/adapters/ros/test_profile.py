@@ -2,6 +2,7 @@
 
 import pytest
 
+from arpd.adapters.ros.profile import missing_in_profile, profile_line
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES, TWO_ENDED_PROFILE, prepare_environment
 
 
@@ -36,3 +37,67 @@ def test_two_ends_stay_on_their_host_unless_told_otherwise():
     environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     prepare_environment(TWO_ENDED_PROFILE, environment)
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+OWN = """\
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+  <transport_descriptors><transport_descriptor>
+    <transport_id>small</transport_id><type>UDPv4</type><maxMessageSize>{size}</maxMessageSize>
+  </transport_descriptor></transport_descriptors>
+  <publisher profile_name="mine" is_default_profile="true"><times>
+    <heartbeatPeriod>{period}</heartbeatPeriod>
+  </times></publisher>
+</profiles></dds>"""
+
+
+@pytest.mark.parametrize("name", PROFILE_VARIABLES)
+@pytest.mark.parametrize("profile", [FASTDDS_PROFILE, TWO_ENDED_PROFILE], ids=lambda path: path.stem)
+def test_arpds_profiles_miss_nothing(name, profile, tmp_path):
+    """Both profiles are right, whatever variable names them."""
+    assert missing_in_profile({name: str(profile)}, folder=tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("period", "size", "missing"),
+    [
+        ("<sec>0</sec><nanosec>100000000</nanosec>", "1400", ""),
+        ("<sec>3</sec>", "1400", "no heartbeat period up to 0.5 s"),
+        ("<sec>DURATION_INFINITY</sec>", "1400", "no heartbeat period up to 0.5 s"),
+        ("<nanosec>50000000</nanosec>", "65500", "no messages up to 1472 bytes"),
+        ("<sec>1</sec>", "many", "no heartbeat period up to 0.5 s and no messages up to 1472 bytes"),
+    ],
+)
+def test_a_profile_of_the_users_own_is_judged_by_its_settings(period, size, missing, tmp_path):
+    """One with short heartbeats and small messages is as good as arpd's; else the settings that it lacks are named."""
+    path = tmp_path / "own.xml"
+    path.write_text(OWN.format(period=period, size=size))
+    found = missing_in_profile({PROFILE_VARIABLES[0]: str(path)}, folder=tmp_path)
+    assert found == (f"{path} sets {missing}" if missing else "")
+
+
+def test_a_profile_in_the_working_directory_counts(tmp_path):
+    """Fast DDS reads it without a variable."""
+    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_bytes(FASTDDS_PROFILE.read_bytes())
+    assert missing_in_profile({}, folder=tmp_path) == ""
+
+
+@pytest.mark.parametrize("content", [None, "<dds><profiles>"], ids=["missing", "broken"])
+def test_a_profile_that_cannot_be_read_is_named(content, tmp_path):
+    """Fast DDS goes without such a file, so the process lacks it."""
+    path = tmp_path / "own.xml"
+    if content:
+        path.write_text(content)
+    assert missing_in_profile({PROFILE_VARIABLES[1]: str(path)}, folder=tmp_path) == f"{path} cannot be read"
+
+
+def test_without_any_profile_the_variable_is_named(tmp_path):
+    """An empty variable is none."""
+    assert PROFILE_VARIABLES[0] in missing_in_profile({PROFILE_VARIABLES[0]: ""}, folder=tmp_path)
+
+
+def test_the_line_names_the_stable_path_or_the_file_beside_the_module(tmp_path):
+    """Where nothing is installed, the file of the checkout or of the workspace serves."""
+    installed = tmp_path / "fastdds.xml"
+    assert profile_line(installed) == f"export FASTRTPS_DEFAULT_PROFILES_FILE={FASTDDS_PROFILE}"
+    installed.touch()
+    assert profile_line(installed) == f"export FASTRTPS_DEFAULT_PROFILES_FILE={installed}"
