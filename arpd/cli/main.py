@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.cli.check import add_check
+from arpd.cli.doctor import add_doctor
 from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
@@ -96,6 +97,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
     add_simulate(commands, default_config=DEFAULT_CONFIG)
     add_status(commands)
     add_top(commands)
+    add_doctor(commands, default_config=DEFAULT_CONFIG)
     return parser
 
 

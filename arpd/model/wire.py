@@ -19,6 +19,8 @@ _MESSAGE_BYTES = 1392
 FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
 HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
 ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
+#: Largest IP packet of arpd's writers.
+PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
 #: Heartbeat period of arpd's writers (arpd/adapters/ros/fastdds.xml) while something is unacknowledged.
 HEARTBEAT_S = 0.05
 

@@ -1,0 +1,93 @@
+"""ROS 2 as an interpreter of this computer sees it, tried in a process of its own, which may crash."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.quantities import printable
+from arpd.report.health import Unknown
+from arpd.report.health_host import PythonRos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_ROS = Path("/opt/ros")
+SYSTEM_PYTHON = Path("/usr/bin/python3")
+_TIMEOUT_S = 20.0
+_MOST_FAULT = 160
+# Each line tells all that is known so far. The message has a fixed array, which numpy holds.
+_PROBE = """
+import json
+facts = {}
+def tell(**more):
+    facts.update(more)
+    print(json.dumps(facts), flush=True)
+try:
+    import numpy
+    tell(numpy=numpy.__version__)
+except ImportError:
+    pass
+try:
+    import rclpy
+    tell(rclpy=rclpy.__file__)
+    from rclpy.utilities import get_rmw_implementation_identifier
+    tell(rmw=get_rmw_implementation_identifier())
+    from rclpy.serialization import serialize_message
+    from unique_identifier_msgs.msg import UUID
+    serialize_message(UUID())
+    tell(works=True)
+except BaseException as error:
+    tell(fault=f"{type(error).__name__}: {error}")
+"""
+
+
+def _run(python: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # noqa: S603 - an interpreter of this computer and a constant
+        [python, "-c", _PROBE], capture_output=True, text=True, check=False, timeout=_TIMEOUT_S, cwd="/"
+    )
+
+
+def read_ros(
+    python: str = sys.executable, *, run: Callable[[str], subprocess.CompletedProcess[str]] = _run
+) -> PythonRos | Unknown:
+    """Return what an interpreter finds, in the environment of this process.
+
+    Parameters
+    ----------
+    run : lets the interpreter try; its output has a JSON object in each line, and the last one counts
+    """
+    try:
+        done = run(python)
+    except (OSError, subprocess.SubprocessError) as error:
+        return Unknown(f"{python} did not answer ({printable(str(error), longest=_MOST_FAULT)})")
+    facts = _last(done.stdout)
+    fault = str(facts.get("fault", ""))
+    if not fault and not facts.get("works"):
+        fault = f"it ended with status {done.returncode}"
+    return PythonRos(
+        python=python,
+        rclpy=str(facts.get("rclpy") or ""),
+        numpy=str(facts.get("numpy") or ""),
+        rmw=str(facts.get("rmw") or ""),
+        fault=printable(" ".join(fault.split()), longest=_MOST_FAULT),
+    )
+
+
+def installed_distros(folder: Path = _ROS) -> list[str]:
+    """Return the names of the ROS distributions under /opt/ros."""
+    try:
+        return sorted(path.name for path in folder.iterdir() if (path / "setup.bash").exists())
+    except OSError:
+        return []
+
+
+def _last(output: str) -> dict[str, Any]:
+    try:
+        found = json.loads(output.splitlines()[-1])
+    except (IndexError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

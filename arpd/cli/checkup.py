@@ -1,0 +1,221 @@
+"""Facts of `arpd doctor`, gathered from this computer and from the daemon, and the judgements on them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from arpd import __version__
+from arpd.adapters.config.domain import local_domain
+from arpd.adapters.config.load import load_settings
+from arpd.adapters.host import discovery, kernel, wireless
+from arpd.adapters.host.interface import index_of, likeliest_interface, list_interfaces
+from arpd.adapters.ros import installation
+from arpd.adapters.ros.profile import profile_line
+from arpd.adapters.ros.rmw import rmw_of
+from arpd.adapters.systemd import units
+from arpd.cli.client import DaemonAddress, find, number, rows, text
+from arpd.model.errors import ConfigError, DaemonUnreachableError
+from arpd.model.settings import AUTO, Settings
+from arpd.report import health_host, health_link
+from arpd.report.health import Judgement, Unknown, unknown
+from arpd.report.health_link import PeerClock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from arpd.report.health_host import NetworkLimits, PythonRos, Unit
+    from arpd.report.health_link import HeardDiscovery, RadioState
+
+_LOOPBACK = {"", "localhost", "::1"}
+_ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
+_WITHOUT_INTERFACE = "no interface looks like the link; name it with --interface"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """What the command line asks for.
+
+    Parameters
+    ----------
+    daemon : where to ask the daemon
+    has_own_url : whether the user named that address
+    config_path : configuration file
+    interface : link interface here, empty = find it
+    is_far : whether this computer is the CEDDP, as the user says
+    listen_s : time to listen to discovery, 0 = do not (s)
+    """
+
+    daemon: DaemonAddress
+    has_own_url: bool
+    config_path: Path
+    interface: str = ""
+    is_far: bool = False
+    listen_s: float = 6.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Senses:
+    """Readers of everything outside the daemon, so that a test can replace each."""
+
+    limits: Callable[[], NetworkLimits] = kernel.read_limits
+    mtu: Callable[[str], int | Unknown] = kernel.read_mtu
+    route_mtu: Callable[[str], int | None] = kernel.route_mtu
+    interface_to: Callable[[str], str | None] = kernel.interface_to
+    likeliest_interface: Callable[[], str | None] = likeliest_interface
+    is_clock_synchronised: Callable[[], bool | None] = kernel.is_clock_synchronised
+    radio: Callable[[str], RadioState | None] = wireless.read_radio
+    listen: Callable[[str, int, float], HeardDiscovery | Unknown] = lambda interface, domain, duration_s: (
+        discovery.listen(interface, domain, duration_s=duration_s)
+    )
+    units: Callable[[], list[Unit] | Unknown] = units.read_units
+    ros: Callable[[], list[PythonRos | Unknown]] = lambda: [installation.read_ros(), *_system_ros()]
+    distros: Callable[[], list[str]] = installation.installed_distros
+    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Checkup:
+    """All judgements on one computer."""
+
+    is_far: bool
+    interface: str
+    judgements: tuple[Judgement, ...]
+
+
+def check_up(asked: Asked, senses: Senses) -> Checkup:
+    """Read everything, and judge it."""
+    url_host = urlsplit(asked.daemon.url).hostname or ""
+    is_remote = url_host not in _LOOPBACK and not url_host.startswith("127.")
+    is_far = asked.is_far or is_remote
+    settings, faults = _configuration(asked.config_path, is_far=is_far)
+    status = _status(asked, settings, is_far=is_far, is_remote=is_remote)
+    relay = settings.relay
+    other = (url_host if is_remote else relay.robot) if is_far else relay.ceddp
+    interface = asked.interface
+    if not interface:
+        told = "" if is_far or isinstance(status, Unknown) else text(status, "interface")
+        configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
+        interface = _interface(senses, names=(told, configured), other=other)
+    pythons = senses.ros()
+    judgements = (
+        *health_link.judge_clock(_clocks(status), is_synchronised=senses.is_clock_synchronised(), is_far=is_far),
+        *_of_interface(senses, interface, other),
+        health_host.judge_buffers(limits := senses.limits()),
+        health_host.judge_fragments(limits),
+        _discovery(asked, senses, interface, has_two_ends=relay.link_domain is not None),
+        health_host.judge_profile(_lacking(status), line=profile_line()),
+        health_host.judge_ros(pythons[0], distro=senses.environment.get("ROS_DISTRO", ""), installed=senses.distros()),
+        health_host.judge_numpy([one for one in pythons if not isinstance(one, Unknown)]),
+        _rmw(status, pythons[0]),
+        health_host.judge_versions(
+            __version__, status if isinstance(status, Unknown) else text(status, "version"), is_far=is_far
+        ),
+        *health_host.judge_units(senses.units()),
+        health_host.judge_configuration(str(asked.config_path), faults, is_far=is_far),
+    )
+    return Checkup(is_far=is_far, interface=interface, judgements=judgements)
+
+
+def _configuration(path: Path, *, is_far: bool) -> tuple[Settings, list[str] | Unknown]:
+    if not path.exists():
+        return Settings(), Unknown(f"there is no {path}")
+    try:
+        interfaces = None if is_far else list_interfaces
+        return load_settings(path, interfaces=interfaces, local_domain=local_domain()), []
+    except ConfigError as error:
+        return Settings(), error.faults
+
+
+def _status(asked: Asked, settings: Settings, *, is_far: bool, is_remote: bool) -> dict[str, Any] | Unknown:
+    daemon = asked.daemon
+    if is_far and not is_remote:
+        return Unknown("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
+    if not asked.has_own_url:
+        host = "127.0.0.1" if settings.http.host in _ANY else settings.http.host
+        daemon = replace(daemon, url=f"http://{host}:{settings.http.port}")
+    try:
+        status = daemon.status()
+    except DaemonUnreachableError as error:
+        hint = " On the CEDDP, name the robot with --url" if not is_remote and str(error).endswith("?") else ""
+        return Unknown(f"{error}{hint}")
+    return status if "link" in status else Unknown(f"the daemon at {daemon.url} has not finished a tick")
+
+
+def _interface(senses: Senses, *, names: Iterable[str], other: str | None) -> str:
+    """Return the first of these interfaces that is here, else that of the route to the other end, else a guess."""
+    named = next((name for name in names if name and index_of(name) is not None), "")
+    return named or (senses.interface_to(other) if other else None) or senses.likeliest_interface() or ""
+
+
+def _of_interface(senses: Senses, interface: str, other: str | None) -> Iterator[Judgement]:
+    if not interface:
+        yield unknown(health_link.POWER_SAVE, _WITHOUT_INTERFACE)
+        yield unknown(health_link.MTU, _WITHOUT_INTERFACE)
+        return
+    yield from health_link.judge_radio(interface, senses.radio(interface))
+    yield health_link.judge_mtu(
+        interface, senses.mtu(interface), route_bytes=senses.route_mtu(other) if other else None
+    )
+
+
+def _discovery(asked: Asked, senses: Senses, interface: str, *, has_two_ends: bool) -> Judgement:
+    heard: HeardDiscovery | Unknown
+    if not asked.listen_s:
+        heard = Unknown("--listen 0 asks not to listen")
+    elif not interface:
+        heard = Unknown(_WITHOUT_INTERFACE)
+    elif (domain_id := local_domain(senses.environment)) is None:
+        heard = Unknown("ROS_DOMAIN_ID is no number")
+    else:
+        heard = senses.listen(interface, domain_id, asked.listen_s)
+    return health_link.judge_discovery(heard, interface=interface, has_two_ends=has_two_ends)
+
+
+def _clocks(status: dict[str, Any] | Unknown) -> list[PeerClock] | Unknown:
+    if isinstance(status, Unknown):
+        return status
+    peers = rows(status, "peers")
+    if any("clock_offset_seconds" not in peer for peer in peers):
+        return _older(status)
+    return [
+        PeerClock(
+            peer=text(peer, "peer"),
+            offset_s=number(peer, "clock_offset_seconds"),
+            uncertainty_s=number(peer, "clock_uncertainty_seconds"),
+        )
+        for peer in peers
+    ]
+
+
+def _lacking(status: dict[str, Any] | Unknown) -> list[str] | Unknown:
+    if isinstance(status, Unknown):
+        return status
+    topics = rows(status, "topics")
+    if any("lacks_profile" not in topic for topic in topics):
+        return _older(status)
+    return sorted({text(topic, "node") for topic in topics if topic["lacks_profile"] is True})
+
+
+def _older(status: dict[str, Any]) -> Unknown:
+    return Unknown(f"the daemon is an older one ({text(status, 'version')}), which does not tell it")
+
+
+def _rmw(status: dict[str, Any] | Unknown, python: PythonRos | Unknown) -> Judgement:
+    """Judge the daemon's middleware, or, without a daemon, that of this shell."""
+    if not isinstance(status, Unknown) and find(status, "rmw") is not None:
+        return health_host.judge_rmw(text(status, "rmw", "name"), text(status, "rmw", "refusal"))
+    name = "" if isinstance(python, Unknown) else python.rmw
+    return health_host.judge_rmw(name, rmw_of(name).refusal if name else None)
+
+
+def _system_ros() -> list[PythonRos | Unknown]:
+    """Return what the system's Python finds, where that is another one and ROS comes from apt."""
+    import sys
+
+    python = installation.SYSTEM_PYTHON
+    is_another = python.exists() and python.resolve() != type(python)(sys.executable).resolve()
+    return [installation.read_ros(str(python))] if is_another and installation.installed_distros() else []

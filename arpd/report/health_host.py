@@ -1,0 +1,251 @@
+"""Judgements of `arpd doctor` about this computer: kernel limits, ROS, versions, units, configuration, profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from arpd.model.quantities import format_share, format_size
+from arpd.report.health import Judgement, Unknown, fine, unknown, wrong
+from arpd.report.wording import count, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+_ENOUGH_BUFFER_BYTES = 2 * 2**20  # 20 ms of a link that carries 100 MB/s
+_MANY_LOST, _MANY_LOST_RATIO = 10, 1e-4
+_SHORT_REASSEMBLY_S, _ENOUGH_REASSEMBLY_BYTES = 3, 128 * 2**20  # as "DDS tuning" of the ROS 2 documentation has it
+_MANY_INCOMPLETE_RATIO = 0.01
+_DISTRO = "jazzy"
+_FIRST_UNFIT_NUMPY = 2
+
+BUFFERS, FRAGMENTS, ROS, NUMPY = "receive buffers", "fragments", "ros", "numpy"
+RMW, VERSIONS, UNITS, CONFIGURATION, PROFILE = "rmw", "versions", "units", "configuration", "profile"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkLimits:
+    """Limits of the kernel for datagrams, and what it lost since it started; None = not known.
+
+    Parameters
+    ----------
+    buffer_bytes : receive buffer of a socket that asks for none (net.core.rmem_default)
+    received, overflowed : datagrams that sockets took, and that found the buffer full
+    reassembly_s, reassembly_bytes : how long, and how many bytes of, incomplete datagrams are kept
+    reassembled, incomplete : fragmented datagrams that became whole, and that did not
+    """
+
+    buffer_bytes: int | None = None
+    received: int | None = None
+    overflowed: int | None = None
+    reassembly_s: int | None = None
+    reassembly_bytes: int | None = None
+    reassembled: int | None = None
+    incomplete: int | None = None
+
+
+def judge_buffers(limits: NetworkLimits) -> Judgement:
+    """Judge the receive buffer of sockets by what the kernel lost for want of it.
+
+    Fast DDS takes the default size. A small one harms nobody whose processes read in time.
+    """
+    size, received, lost = limits.buffer_bytes, limits.received, limits.overflowed
+    if size is None:
+        return unknown(BUFFERS, "the kernel does not tell net.core.rmem_default here")
+    if size >= _ENOUGH_BUFFER_BYTES:
+        return fine(BUFFERS, f"{format_size(size)} per socket")
+    if received is None or lost is None:
+        return unknown(BUFFERS, "the kernel does not tell how many datagrams it lost (/proc/net/snmp)")
+    total = received + lost
+    if lost < _MANY_LOST or lost < _MANY_LOST_RATIO * total:
+        return fine(BUFFERS, f"{format_size(size)} per socket; {lost} of {total} datagrams were lost for want of more")
+    return wrong(
+        BUFFERS,
+        f"{lost} of {total} datagrams since the start ({format_share(lost / total)}) met a full receive buffer of "
+        f"{format_size(size)} (net.core.rmem_default) and were lost",
+        "printf 'net.core.rmem_max=8388608\\nnet.core.rmem_default=8388608\\n' | sudo tee "
+        "/etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system   # then restart the nodes",
+    )
+
+
+def judge_fragments(limits: NetworkLimits) -> Judgement:
+    """Judge the reassembly of datagrams that IP cut.
+
+    With arpd's profile DDS cuts samples itself, so this concerns nodes without it.
+    """
+    whole, incomplete = limits.reassembled, limits.incomplete
+    kept_s, kept_bytes = limits.reassembly_s, limits.reassembly_bytes
+    if whole is None or incomplete is None or kept_s is None or kept_bytes is None:
+        return unknown(FRAGMENTS, "the kernel does not tell its IP reassembly here (/proc/net/snmp, net.ipv4.ipfrag_*)")
+    total = whole + incomplete
+    found = f"{incomplete} of {total} datagrams that IP had cut never became whole"
+    if incomplete < _MANY_LOST or incomplete < _MANY_INCOMPLETE_RATIO * total:
+        return fine(FRAGMENTS, found)
+    if kept_s <= _SHORT_REASSEMBLY_S and kept_bytes >= _ENOUGH_REASSEMBLY_BYTES:
+        return fine(FRAGMENTS, f"{found}; they are kept for {kept_s} s, and do not fill the memory")
+    return wrong(
+        FRAGMENTS,
+        f"{found}; each stays in {format_size(kept_bytes)} of memory for {kept_s} s, and while that is full no sample "
+        "larger than a packet arrives from nodes without arpd's Fast DDS profile",
+        "printf 'net.ipv4.ipfrag_time=3\\nnet.ipv4.ipfrag_high_thresh=134217728\\n' | sudo tee "
+        "/etc/sysctl.d/60-arpd-fragments.conf && sudo sysctl --system",
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PythonRos:
+    """ROS as one Python sees it.
+
+    Parameters
+    ----------
+    python : path of the interpreter
+    rclpy : file of rclpy, empty = it cannot be imported
+    numpy : version, empty = there is none
+    rmw : identifier of the middleware, empty = not known
+    fault : why ROS does not work there, empty if it does
+    """
+
+    python: str
+    rclpy: str = ""
+    numpy: str = ""
+    rmw: str = ""
+    fault: str = ""
+
+
+def judge_ros(found: PythonRos | Unknown, *, distro: str, installed: Sequence[str]) -> Judgement:
+    """Judge whether this shell has a ROS that arpd works with.
+
+    Parameters
+    ----------
+    distro : ROS_DISTRO of the environment, empty = none
+    installed : names under /opt/ros
+    """
+    if distro and distro != _DISTRO:
+        return wrong(ROS, f"this shell has ROS 2 {distro}; arpd is measured with {_DISTRO}", _source(_DISTRO))
+    if isinstance(found, Unknown):
+        return unknown(ROS, found)
+    if not found.fault:
+        return fine(ROS, f"rclpy works ({found.rclpy})")
+    if found.rclpy:
+        return wrong(ROS, f"ROS in {found.python} does not work: {found.fault}", f"{found.python} -c 'import rclpy'")
+    if not distro and _DISTRO in installed:
+        return unknown(ROS, f"ROS is not sourced in this shell; `{_source(_DISTRO)} && arpd doctor` looks")
+    why = f"{found.python} cannot import rclpy: {found.fault}"
+    return wrong(ROS, why, _source(_DISTRO) if _DISTRO in installed else f"{found.python} -m pip install 'arpd[ros]'")
+
+
+def _source(distro: str) -> str:
+    return f"source /opt/ros/{distro}/setup.bash"
+
+
+def judge_numpy(pythons: Sequence[PythonRos]) -> Judgement:
+    """Judge numpy beside the Python packages of /opt/ros and of apt, which are built for numpy 1.26."""
+    unfit = [one for one in pythons if one.rclpy.startswith("/opt/ros/") and _major(one.numpy) >= _FIRST_UNFIT_NUMPY]
+    if unfit:
+        one = unfit[0]
+        mend = "uninstall --break-system-packages numpy" if one.python.startswith("/usr/bin/") else "install 'numpy<2'"
+        return wrong(
+            NUMPY,
+            f"{one.python} has numpy {one.numpy} in front of the one that ROS 2 {_DISTRO} is built for "
+            "(1.26); cv_bridge and others fail with it",
+            f"{one.python} -m pip {mend}",
+        )
+    versions = [f"{one.numpy} in {one.python}" for one in pythons if one.numpy]
+    return fine(NUMPY, listed(versions)) if versions else unknown(NUMPY, "no Python here imports numpy")
+
+
+def _major(version: str) -> int:
+    digits = version.partition(".")[0]
+    return int(digits) if digits.isdecimal() else 0
+
+
+def judge_rmw(name: str, refusal: str | None) -> Judgement:
+    """Judge the middleware.
+
+    Parameters
+    ----------
+    name : its identifier, empty = not known
+    refusal : why its publishers are only paced, empty if they are swapped, too; None = not known
+    """
+    if not name or refusal is None:
+        return unknown(RMW, "neither a daemon nor rclpy tells it")
+    if refusal:
+        return wrong(RMW, refusal, "export RMW_IMPLEMENTATION=rmw_fastrtps_cpp   # for all nodes of both ends")
+    return fine(RMW, name)
+
+
+def judge_versions(own: str, daemon: str | Unknown, *, is_far: bool) -> Judgement:
+    """Judge whether the running daemon is of this command's version."""
+    if isinstance(daemon, Unknown):
+        return unknown(VERSIONS, daemon)
+    if own == daemon:
+        return fine(VERSIONS, f"arpd {own}{' at both ends' if is_far else ''}")
+    if is_far:
+        return wrong(
+            VERSIONS,
+            f"arpd {own} here, {daemon} on the robot; messages are understood one version back only",
+            "install the newer one at the other end, too: sudo scripts/install.sh, or sudo apt install ./arpd_*.deb",
+        )
+    return wrong(
+        VERSIONS, f"arpd {own} is installed, and the running daemon is {daemon}", "sudo systemctl restart arpd"
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Unit:
+    """A unit of systemd: its name and states (`systemctl show`)."""
+
+    name: str
+    active: str
+    is_enabled: bool
+
+
+def judge_units(units: Sequence[Unit] | Unknown) -> Iterator[Judgement]:
+    """Judge arpd's units: those that failed, and those that are enabled but do not run."""
+    if isinstance(units, Unknown):
+        yield unknown(UNITS, units)
+        return
+    well, is_wrong = [], False
+    for unit in units:
+        is_stopped = unit.is_enabled and unit.active == "inactive"
+        is_wrong = is_wrong or is_stopped or unit.active == "failed"
+        if unit.active == "failed":
+            yield wrong(UNITS, f"{unit.name} has failed", f"journalctl -u {unit.name} -n 30   # the last line says why")
+        elif is_stopped:
+            yield wrong(UNITS, f"{unit.name} is enabled, and does not run", f"sudo systemctl start {unit.name}")
+        elif unit.active != "inactive":
+            well.append(f"{unit.name} is {unit.active}")
+    if well or not is_wrong:
+        idle = "no unit of arpd is enabled" if units else "no unit of arpd is installed"
+        yield fine(UNITS, listed(well, most=4) if well else idle)
+
+
+def judge_configuration(path: str, faults: Sequence[str] | Unknown, *, is_far: bool) -> Judgement:
+    """Judge the configuration by its faults."""
+    if isinstance(faults, Unknown):
+        return unknown(CONFIGURATION, faults)
+    if not faults:
+        return fine(CONFIGURATION, f"{path} is valid")
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return wrong(CONFIGURATION, f"{faults[0]}{more}", f"arpd check {'--far ' if is_far else ''}{path}")
+
+
+def judge_profile(lacking: Sequence[str] | Unknown, *, line: str) -> Judgement:
+    """Judge whether the processes of all AdaptivePublishers have arpd's Fast DDS profile.
+
+    Parameters
+    ----------
+    lacking : nodes that announce that they run without it
+    line : what gives it to a process
+    """
+    if isinstance(lacking, Unknown):
+        return unknown(PROFILE, lacking)
+    if not lacking:
+        return fine(PROFILE, "no AdaptivePublisher says that it lacks arpd's Fast DDS profile")
+    run = "runs" if len(lacking) == 1 else "run"
+    return wrong(
+        PROFILE,
+        f"{count(len(lacking), 'node')} with AdaptivePublishers {run} without arpd's Fast DDS profile: "
+        f"{listed(sorted(lacking))}; their swaps take longer, and lost packets cost whole samples",
+        f"{line}   # before they start",
+    )

@@ -1,0 +1,109 @@
+"""`arpd doctor` on both ends of a real link, with a daemon, a peer and nodes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.adapters.ros.runtime import PROFILE_VARIABLES
+from scripts.netns.namespaces import executable
+from scripts.netns.simlink import INTERFACE, SimLink, available
+from tests.waiting import eventually
+
+WORKS, WHY_NOT = available()
+pytestmark = [
+    pytest.mark.link,
+    pytest.mark.ros,
+    pytest.mark.skipif(not WORKS, reason=f"no simulated link here: {WHY_NOT}"),
+]
+REPO = Path(__file__).parents[2]
+NODE = """
+import threading, time
+import rclpy
+from std_msgs.msg import String
+from arpd import AdaptivePublisher
+rclpy.init()
+node = rclpy.create_node("camera")
+publisher = AdaptivePublisher(node, String, "/image", 10)
+threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+while True:
+    publisher.publish(String(data="x" * 500))
+    time.sleep(0.1)
+"""
+
+
+class Ends:
+    """Both ends of the link: processes of arpd's on them, and what the doctor says there."""
+
+    def __init__(self, link, folder):
+        self.link = link
+        self._folder = folder
+        self.config = folder / "arpd.yaml"
+        self.config.write_text("http: {host: 10.77.0.1}\n")
+        self._environment = {name: value for name, value in os.environ.items() if name not in PROFILE_VARIABLES}
+        self._environment["PYTHONPATH"] = str(REPO)
+
+    def start(self, host, name, *argv):
+        with (self._folder / f"{name}.log").open("w") as log:
+            command = [sys.executable, "-u", *argv]
+            self.link.popen(host, command, env=self._environment, cwd=self._folder, stdout=log, stderr=log)
+
+    def doctor(self, host, *options):
+        """Return the checks by name, each with its health and text."""
+        command = [sys.executable, "-m", "arpd.cli", "doctor", "--json", "--config", str(self.config), *options]
+        asked = self.link.popen(
+            host, command, env=self._environment, cwd=self._folder, stdout=subprocess.PIPE, text=True
+        )
+        told = json.loads(asked.communicate(timeout=60)[0])
+        assert asked.returncode == (0 if told["ok"] else 1)
+        assert told["interface"] == INTERFACE
+        return {check["check"]: (check["health"], check["text"]) for check in told["checks"]}
+
+
+@pytest.fixture
+def ends(tmp_path):
+    with SimLink(f"doctor-{time.monotonic_ns() % 10**9}") as link:
+        yield Ends(link, tmp_path)
+
+
+def test_both_ends_are_looked_at(ends):
+    """One clock is one; the node without the profile is found, and only it; a small MTU is wrong where it is."""
+    ends.start("robot", "run", "-m", "arpd.cli", "run", "--config", str(ends.config))
+    ends.start("ceddp", "peer", "-m", "arpd.cli", "peer")
+    ends.start("robot", "node", "-c", NODE)
+    found = {}
+
+    def knows():
+        found.update(ends.doctor("robot", "--listen", "0"))
+        return found["clock"][0] == "fine" and found["profile"][0] == "wrong"
+
+    eventually(knows, timeout_s=60)
+    assert "/camera" in found["profile"][1]
+    assert (found["mtu"][0], found["discovery"][0], found["versions"][0]) == ("fine", "unknown", "fine")
+    subprocess.run(
+        [executable("ip"), "-n", ends.link.ceddp.namespace, "link", "set", INTERFACE, "mtu", "1300"], check=True
+    )
+    far = ends.doctor("ceddp", "--url", "http://10.77.0.1:9464")
+    assert (far["clock"][0], far["mtu"][0], far["versions"][0]) == ("fine", "wrong", "fine")
+    assert "at both ends" in far["versions"][1]
+    assert "1 of this computer" not in far["discovery"][1]  # the peer is arpd's own
+    near = ends.doctor("robot")
+    assert near["discovery"][0] == "fine"
+    assert "1 participant" in near["discovery"][1]  # the daemon is arpd's own, and the peer may be
+
+
+def test_with_two_ends_a_node_that_announces_itself_is_found(ends):
+    """The relay carries its topics, so nothing but arpd belongs on the link."""
+    ends.config.write_text("relay: {link_domain: 103, robot: 10.77.0.1, ceddp: 10.77.0.2}\n")
+    assert ends.doctor("robot", "--listen", "1")["discovery"][0] == "fine"
+    ends.start("robot", "node", "-c", NODE)
+    eventually(lambda: ends.doctor("robot", "--listen", "4")["discovery"][0] == "wrong", timeout_s=40)

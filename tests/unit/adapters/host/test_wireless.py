@@ -1,0 +1,125 @@
+"""Power save, signal and regulatory domain: nl80211's answers as the kernel encodes them."""
+
+from __future__ import annotations
+
+import struct
+import sys
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+
+from pyroute2.netlink.nl80211 import nl80211cmd
+
+from arpd.adapters.host.wireless import read_radio, region_of, saves_power, signal_dbm
+from arpd.report.health import Unknown
+from arpd.report.health_link import RadioState
+from tests.unit.adapters.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
+
+# linux/nl80211.h
+ATTR_WIPHY, ATTR_REG_ALPHA2, ATTR_PS_STATE = 1, 33, 93
+STA_INFO_SIGNAL_AVG = 13
+CMD_ANY = 62
+
+
+def answer(*attributes):
+    """Decode an answer of the kernel."""
+    body = struct.pack("BBH", CMD_ANY, 1, 0) + b"".join(attributes)
+    message = nl80211cmd(struct.pack("IHHII", 16 + len(body), 27, 2, 1, 0) + body)
+    message.decode()
+    return message
+
+
+def power_save(state):
+    return answer(attribute(ATTR_PS_STATE, struct.pack("I", state)))
+
+
+def station(*info):
+    return answer(attribute(ATTR_STA_INFO, info, nested=True))
+
+
+def signal(kind, dbm):
+    return attribute(kind, struct.pack("b", dbm))
+
+
+def region(code, radio=None):
+    named = [] if radio is None else [attribute(ATTR_WIPHY, struct.pack("I", radio))]
+    return answer(*named, attribute(ATTR_REG_ALPHA2, code.encode() + b"\0"))
+
+
+@pytest.mark.parametrize(("state", "is_on"), [(0, False), (1, True)])
+def test_power_save_is_on_or_off(state, is_on):
+    """An answer without it tells nothing."""
+    assert saves_power([power_save(state)]) is is_on
+    assert saves_power([answer()]) is None
+
+
+def test_the_strongest_signal_counts():
+    """The average before the last packet's, and the best of an access point's clients."""
+    assert signal_dbm([station(signal(STA_INFO_SIGNAL, -40), signal(STA_INFO_SIGNAL_AVG, -61))]) == -61
+    assert signal_dbm([station(signal(STA_INFO_SIGNAL, -81)), station(signal(STA_INFO_SIGNAL, -52))]) == -52
+    assert signal_dbm([answer(), station()]) is None
+
+
+def test_a_radio_with_its_own_domain_is_not_the_global_one():
+    """A radio that keeps to the global domain has no entry of its own."""
+    answers = [region("00"), region("US", radio=1)]
+    assert (region_of(answers, radio=1), region_of(answers, radio=0), region_of([], radio=0)) == ("US", "00", None)
+
+
+@pytest.fixture
+def sys_net(tmp_path, monkeypatch):
+    monkeypatch.setattr("arpd.adapters.host.wireless.index_of", {"wlan0": 3, "eth0": 2}.get)
+    (tmp_path / "wlan0/phy80211").mkdir(parents=True)
+    (tmp_path / "wlan0/phy80211/index").write_text("1\n")
+    return tmp_path
+
+
+def test_a_radio_is_read_whole(sys_net):
+    """Each question goes to the interface's number."""
+    asked = []
+
+    def ask(*answers):
+        def answer_to(index):
+            asked.append(index)
+            return answers
+
+        return answer_to
+
+    found = read_radio(
+        "wlan0",
+        power_save=ask(power_save(1)),
+        stations=ask(station(signal(STA_INFO_SIGNAL, -60))),
+        regions=ask(region("00"), region("DE", radio=1)),
+        sys_net=sys_net,
+        network_manager=sys_net,
+    )
+    assert found == RadioState(saves_power=True, signal_dbm=-60, region="DE", has_network_manager=True)
+    assert asked == [3, 3, 3]
+
+
+def test_a_radio_that_refuses_is_not_known(sys_net):
+    """Each fact fails alone, and says why."""
+
+    def refuse(_index):
+        raise PermissionError(1, "Operation not permitted")
+
+    found = read_radio(
+        "wlan0", power_save=refuse, stations=lambda _index: [], regions=refuse, sys_net=sys_net, network_manager=sys_net
+    )
+    assert found is not None
+    facts = (found.saves_power, found.signal_dbm, found.region)
+    assert all(isinstance(fact, Unknown) for fact in facts)
+    assert "not permitted" in str(facts[0])
+
+
+@pytest.mark.parametrize("name", ["eth0", "gone0"])
+def test_an_interface_without_a_radio_has_none(sys_net, name):
+    """Nor has one that is not there."""
+    assert read_radio(name, sys_net=sys_net) is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="nl80211 is Linux")
+def test_the_loopback_has_no_radio():
+    """On a real kernel."""
+    assert read_radio("lo") is None

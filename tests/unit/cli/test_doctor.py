@@ -1,0 +1,239 @@
+"""`arpd doctor`: what it asks, what it prints, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from arpd import __version__
+from arpd.cli import checkup
+from arpd.cli.checkup import Asked, Senses, check_up
+from arpd.cli.client import DaemonAddress
+from arpd.cli.doctor import document, lines
+from arpd.report.health import Health, Unknown
+from arpd.report.health_host import NetworkLimits, PythonRos, Unit
+from arpd.report.health_link import Announcer, HeardDiscovery, RadioState
+from tests.unit.fake_daemon import calm, serving
+
+LIMITS = NetworkLimits(
+    buffer_bytes=212_992,
+    received=1000,
+    overflowed=0,
+    reassembly_s=30,
+    reassembly_bytes=4 * 2**20,
+    reassembled=100,
+    incomplete=0,
+)
+ROS = PythonRos(python="/venv/python", rclpy="/opt/ros/jazzy/rclpy.py", numpy="1.26.4", rmw="rmw_fastrtps_cpp")
+QUIET = HeardDiscovery(domain_id=0, announcers=(), bytes_per_second=0.0)
+WELL = Senses(
+    limits=lambda: LIMITS,
+    mtu=lambda _name: 1500,
+    route_mtu=lambda _address: None,
+    interface_to=lambda _address: "wlan7",
+    likeliest_interface=lambda: "wlan0",
+    is_clock_synchronised=lambda: True,
+    radio=lambda _name: RadioState(saves_power=False, signal_dbm=-50, region="DE"),
+    listen=lambda _name, _domain, _duration_s: QUIET,
+    units=lambda: [Unit(name="arpd", active="active", is_enabled=True)],
+    ros=lambda: [ROS],
+    distros=lambda: ["jazzy"],
+    environment={"ROS_DISTRO": "jazzy"},
+)
+ILL = replace(
+    WELL,
+    mtu=lambda _name: 1280,
+    is_clock_synchronised=lambda: False,
+    radio=lambda _name: RadioState(saves_power=True, signal_dbm=-50, region=Unknown("nl80211 does not tell it")),
+    units=lambda: Unknown("systemd does not run here"),
+)
+
+
+def status(*, offset_s=0.001, lacks_profile=False):
+    """Return the status of a daemon of this version, with one peer and one publisher."""
+    answered = calm()
+    answered |= {
+        "version": __version__,
+        "rmw": {"name": "rmw_fastrtps_cpp", "swaps": True, "refusal": ""},
+        "peers": [
+            {
+                "peer": "ceddp",
+                "report_age_seconds": 0.1,
+                "clock_offset_seconds": offset_s,
+                "clock_uncertainty_seconds": 0.001,
+            }
+        ],
+    }
+    answered["topics"][0]["lacks_profile"] = lacks_profile
+    return answered
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """Return a question with a configuration of its own."""
+    path = tmp_path / "arpd.yaml"
+    path.write_text("link: {interface: auto}\n")
+
+    def asked(url="http://127.0.0.1:1", **options):
+        return Asked(daemon=DaemonAddress(url=url), has_own_url=True, config_path=path, **options)
+
+    return asked
+
+
+def healths(found):
+    return {each.about: each.health for each in found.judgements}
+
+
+def test_a_well_computer_is_one_line(asked):
+    """With --verbose each check has a line."""
+    with serving(json.dumps(status())) as url:
+        found = check_up(asked(url), WELL)
+    assert lines(found) == ["15 checks fine"]
+    assert len(lines(found, is_verbose=True)) == 16
+    assert document(found)["ok"] is True
+
+
+def test_an_ill_computer_shows_what_to_do(asked):
+    """What is wrong with its remedies, then what is not known, then a count; nothing of what is fine."""
+    with serving(json.dumps(status(offset_s=-1.5, lacks_profile=True))) as url:
+        found = check_up(asked(url), ILL)
+    shown = lines(found)
+    without_profile = next(line for line in shown if "export FASTRTPS" in line)
+    assert without_profile.startswith("    export FASTRTPS_DEFAULT_PROFILES_FILE=/")
+    shown.remove(without_profile)
+    assert (
+        "\n".join(line for line in shown if "without internet" not in line and "udev" not in line)
+        == """\
+wrong: clock: the clock of ceddp is 1.5 s behind the robot's (± 1 ms): tf2 finds poses of another time, or none; \
+this computer's is not synchronised
+    sudo apt install chrony   # here; then run `arpd doctor` on the CEDDP
+wrong: power save: wlan0 saves power: the access point holds its packets until the next beacon, 100 ms and more
+    sudo iw dev wlan0 set power_save off
+wrong: mtu: wlan0 has an MTU of 1280 bytes; arpd's packets have up to 1420, so IP cuts each
+    sudo ip link set dev wlan0 mtu 1500   # a tunnel takes less: 1420
+wrong: profile: 1 node with AdaptivePublishers runs without arpd's Fast DDS profile: /camera; their swaps take longer, \
+and lost packets cost whole samples
+not known: region: nl80211 does not tell it
+not known: units: systemd does not run here
+4 things to do, 9 checks fine, 2 not known"""
+    )
+
+
+def test_the_json_has_every_check(asked):
+    """Its keys are for scripts."""
+    with serving(json.dumps(status(offset_s=9.0))) as url:
+        told = document(check_up(asked(url), WELL))
+    assert (told["ok"], told["end"], told["interface"]) == (False, "robot", "wlan0")
+    assert {tuple(each) for each in told["checks"]} == {("check", "health", "text", "remedies")}
+    (clock,) = (each for each in told["checks"] if each["check"] == "clock")
+    assert (clock["health"], clock["remedies"][0]) == ("wrong", "sudo apt install chrony   # on the CEDDP")
+    assert json.loads(json.dumps(told)) == told
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (lambda: json.dumps({"api_version": "v1", "ready": False}), 503),
+        (lambda: "something else", 200),
+        (lambda: json.dumps(calm() | {"peers": [{"peer": "x", "report_age_seconds": 1}]}), 200),
+    ],
+    ids=["not ready", "not arpd", "older"],
+)
+def test_a_daemon_that_does_not_tell_alarms_nobody(asked, answer, code):
+    """The clock is not known, and the other checks go on."""
+    with serving(answer(), code) as url:
+        found = check_up(asked(url), WELL)
+    assert healths(found)["clock"] is Health.UNKNOWN
+    assert Health.WRONG not in {health for about, health in healths(found).items() if about not in {"versions", "rmw"}}
+
+
+def test_without_a_daemon_its_checks_share_one_line(asked):
+    """The reason is not repeated."""
+    found = check_up(asked(), WELL)
+    (line,) = (line for line in lines(found) if line.startswith("not known"))
+    assert line.startswith("not known: clock, profile, versions: no daemon answers at http://127.0.0.1:1 ")
+    assert not [each for each in found.judgements if each.health is Health.WRONG]
+
+
+def test_the_far_end_asks_no_daemon_of_its_own(asked):
+    """It would be another robot's, or none."""
+    with serving(json.dumps(status(offset_s=5.0))) as url:
+        found = check_up(asked(url, is_far=True), WELL)
+    assert found.is_far
+    assert healths(found)["clock"] is Health.UNKNOWN
+
+
+def test_a_remote_url_means_the_far_end(asked, monkeypatch):
+    """The route to the robot names the interface, and the robot tells the clock."""
+    monkeypatch.setattr(DaemonAddress, "status", lambda _self: status(offset_s=0.5))
+    found = check_up(asked("http://robot.local:9464"), WELL)
+    assert (found.is_far, found.interface) == (True, "wlan7")
+    assert healths(found)["clock"] is Health.WRONG
+
+
+def test_the_daemons_port_comes_from_the_configuration(asked):
+    """Unless the user names an address."""
+    with serving(json.dumps(status())) as url:
+        port = url.rpartition(":")[2]
+        question = asked("http://127.0.0.1:9464")
+        question.config_path.write_text(f"http: {{host: 0.0.0.0, port: {port}}}\n")
+        found = check_up(replace(question, has_own_url=False), WELL)
+    assert healths(found)["clock"] is Health.FINE
+
+
+def test_a_faulty_or_missing_configuration_does_not_stop_the_rest(asked):
+    """A fault is a finding; a file that is not there is none."""
+    question = asked()
+    question.config_path.write_text("links: {}\n")
+    assert healths(check_up(question, WELL))["configuration"] is Health.WRONG
+    question.config_path.unlink()
+    assert healths(check_up(question, WELL))["configuration"] is Health.UNKNOWN
+
+
+def test_with_two_ends_a_node_on_the_link_is_wrong(asked):
+    """The configuration says whether the relay has two ends; ROS_DOMAIN_ID says where to listen."""
+    node = Announcer(host="robot", process="camera", is_here=True, is_arpds=False)
+    listened = []
+
+    def listen(name, domain, duration_s):
+        listened.append((name, domain, duration_s))
+        return replace(QUIET, announcers=(node,))
+
+    senses = replace(WELL, listen=listen, environment={"ROS_DOMAIN_ID": "7"})
+    question = asked(listen_s=2.5)
+    assert healths(check_up(question, senses))["discovery"] is Health.FINE
+    question.config_path.write_text("relay: {link_domain: 102, robot: 10.77.0.1}\n")
+    assert healths(check_up(question, senses))["discovery"] is Health.WRONG
+    assert listened == [("wlan0", 7, 2.5)] * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "senses"),
+    [
+        ({"listen_s": 0.0}, WELL),
+        ({}, replace(WELL, likeliest_interface=lambda: None)),
+        ({}, replace(WELL, environment={"ROS_DOMAIN_ID": "seven"})),
+    ],
+    ids=["told not to", "no interface", "no domain"],
+)
+def test_what_cannot_be_listened_to_is_not_known(asked, options, senses):
+    """Nor does anything else fail for it."""
+    assert healths(check_up(asked(**options), senses))["discovery"] is Health.UNKNOWN
+
+
+def test_the_command_prints_and_exits(run, tmp_path, monkeypatch):
+    """0 when nothing is to be done, 1 when something is, 2 for wrong usage."""
+    monkeypatch.setattr(checkup, "Senses", lambda: WELL)
+    config = tmp_path / "arpd.yaml"
+    config.write_text("link: {interface: auto}\n")
+    for offset_s, expected in ((0.0, 0), (2.0, 1)):
+        with serving(json.dumps(status(offset_s=offset_s))) as url:
+            code, out, err = run("doctor", "--url", url, "--config", config)
+            assert (code, err) == (expected, "")
+            assert ("wrong: clock" in out) is bool(expected)
+            code, out, _ = run("doctor", "--url", url, "--config", config, "--json")
+            assert (code, json.loads(out)["ok"]) == (expected, not expected)
+    for words in (("--listen", "-1"), ("--listen", "soon"), ("--url", "robot", "--config", config)):
+        assert run("doctor", *words)[0] == 2

@@ -1,0 +1,176 @@
+"""Judgements of `arpd doctor` about the computer: when something should be done, and when not enough is known."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import pytest
+
+from arpd.report.health import Health, Unknown
+from arpd.report.health_host import (
+    NetworkLimits,
+    PythonRos,
+    Unit,
+    judge_buffers,
+    judge_configuration,
+    judge_fragments,
+    judge_numpy,
+    judge_profile,
+    judge_rmw,
+    judge_ros,
+    judge_units,
+    judge_versions,
+)
+
+LIMITS = NetworkLimits(
+    buffer_bytes=212_992,
+    received=1_000_000,
+    overflowed=0,
+    reassembly_s=30,
+    reassembly_bytes=4 * 2**20,
+    reassembled=10_000,
+    incomplete=0,
+)
+WORKS = PythonRos(python="/venv/bin/python", rclpy="/opt/ros/jazzy/lib/rclpy/__init__.py", numpy="1.26.4", rmw="rmw")
+
+
+@pytest.mark.parametrize(
+    ("changes", "health"),
+    [
+        ({}, Health.FINE),
+        ({"overflowed": 9}, Health.FINE),
+        ({"overflowed": 99}, Health.FINE),
+        ({"overflowed": 5000}, Health.WRONG),
+        ({"overflowed": 5000, "buffer_bytes": 8 * 2**20}, Health.FINE),
+        ({"buffer_bytes": None}, Health.UNKNOWN),
+        ({"overflowed": None}, Health.UNKNOWN),
+    ],
+)
+def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(changes, health):
+    """A default size that loses nothing harms nobody, and one that was raised is fine, although the counters stay."""
+    judged = judge_buffers(replace(LIMITS, **changes))
+    assert judged.health is health
+    assert bool(judged.remedies) is (health is Health.WRONG)
+
+
+@pytest.mark.parametrize(
+    ("changes", "health"),
+    [
+        ({}, Health.FINE),
+        ({"incomplete": 50}, Health.FINE),
+        ({"incomplete": 500}, Health.WRONG),
+        ({"incomplete": 500, "reassembly_s": 3}, Health.WRONG),
+        ({"incomplete": 500, "reassembly_s": 3, "reassembly_bytes": 128 * 2**20}, Health.FINE),
+        ({"incomplete": None}, Health.UNKNOWN),
+        ({"reassembly_s": None}, Health.UNKNOWN),
+    ],
+)
+def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, health):
+    """Short patience and much memory make lost fragments harmless to the others."""
+    judged = judge_fragments(replace(LIMITS, **changes))
+    assert judged.health is health
+    assert bool(judged.remedies) is (health is Health.WRONG)
+
+
+def test_a_kernel_that_tells_nothing_alarms_nobody():
+    """No fact, no judgement."""
+    nothing = NetworkLimits()
+    assert all(getattr(nothing, field.name) is None for field in fields(nothing))
+    assert {judge_buffers(nothing).health, judge_fragments(nothing).health} == {Health.UNKNOWN}
+
+
+@pytest.mark.parametrize(
+    ("found", "distro", "installed", "health", "remedy"),
+    [
+        (WORKS, "jazzy", ["jazzy"], Health.FINE, ""),
+        (WORKS, "", [], Health.FINE, ""),
+        (WORKS, "humble", ["humble"], Health.WRONG, "source /opt/ros/jazzy/setup.bash"),
+        (PythonRos(python="p", fault="ImportError"), "", ["jazzy"], Health.UNKNOWN, ""),
+        (PythonRos(python="p", fault="ImportError"), "", [], Health.WRONG, "p -m pip install 'arpd[ros]'"),
+        (PythonRos(python="p", fault="ImportError"), "jazzy", ["jazzy"], Health.WRONG, "source /opt/ros/jazzy"),
+        (replace(WORKS, fault="it ended with status -11"), "jazzy", ["jazzy"], Health.WRONG, "import rclpy"),
+        (Unknown("no answer"), "jazzy", ["jazzy"], Health.UNKNOWN, ""),
+    ],
+)
+def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
+    """A shell in which ROS is not sourced tells nothing of the daemon's."""
+    judged = judge_ros(found, distro=distro, installed=installed)
+    assert judged.health is health
+    assert remedy in "".join(judged.remedies)
+    assert bool(judged.remedies) is (health is Health.WRONG)
+
+
+@pytest.mark.parametrize(
+    ("changes", "health", "remedy"),
+    [
+        ({}, Health.FINE, ""),
+        ({"numpy": "2.4.6"}, Health.WRONG, "/venv/bin/python -m pip install 'numpy<2'"),
+        ({"numpy": "2.1", "python": "/usr/bin/python3"}, Health.WRONG, "/usr/bin/python3 -m pip uninstall"),
+        ({"numpy": "2.4.6", "rclpy": "/venv/lib/rclpy/__init__.py"}, Health.FINE, ""),
+        ({"numpy": ""}, Health.UNKNOWN, ""),
+        ({"numpy": "dev"}, Health.FINE, ""),
+    ],
+)
+def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
+    """Wheels of ROS from PyPI take either."""
+    judged = judge_numpy([replace(WORKS, **changes)])
+    assert judged.health is health
+    assert remedy in "".join(judged.remedies)
+
+
+def test_another_middleware_is_only_paced():
+    """Without any fact nothing is said."""
+    assert judge_rmw("rmw_fastrtps_cpp", "").health is Health.FINE
+    assert judge_rmw("rmw_cyclonedds_cpp", "it is only paced").health is Health.WRONG
+    assert judge_rmw("", None).health is Health.UNKNOWN
+
+
+def test_versions_must_be_the_same():
+    """On the robot a restart mends it, across the link an installation."""
+    assert judge_versions("1.0", "1.0", is_far=False).health is Health.FINE
+    assert "restart" in judge_versions("1.1", "1.0", is_far=False).remedies[0]
+    assert "install" in judge_versions("1.1", "1.0", is_far=True).remedies[0]
+    assert judge_versions("1.1", Unknown("no daemon"), is_far=False).health is Health.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("units", "health"),
+    [
+        ([], [Health.FINE]),
+        ([Unit(name="arpd", active="active", is_enabled=True)], [Health.FINE]),
+        ([Unit(name="arpd", active="failed", is_enabled=True)], [Health.WRONG]),
+        ([Unit(name="arpd", active="inactive", is_enabled=True)], [Health.WRONG]),
+        ([Unit(name="arpd", active="inactive", is_enabled=False)], [Health.FINE]),
+        ([Unit(name="arpd", active="activating", is_enabled=True)], [Health.FINE]),
+        (
+            [
+                Unit(name="arpd", active="active", is_enabled=True),
+                Unit(name="arpd-relay", active="failed", is_enabled=False),
+            ],
+            [Health.WRONG, Health.FINE],
+        ),
+        (Unknown("systemd does not run here"), [Health.UNKNOWN]),
+    ],
+)
+def test_units_that_failed_or_do_not_run_are_wrong(units, health):
+    """A unit that nobody enabled may rest."""
+    assert [each.health for each in judge_units(units)] == health
+
+
+def test_a_faulty_configuration_shows_its_first_fault():
+    """`arpd check` shows the others."""
+    judged = judge_configuration("/etc/arpd/arpd.yaml", ["a:1:1: x", "a:2:1: y"], is_far=True)
+    assert (judged.health, judged.text) == (Health.WRONG, "a:1:1: x (and 1 more)")
+    assert judged.remedies == ("arpd check --far /etc/arpd/arpd.yaml",)
+    assert judge_configuration("x", [], is_far=False).health is Health.FINE
+    assert judge_configuration("x", Unknown("there is none"), is_far=False).health is Health.UNKNOWN
+
+
+def test_nodes_without_the_profile_are_named():
+    """With the line to set."""
+    judged = judge_profile(["/camera", "/lidar"], line="export X=y")
+    assert judged.health is Health.WRONG
+    assert "/camera, /lidar" in judged.text or "/camera and /lidar" in judged.text
+    assert judged.remedies[0].startswith("export X=y")
+    assert judge_profile([], line="").health is Health.FINE
+    assert judge_profile(Unknown("no daemon"), line="").health is Health.UNKNOWN
