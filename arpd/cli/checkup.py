@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _LOOPBACK = {"", "localhost", "::1"}
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
+_UNITS_OF_CEDDP = {"arpd-peer", "arpd-relay-far"}
 _WITHOUT_INTERFACE = "no interface looks like the link; name it with --interface"
 
 
@@ -64,10 +65,12 @@ class Senses:
     limits: Callable[[], NetworkLimits] = kernel.read_limits
     mtu: Callable[[str], int | Unknown] = kernel.read_mtu
     route_mtu: Callable[[str], int | None] = kernel.route_mtu
+    is_own_address: Callable[[str], bool] = kernel.is_own_address
     interface_to: Callable[[str], str | None] = kernel.interface_to
     likeliest_interface: Callable[[], str | None] = likeliest_interface
     is_clock_synchronised: Callable[[], bool | None] = kernel.is_clock_synchronised
     radio: Callable[[str], RadioState | None] = wireless.read_radio
+    radios_beneath: Callable[[str], list[str]] = wireless.radios_beneath
     listen: Callable[[str, int, float], HeardDiscovery | Unknown] = lambda interface, domain, duration_s: (
         discovery.listen(interface, domain, duration_s=duration_s)
     )
@@ -89,8 +92,9 @@ class Checkup:
 def check_up(asked: Asked, senses: Senses) -> Checkup:
     """Read everything, and judge it."""
     url_host = urlsplit(asked.daemon.url).hostname or ""
-    is_remote = url_host not in _LOOPBACK and not url_host.startswith("127.")
-    is_far = asked.is_far or is_remote
+    is_remote = url_host not in _LOOPBACK and not senses.is_own_address(url_host)
+    installed = senses.units()
+    is_far = asked.is_far or is_remote or _is_ceddp(installed)
     settings, faults = _configuration(asked.config_path, is_far=is_far)
     status = _status(asked, settings, is_far=is_far, is_remote=is_remote)
     relay = settings.relay
@@ -114,10 +118,18 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
         health_host.judge_versions(
             __version__, status if isinstance(status, Unknown) else text(status, "version"), is_far=is_far
         ),
-        *health_host.judge_units(senses.units()),
+        *health_host.judge_units(installed),
         health_host.judge_configuration(str(asked.config_path), faults, is_far=is_far),
     )
     return Checkup(is_far=is_far, interface=interface, judgements=judgements)
+
+
+def _is_ceddp(installed: list[Unit] | Unknown) -> bool:
+    """Return whether only the units of the CEDDP are in use here."""
+    if isinstance(installed, Unknown):
+        return False
+    used = {unit.name for unit in installed if unit.is_enabled or unit.active != "inactive"}
+    return bool(used) and used <= _UNITS_OF_CEDDP
 
 
 def _configuration(path: Path, *, is_far: bool) -> tuple[Settings, list[str] | Unknown]:
@@ -156,7 +168,9 @@ def _of_interface(senses: Senses, interface: str, other: str | None) -> Iterator
         yield unknown(health_link.POWER_SAVE, _WITHOUT_INTERFACE)
         yield unknown(health_link.MTU, _WITHOUT_INTERFACE)
         return
-    yield from health_link.judge_radio(interface, senses.radio(interface))
+    radios = {name: radio for name in (interface, *senses.radios_beneath(interface)) if (radio := senses.radio(name))}
+    for name in radios or [interface]:
+        yield from health_link.judge_radio(name, radios.get(name))
     yield health_link.judge_mtu(
         interface, senses.mtu(interface), route_bytes=senses.route_mtu(other) if other else None
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import socket
+import struct
 import subprocess
 import sys
 import time
@@ -15,7 +17,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.adapters.ros.runtime import PROFILE_VARIABLES
-from scripts.netns.namespaces import executable
+from scripts.netns.namespaces import executable, inside
 from scripts.netns.simlink import INTERFACE, SimLink, available
 from tests.waiting import eventually
 
@@ -107,3 +109,49 @@ def test_with_two_ends_a_node_that_announces_itself_is_found(ends):
     assert ends.doctor("robot", "--listen", "1")["discovery"][0] == "fine"
     ends.start("robot", "node", "-c", NODE)
     eventually(lambda: ends.doctor("robot", "--listen", "4")["discovery"][0] == "wrong", timeout_s=40)
+
+
+def overflow_a_socket():
+    """Send more datagrams than a socket holds that nobody reads."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as full,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        full.bind(("127.0.0.1", 0))
+        for _ in range(1000):
+            out.sendto(bytes(1000), full.getsockname())
+
+
+def send_lone_fragments():
+    """Send first fragments of datagrams whose rest never comes, and let the kernel wait for it for a second only."""
+    Path("/proc/sys/net/ipv4/ipfrag_time").write_text("1")
+    with socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW) as out:
+        own = socket.inet_aton("127.0.0.1")
+        for number in range(1, 31):
+            more_fragments = 0x2000
+            header = struct.pack("!BBHHHBBH4s4s", 0x45, 0, 0, number, more_fragments, 64, 17, 0, own, own)
+            out.sendto(header + bytes(64), ("127.0.0.1", 0))
+    time.sleep(1.5)
+
+
+def mend_reassembly():
+    """Set what the doctor says."""
+    Path("/proc/sys/net/ipv4/ipfrag_time").write_text("3")
+    Path("/proc/sys/net/ipv4/ipfrag_high_thresh").write_text("134217728")
+
+
+def test_datagrams_that_the_kernel_loses_are_found(ends):
+    """Full sockets and incomplete datagrams are found by the kernel's own counters, and the remedy ends the alarm."""
+
+    def found():
+        told = ends.doctor("robot", "--listen", "0")
+        return told["receive buffers"][0], told["fragments"][0]
+
+    namespace = ends.link.robot.namespace
+    assert found() == ("fine", "fine")
+    inside(namespace, overflow_a_socket)
+    assert found() == ("wrong", "fine")
+    inside(namespace, send_lone_fragments)
+    assert found() == ("wrong", "wrong")
+    inside(namespace, mend_reassembly)
+    assert found() == ("wrong", "fine")

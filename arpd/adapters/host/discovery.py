@@ -95,19 +95,25 @@ class DiscoveryEar:
 
 def command_name(command: tuple[str, ...]) -> str:
     """Return the name of a command: of a script or module where Python runs one; empty if there is no command."""
-    if not command:
-        return ""
-    first, *rest = command
-    if Path(first).name.startswith("python"):
-        named = next((word for word in rest if not word.startswith("-") or word == "-c"), "")
-        return f"{Path(first).name} -c" if named == "-c" else Path(named).name or Path(first).name
-    return Path(first).name
+    program = _program(command)
+    return f"{Path(command[0]).name} -c" if program == "-c" else Path(program).name
 
 
 def is_arpd(command: tuple[str, ...]) -> bool:
-    """Return whether a command is one of arpd's."""
-    name = command_name(command)
-    return name == "arpd" or name.startswith("arpd.")
+    """Return whether a command is one of arpd's, in a workspace of colcon too (lib/arpd/relay)."""
+    program = Path(_program(command))
+    name = program.name
+    return name == "arpd" or name.startswith("arpd.") or program.parts[-3:-1] == ("lib", "arpd")
+
+
+def _program(command: tuple[str, ...]) -> str:
+    """Return the path of a program; where Python runs one, of its script, the name of its module, or ``-c``."""
+    if not command:
+        return ""
+    first, *rest = command
+    if not Path(first).name.startswith("python"):
+        return first
+    return next((word for word in rest if not word.startswith("-") or word == "-c"), first)
 
 
 def announced_properties(packet: bytes) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import psutil
 
@@ -15,6 +15,7 @@ from arpd.report.health_host import NetworkLimits
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+T = TypeVar("T")
 _PROC = Path("/proc")
 _SYS_NET = Path("/sys/class/net")
 _TIMEX_BYTES = 512  # struct timex (linux/timex.h) has 208 on 64-bit systems
@@ -48,24 +49,32 @@ def route_mtu(address: str) -> int | None:
 
     It knows the MTU of the route, and what routers on the way have answered. Nothing is sent.
     """
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            asked.connect((address, _DISCARD_PORT))
-            return asked.getsockopt(socket.IPPROTO_IP, _IP_MTU)
-    except OSError:
-        return None
+    return _on_the_way(address, lambda asked: asked.getsockopt(socket.IPPROTO_IP, _IP_MTU))
 
 
 def interface_to(address: str) -> str | None:
     """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
+    own: str | None = _on_the_way(address, lambda asked: asked.getsockname()[0])
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            asked.connect((address, _DISCARD_PORT))
-            own = asked.getsockname()[0]
         every = psutil.net_if_addrs()
     except OSError:
         return None
     return next((name for name, found in every.items() if any(each.address == own for each in found)), None)
+
+
+def is_own_address(address: str) -> bool:
+    """Return whether an address, or a host name, is this computer's."""
+    return _on_the_way(address, lambda asked: asked.getsockname()[0] == asked.getpeername()[0]) is True
+
+
+def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
+    """Return what a socket with a route to the address tells, None without a route."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            asked.connect((address, _DISCARD_PORT))
+            return ask(asked)
+    except OSError:
+        return None
 
 
 def _adjtimex() -> int:

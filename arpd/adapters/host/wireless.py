@@ -70,6 +70,20 @@ def read_radio(
     )
 
 
+def radios_beneath(interface: str, *, sys_net: Path = _SYS_NET) -> list[str]:
+    """Return the interfaces with a radio that may carry a tunnel: those that are up; none beneath hardware."""
+    if (sys_net / interface / "device").exists():
+        return []
+    return sorted(radio.parent.name for radio in sys_net.glob("*/phy80211") if _is_up(radio.parent / "operstate"))
+
+
+def _is_up(path: Path) -> bool:
+    try:
+        return path.read_text().strip() == "up"
+    except OSError:
+        return False
+
+
 def saves_power(answers: Iterable[Any]) -> bool | None:
     """Return whether power save is on, None if no answer tells."""
     for answer in answers:

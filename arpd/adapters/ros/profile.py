@@ -32,7 +32,7 @@ def profile_line(installed: Path = INSTALLED_PROFILE) -> str:
     ----------
     installed : path that every installation has; the file beside this module serves where it is missing
     """
-    return f"export {PROFILE_VARIABLES[0]}={installed if installed.exists() else FASTDDS_PROFILE}"
+    return f"export {PROFILE_VARIABLES[0]}={installed if os.access(installed, os.R_OK) else FASTDDS_PROFILE}"
 
 
 def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
@@ -45,12 +45,11 @@ def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
     environment, folder : environment and working directory of the process
     """
     named = [Path(environment[name]) for name in PROFILE_VARIABLES if environment.get(name)]
-    read = [*named, *(folder / name for name in _IN_FOLDER if (folder / name).exists())]
-    if not read:
-        return f"{PROFILE_VARIABLES[0]} is not set"
-    roots = [root for path in read if (root := _parsed(path)) is not None]
+    parsed = {path: _parsed(path) for path in (*named, *(folder / name for name in _IN_FOLDER))}
+    read = [path for path, root in parsed.items() if root is not None]
+    roots = [root for root in parsed.values() if root is not None]
     if not roots:
-        return f"{read[0]} cannot be read"
+        return f"{named[0]} cannot be read" if named else f"{PROFILE_VARIABLES[0]} is not set"
     wanting = []
     if not any(_seconds(period) <= _LONGEST_HEARTBEAT_S for root in roots for period in _all(root, "heartbeatPeriod")):
         wanting.append(f"no heartbeat period up to {_LONGEST_HEARTBEAT_S:g} s")
@@ -62,7 +61,7 @@ def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
 @cache
 def missing_here() -> str:
     """Return what the profiles of this process do not set; Fast DDS reads them once."""
-    return missing_in_profile(os.environ, folder=Path.cwd())
+    return missing_in_profile(os.environ, folder=Path())  # the working directory, which may be gone
 
 
 def warn_once(logger: Any, missing: str) -> None:
@@ -80,7 +79,7 @@ def warn_once(logger: Any, missing: str) -> None:
 def _parsed(path: Path) -> ET.Element | None:
     try:
         return ET.fromstring(path.read_bytes())  # noqa: S314 - the user's own file, which Fast DDS reads, too
-    except (OSError, ET.ParseError):
+    except (OSError, ValueError, LookupError, ET.ParseError):  # also an encoding that nobody knows
         return None
 
 

@@ -32,9 +32,11 @@ WELL = Senses(
     limits=lambda: LIMITS,
     mtu=lambda _name: 1500,
     route_mtu=lambda _address: None,
+    is_own_address=lambda address: address == "127.0.0.1",
     interface_to=lambda _address: "wlan7",
     likeliest_interface=lambda: "wlan0",
     is_clock_synchronised=lambda: True,
+    radios_beneath=lambda _name: [],
     radio=lambda _name: RadioState(saves_power=False, signal_dbm=-50, region="DE"),
     listen=lambda _name, _domain, _duration_s: QUIET,
     units=lambda: [Unit(name="arpd", active="active", is_enabled=True)],
@@ -163,6 +165,46 @@ def test_the_far_end_asks_no_daemon_of_its_own(asked):
         found = check_up(asked(url, is_far=True), WELL)
     assert found.is_far
     assert healths(found)["clock"] is Health.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("units", "is_far"),
+    [
+        ([Unit(name="arpd-peer", active="active", is_enabled=True)], True),
+        ([Unit(name="arpd-peer", active="failed", is_enabled=False)], True),
+        (
+            [
+                Unit(name="arpd", active="inactive", is_enabled=False),
+                Unit(name="arpd-relay-far", active="active", is_enabled=True),
+            ],
+            True,
+        ),
+        (
+            [
+                Unit(name="arpd", active="active", is_enabled=True),
+                Unit(name="arpd-peer", active="active", is_enabled=True),
+            ],
+            False,
+        ),
+        ([Unit(name="arpd-peer", active="inactive", is_enabled=False)], False),
+        ([], False),
+    ],
+)
+def test_the_units_in_use_tell_the_end(asked, units, is_far):
+    """A computer that runs only the peer is the CEDDP; its configuration is then checked as the far end's."""
+    question = asked()
+    question.config_path.write_text("link: {interface: of_the_robot0}\n")
+    found = check_up(question, replace(WELL, units=lambda: units))
+    assert found.is_far is is_far
+    assert healths(found)["configuration"] is (Health.FINE if is_far else Health.WRONG)
+
+
+def test_the_radio_beneath_a_tunnel_is_judged(asked):
+    """WireGuard has no radio, but what carries it has."""
+    radios = {"wlan3": RadioState(saves_power=True, signal_dbm=-50, region="DE")}
+    senses = replace(WELL, radio=radios.get, radios_beneath=lambda _name: ["wlan3"])
+    (judged,) = (each for each in check_up(asked(interface="wg0"), senses).judgements if each.about == "power save")
+    assert (judged.health, judged.text[:5]) == (Health.WRONG, "wlan3")
 
 
 def test_a_remote_url_means_the_far_end(asked, monkeypatch):

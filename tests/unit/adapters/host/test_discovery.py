@@ -61,6 +61,8 @@ def test_no_packet_raises(tail, cut):
         (("/usr/bin/python3", "/opt/ros/jazzy/lib/x/listener.py", "-r"), "listener.py", False),
         (("/opt/arpd/bin/python", "/opt/arpd/bin/arpd", "run"), "arpd", True),
         (("python3", "-u", "-m", "arpd.cli", "peer"), "arpd.cli", True),
+        (("/usr/bin/python3", "/home/u/ws/install/arpd/lib/arpd/relay", "--far"), "relay", True),
+        (("/usr/bin/python3", "/home/arpd/relay"), "relay", False),
         (("python3", "-c", "import arpd"), "python3 -c", False),
         (("python3",), "python3", False),
         ((), "", False),

@@ -6,7 +6,14 @@ import sys
 
 import pytest
 
-from arpd.adapters.host.kernel import interface_to, is_clock_synchronised, read_limits, read_mtu, route_mtu
+from arpd.adapters.host.kernel import (
+    interface_to,
+    is_clock_synchronised,
+    is_own_address,
+    read_limits,
+    read_mtu,
+    route_mtu,
+)
 from arpd.report.health import Unknown
 from arpd.report.health_host import NetworkLimits
 
@@ -67,6 +74,9 @@ def test_the_route_to_this_computer_is_the_loopback():
     """Interface and packet size come from the kernel, and nothing is sent."""
     assert interface_to("127.0.0.1") == "lo"
     assert (route_mtu("127.0.0.1") or 0) >= 16_384
+    assert is_own_address("localhost")
+    assert not is_own_address("192.0.2.77")
+    assert not is_own_address("no.such.host.invalid")
     assert interface_to("no.such.host.invalid") is None
     assert route_mtu("256.0.0.1") is None
 

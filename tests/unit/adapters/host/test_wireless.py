@@ -11,7 +11,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.adapters.host.wireless import read_radio, region_of, saves_power, signal_dbm
+from arpd.adapters.host.wireless import radios_beneath, read_radio, region_of, saves_power, signal_dbm
 from arpd.report.health import Unknown
 from arpd.report.health_link import RadioState
 from tests.unit.adapters.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
@@ -123,3 +123,15 @@ def test_an_interface_without_a_radio_has_none(sys_net, name):
 def test_the_loopback_has_no_radio():
     """On a real kernel."""
     assert read_radio("lo") is None
+
+
+@pytest.mark.parametrize(
+    ("interface", "state", "radios"),
+    [("wg0", "up", ["wlan0"]), ("wg0", "down", []), ("wg0", None, []), ("eth0", "up", [])],
+)
+def test_the_radio_beneath_a_tunnel_is_one_that_is_up(sys_net, interface, state, radios):
+    """A radio beside a wired interface carries other traffic."""
+    (sys_net / "eth0/device").mkdir(parents=True)
+    if state is not None:
+        (sys_net / "wlan0/operstate").write_text(f"{state}\n")
+    assert radios_beneath(interface, sys_net=sys_net) == radios

@@ -81,11 +81,15 @@ def test_a_profile_in_the_working_directory_counts(tmp_path):
     assert missing_in_profile({}, folder=tmp_path) == ""
 
 
-@pytest.mark.parametrize("content", [None, "<dds><profiles>"], ids=["missing", "broken"])
+@pytest.mark.parametrize(
+    "content",
+    [None, "<dds><profiles>", '<?xml version="1.0" encoding="klingon"?><dds/>', ""],
+    ids=["missing", "broken", "odd encoding", "empty"],
+)
 def test_a_profile_that_cannot_be_read_is_named(content, tmp_path):
     """Fast DDS goes without such a file, so the process lacks it."""
     path = tmp_path / "own.xml"
-    if content:
+    if content is not None:
         path.write_text(content)
     assert missing_in_profile({PROFILE_VARIABLES[1]: str(path)}, folder=tmp_path) == f"{path} cannot be read"
 
