@@ -133,8 +133,8 @@ def _is_ceddp(installed: list[Unit] | Unknown) -> bool:
 
 
 def _configuration(path: Path, *, is_far: bool) -> tuple[Settings, list[str] | Unknown]:
-    if not path.exists():
-        return Settings(), Unknown(f"there is no {path}")
+    if not os.access(path, os.R_OK):
+        return Settings(), Unknown(f"there is no {path}, or this user may not read it")
     try:
         interfaces = None if is_far else list_interfaces
         return load_settings(path, interfaces=interfaces, local_domain=local_domain()), []
