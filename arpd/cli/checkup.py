@@ -38,7 +38,7 @@ _WITHOUT_INTERFACE = "no interface looks like the link; name it with --interface
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Asked:
-    """What the command line asks for.
+    """Request of the command line.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ class Unknown(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judgement:
-    """What one check found.
+    """Result of one check.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whether Fast DDS in this process has writers as arpd needs them: short heartbeats, and parts that fit a packet."""
+"""Judges the Fast DDS profile of this process: arpd needs short heartbeats, and parts that fit a packet."""
 
 from __future__ import annotations
 
