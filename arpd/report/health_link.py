@@ -75,7 +75,10 @@ def _judge_clocks(clocks: Sequence[PeerClock] | Unknown) -> Judgement:
         found += f" (± {format_duration(error_s)})"
         if offset_s - error_s > _MOST_OFFSET_S:
             return wrong(CLOCK, f"{found}: tf2 finds poses of another time, or none")
-        (well if offset_s + error_s <= _MOST_OFFSET_S else unsure).append(found)
+        if offset_s + error_s > _MOST_OFFSET_S:
+            unsure.append(f"{found}, too vague to judge; look again while the link is idle")
+        else:
+            well.append(found)
     return unknown(CLOCK, unsure[0]) if unsure else fine(CLOCK, well[0])
 
 
