@@ -131,6 +131,11 @@ def format_size(size_bytes: float | None) -> str:
     return _format(size_bytes, {"GiB": 2.0**30, "MiB": 2.0**20, "KiB": 2.0**10, "B": 1.0})
 
 
+def format_payload(size_bytes: float | None) -> str:
+    """Write the size of a message (bytes) for a reader in decimal units, which fit Mbit/s: `61.2 kB`."""
+    return _format(size_bytes, {"GB": 1e9, "MB": 1e6, "kB": 1e3, "B": 1.0})
+
+
 def format_duration(seconds: float | None) -> str:
     """Write a duration (s) for a reader: `12.5 ms`."""
     if seconds == 0:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from arpd.model.quantities import (
     format_duration,
     format_number,
+    format_payload,
     format_period,
     format_rate,
     format_share,
@@ -120,6 +121,10 @@ def test_a_spelled_quantity_is_short():
         (format_rate(float("nan")), "unknown"),
         (format_rate(None), "-"),
         (format_size(64 * 2**20), "64 MiB"),
+        (format_payload(61_234), "61.2 kB"),
+        (format_payload(999_900), "1 MB"),
+        (format_payload(76), "76 B"),
+        (format_payload(None), "-"),
         (format_duration(0.0125), "12.5 ms"),
         (format_duration(0), "0 s"),
         (format_duration(7e-10), "0.7 ns"),
