@@ -1,0 +1,150 @@
+"""Roles of topics, guessed by type, and the weight and floor that suit each."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.model.link_topics import LinkTopic
+
+_LARGE_BYTES_PER_SECOND = 1e6 / 8  # a part of weak Wi-Fi that other topics feel
+_FLOOD_BYTES_PER_SECOND = 20e6 / 8
+_LATCHED_MOST_HZ = 1.0  # a latched topic above it is a stream
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Care:
+    """What suits the topics of one role.
+
+    Parameters
+    ----------
+    weight : as in the configuration
+    share : floor as a part of the measured rate, within the next two
+    least_hz, most_hz : bounds of the floor; it never exceeds the measured rate (Hz)
+    reason : why, for a comment
+    latency_budget_s : as in the configuration; None = its default (s)
+    is_periodic : whether the measured rate says what rate is useful
+    """
+
+    weight: float
+    share: float
+    least_hz: float
+    most_hz: float
+    reason: str
+    latency_budget_s: float | None = None
+    is_periodic: bool = False
+
+
+class Role(Enum):
+    """Use of a topic, from the most to the least important one."""
+
+    COMMAND = Care(
+        weight=10,
+        share=1.0,
+        least_hz=20,
+        most_hz=20,
+        latency_budget_s=0.2,
+        reason="a command: a late one is dangerous, so it comes first and only the newest ones count",
+    )
+    TRANSFORM = Care(
+        weight=6,
+        share=1.0,
+        least_hz=10,
+        most_hz=100,
+        reason="transforms: each message may hold other frames, so none should be left out",
+    )
+    STATE = Care(
+        weight=5,
+        share=0.25,
+        least_hz=5,
+        most_hz=30,
+        is_periodic=True,
+        reason="the robot's motion: small, and control needs it fresh",
+    )
+    LATCHED = Care(
+        weight=4,
+        share=1.0,
+        least_hz=1,
+        most_hz=10,
+        reason="latched: sent once and kept by its readers, so the relay sends every sample",
+    )
+    STATUS = Care(weight=4, share=1.0, least_hz=1, most_hz=1, reason="a reading: small, and one a second will do")
+    PERCEPTION = Care(
+        weight=3,
+        share=0.25,
+        least_hz=1,
+        most_hz=5,
+        is_periodic=True,
+        reason="what the robot sees, in few bytes: useful at a lower rate, too",
+    )
+    OTHER = Care(weight=2, share=1.0, least_hz=1, most_hz=1, reason="a type that arpd does not know: please judge")
+    PICTURE = Care(
+        weight=1,
+        share=0.1,
+        least_hz=0.5,
+        most_hz=2,
+        is_periodic=True,
+        reason="large: it takes what the others leave",
+    )
+    DIAGNOSTIC = Care(weight=0.5, share=0.2, least_hz=0.2, most_hz=0.5, reason="diagnostics: nobody waits for them")
+    FLOOD = Care(
+        weight=0.2,
+        share=0.0,
+        least_hz=0,
+        most_hz=0,
+        is_periodic=True,
+        reason=(
+            "more than Wi-Fi may carry, so without a floor: read it compressed over the link, "
+            "or keep it off the link by relay.deny"
+        ),
+    )
+
+    @property
+    def care(self) -> Care:
+        """What suits its topics."""
+        return self.value
+
+
+_TWIST = r"geometry_msgs/msg/Twist(Stamped)?"
+_BY_TYPE: tuple[tuple[Role, str], ...] = (
+    (Role.TRANSFORM, r"tf2?_msgs/msg/TFMessage"),
+    (Role.COMMAND, rf"{_TWIST}|ackermann_msgs/.*|trajectory_msgs/.*|control_msgs/.*|sensor_msgs/msg/Joy"),
+    (Role.PICTURE, r".*(Image|Picture|PointCloud|Packet)\w*|stereo_msgs/.*|\w*(image_transport|audio)\w*/.*"),
+    (Role.STATE, r"nav_msgs/msg/Odometry|sensor_msgs/msg/(Imu|JointState|MultiDOFJointState|MagneticField|NavSatFix)"),
+    (Role.STATE, r"geometry_msgs/msg/(Pose|Transform|TwistWith|Accel|Wrench|Vector3|Point|Quaternion)\w*"),
+    (Role.PERCEPTION, r"sensor_msgs/msg/(LaserScan|MultiEchoLaserScan|LaserEcho|CameraInfo|RegionOfInterest)"),
+    (Role.PERCEPTION, r"(nav|map|visualization|vision|octomap|geometry|shape|object_recognition)_msgs/.*"),
+    (Role.DIAGNOSTIC, r"(diagnostic_msgs|rcl_interfaces|statistics_msgs|lifecycle_msgs|bond)/.*"),
+    (Role.STATUS, r"sensor_msgs/.*"),
+)
+_COMMAND_NAME = re.compile(r"(?:^|[/_])(?:cmd|command|commands|estop|e_stop|emergency|stop)(?:$|[/_])")
+
+
+def role_of(topic: LinkTopic) -> Role:
+    """Return the likely role of a topic, by its durability, its type, its direction and its traffic."""
+    rate_hz = topic.traffic.rate_hz if topic.traffic else 0.0
+    if topic.is_latched and rate_hz <= _LATCHED_MOST_HZ:
+        return Role.LATCHED
+    payload_bytes_per_second = topic.traffic.bytes_per_second if topic.traffic else 0.0
+    if payload_bytes_per_second > _FLOOD_BYTES_PER_SECOND:
+        return Role.FLOOD
+    role = _by_type(topic.type_name)
+    if role in {Role.TRANSFORM, Role.PICTURE, Role.DIAGNOSTIC, Role.COMMAND}:
+        return role
+    if role is Role.OTHER and payload_bytes_per_second > _LARGE_BYTES_PER_SECOND:
+        return Role.PICTURE
+    if role is not Role.PERCEPTION and _is_command(topic):
+        return Role.COMMAND
+    return role
+
+
+def _by_type(type_name: str) -> Role:
+    return next((role for role, types in _BY_TYPE if re.fullmatch(types, type_name)), Role.OTHER)
+
+
+def _is_command(topic: LinkTopic) -> bool:
+    """Return whether nodes here read it and none publishes it, or its name says that it is a command."""
+    return (not topic.is_from_robot and bool(topic.readers)) or _COMMAND_NAME.search(topic.name) is not None
