@@ -17,7 +17,7 @@ from arpd.cli import main as cli
 from arpd.model.errors import LinkError, RosUnavailableError
 from arpd.model.settings import Settings
 
-COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status", "top", "doctor")
+COMMANDS = ("run", "relay", "peer", "topics", "check", "solve", "simulate", "status", "top", "doctor")
 ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
 
 
