@@ -14,18 +14,30 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME = 250
 _MOST_NAMED = 2
-_WORDS = frozenset({"TYPE", "FROM"})  # columns that are flush left
+_WORDS = frozenset({"TYPE", "LINK"})  # columns that are flush left
+_LEAST_MBIT = 0.01
+_VARIES = 1.1
+_LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."
 
 
-def link_table(topics: Iterable[LinkTopic], *, width: int) -> list[str]:
+def link_table(topics: Sequence[LinkTopic], *, width: int) -> list[str]:
     """Return a heading and a line per topic, none wider than ``width``."""
-    titles = ("TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "FROM", "READERS", "LINK")
+    titles = ("TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "LINK", "READERS", "FROM, TO")
     rows = [titles, *(_cells(topic) for topic in sorted(topics, key=_order))]
     columns = [
-        [cell.ljust(max(map(len, column))) for cell in column] if title in _WORDS else column
-        for title, column in zip(titles, zip(*rows, strict=True), strict=True)
+        [cell.ljust(max(map(len, column))) for cell in column] if column[0] in _WORDS else column
+        for column in zip(*rows, strict=True)
     ]
-    return fitted(list(zip(*columns, strict=True)), ranks=(0, 3, 0, 1, 5, 0, 2, 4, 0), width=width)
+    ranks = [0, 3, 0, 1, 5, 0, 0, 4, 0]
+    if not any(map(_varies, topics)):
+        del columns[titles.index("LARGEST")], ranks[titles.index("LARGEST")]
+    return fitted(list(zip(*columns, strict=True)), ranks=ranks, width=width)
+
+
+def _varies(topic: LinkTopic) -> bool:
+    """Return whether the size of its samples varies so much that the mean does not tell it."""
+    traffic = topic.traffic
+    return traffic is not None and (traffic.largest_bytes or 0) > _VARIES * (traffic.mean_bytes or 0.0)
 
 
 def summary(listed: TopicList) -> list[str]:
@@ -33,10 +45,11 @@ def summary(listed: TopicList) -> list[str]:
     measured = [topic for topic in listed.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
     unknown = len(listed.topics) - len(measured)
+    crosses = f"{len(crossing)} of them cross the link now: {_publish(crossing)}" if crossing else "none crosses now"
     lines = [
-        f"{_count(len(measured))} measured for {listed.seconds:g} s: {_publish(measured)}; "
-        f"{len(crossing) or 'none'} of them cross the link now: {_publish(crossing)}"
-        + (f"; {_count(unknown)} not measured" if unknown else "")
+        _LEGEND,
+        f"{_count(len(measured))} measured for {listed.seconds:g} s: {_publish(measured)}; {crosses}"
+        + (f"; {_count(unknown)} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
         lines += wrapped(
@@ -70,26 +83,30 @@ def _cells(topic: LinkTopic) -> Sequence[str]:
         format_number(traffic.rate_hz if traffic else None),
         format_payload(traffic.mean_bytes if traffic else None),
         format_payload(traffic.largest_bytes if traffic else None),
-        format_number(traffic.bytes_per_second * 8e-6 if traffic else None),
-        _named((*topic.writers, *topic.far_writers)) or "-",
+        _mbit(traffic.bytes_per_second * 8e-6) if traffic else "-",
+        _link(topic),
         f"{len(topic.readers)}+{len(topic.far_readers)}",
-        "; ".join(_link(topic)),
+        "; ".join(_from(topic)),
     )
 
 
-def _link(topic: LinkTopic) -> Iterable[str]:
-    """Say what a topic has to do with the link."""
-    under = f" as {topic.relayed_as}" if topic.relayed_as else ""
-    if topic.writers and topic.far_readers:
-        yield f"crosses to {_named(topic.far_readers)}{under}"
-    elif topic.writers:
-        yield f"could cross{under}"
-    if topic.far_writers and topic.readers:
-        yield "comes over the link"
-    elif topic.far_writers:
-        yield "beyond this host; nobody here reads it"
-    elif not topic.writers:
-        yield "would come over the link: nobody publishes it now"
+def _mbit(mbit_per_second: float) -> str:
+    return f"<{_LEAST_MBIT}" if 0 < mbit_per_second < _LEAST_MBIT else format_number(mbit_per_second)
+
+
+def _link(topic: LinkTopic) -> str:
+    """Say in which direction a topic crosses the link, or could."""
+    is_out, is_in = bool(topic.writers), bool(topic.far_writers) or not topic.writers
+    way = "both" if is_out and is_in else "out" if is_out else "in"
+    return f"{way}, now" if topic.is_crossing else way
+
+
+def _from(topic: LinkTopic) -> Iterable[str]:
+    """Say who publishes a topic and who reads it on the other side, and what else is to know."""
+    writers = _named((*topic.writers, *topic.far_writers)) or "nobody now"
+    readers = topic.far_readers if topic.writers else topic.readers
+    under = f" as {printable(topic.relayed_as, longest=_LONGEST_NAME)}" if topic.relayed_as else ""
+    yield f"{writers} to {_named(readers)}{under}" if readers else f"{writers}{under}"
     if topic.is_latched:
         yield "latched"
     if topic.unmeasured and topic.writers:
