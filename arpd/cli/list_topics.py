@@ -10,7 +10,7 @@ import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
 from arpd.cli.list_topics_table import link_table, summary
@@ -84,7 +84,7 @@ def _list_topics(options: argparse.Namespace) -> int:
     if not listed.topics:
         raise _NothingFoundError(_nothing_found(listed))
     if options.json:
-        print(json.dumps(asdict(listed), indent=2))
+        print(json.dumps(_document(listed), indent=2))
     elif options.suggest:
         _suggest(listed, _link(options, settings))
     else:
@@ -130,6 +130,9 @@ def _settings(options: argparse.Namespace) -> Settings:
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
     from arpd.adapters.ros.runtime import ros_node
 
+    # As in arpd's units: shared memory works between processes of one user only, and this may be another one.
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+
     def is_of_interest(topic: str) -> bool:
         return options.all or not (is_internal(topic) or is_hidden(topic))
 
@@ -162,6 +165,12 @@ no topics in ROS domain {listed.domain_id}. Check, in this order:
   LOCALHOST there hides nodes of other computers  run this on the computer with the nodes
   ROS_LOCALHOST_ONLY is the same as the nodes'    here: {value("ROS_LOCALHOST_ONLY")}
   RMW_IMPLEMENTATION is the same                  here: {value("RMW_IMPLEMENTATION")}"""
+
+
+def _document(listed: TopicList) -> dict[str, Any]:
+    """Return everything that was found, as JSON has it."""
+    topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
+    return asdict(listed) | {"topics": topics}
 
 
 def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
@@ -206,7 +215,7 @@ def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str
     elif link.robot is None and link.ceddp is None:
         remarks.append("no address of this robot was found: fill in relay.robot, or give --robot")
     if unmeasured := [topic for topic in listed.topics if topic.traffic is None]:
-        remarks.append(f"{len(unmeasured)} topics were not measured; `arpd topics` says why")
+        remarks.append(f"not measured: {', '.join(topic.name for topic in unmeasured)}; `arpd topics` says why")
     if guess.left_out:
         remarks.append(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
     remarks.append("weights and floors are guesses: read them, then `arpd check FILE`")

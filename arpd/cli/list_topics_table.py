@@ -52,12 +52,7 @@ def summary(listed: TopicList) -> list[str]:
         + (f"; {_count(unknown)} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
-        lines += wrapped(
-            "Not one message arrived. Do the nodes publish now? Nodes of another user may need "
-            "FASTDDS_BUILTIN_TRANSPORTS=UDPv4 here, because shared memory has an owner.",
-            100,
-            indent=0,
-        )
+        lines.append("Not one message arrived: do the nodes publish now?")
     if not any(topic.is_from_robot for topic in listed.topics):
         lines += wrapped(
             "No topic seems to be published on this host. A node that is older than an address of this host counts as "

@@ -12,7 +12,7 @@ class TopicTraffic:
     Parameters
     ----------
     samples : samples that arrived
-    rate_hz : rate of all its writers together, 0 = nobody published meanwhile (Hz)
+    rate_hz : rate of all its writers together, 0 = none arrived (Hz)
     mean_bytes, largest_bytes : serialized size of its samples, None = none arrived (bytes)
     """
 

@@ -232,7 +232,7 @@ def _remarks(topic: LinkTopic) -> Iterable[str]:
     elif traffic.mean_bytes:
         yield f"its last message has {format_payload(traffic.mean_bytes)}"
     else:
-        yield "nobody published meanwhile"
+        yield "no message arrived meanwhile"
     if topic.is_crossing:
         yield "crosses the link now"
 

@@ -115,7 +115,7 @@ _BY_TYPE: tuple[tuple[Role, str], ...] = (
     (Role.PICTURE, r".*(Image|Picture|PointCloud|Packet)\w*|stereo_msgs/.*|\w*(image_transport|audio)\w*/.*"),
     (Role.STATE, r"nav_msgs/msg/Odometry|sensor_msgs/msg/(Imu|JointState|MultiDOFJointState|MagneticField|NavSatFix)"),
     (Role.STATE, r"geometry_msgs/msg/(Pose|Transform|TwistWith|Accel|Wrench|Vector3|Point|Quaternion)\w*"),
-    (Role.PERCEPTION, r"sensor_msgs/msg/(LaserScan|MultiEchoLaserScan|LaserEcho|CameraInfo|RegionOfInterest)"),
+    (Role.PERCEPTION, r"sensor_msgs/msg/(LaserScan|MultiEchoLaserScan|Range|CameraInfo|RegionOfInterest)"),
     (Role.PERCEPTION, r"(nav|map|visualization|vision|octomap|geometry|shape|object_recognition)_msgs/.*"),
     (Role.DIAGNOSTIC, r"(diagnostic_msgs|rcl_interfaces|statistics_msgs|lifecycle_msgs|bond)/.*"),
     (Role.STATUS, r"sensor_msgs/.*"),

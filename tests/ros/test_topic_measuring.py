@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Empty, String, UInt8MultiArray
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
+from std_msgs.msg import Empty, Header, String, UInt8MultiArray
 
 from arpd.adapters.ros import topic_measuring
 from arpd.adapters.ros.ends.survey import own_participant
@@ -24,6 +26,7 @@ from arpd.model.names import is_internal
 from arpd.observe import topic_meter
 from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
+from tests.ros.ends_world import TwoEnds
 
 pytestmark = pytest.mark.ros
 
@@ -146,6 +149,30 @@ def test_a_ghost_is_measured_only_where_its_topic_crosses_anyway(process, survey
     assert found["/cmd_vel"].is_crossing
 
 
+def test_both_ends_of_a_real_relay(tmp_path, ros, survey, eventually):
+    """With two ends, `arpd topics` shows the other side's nodes, and makes no topic cross that nobody reads."""
+    with ExitStack() as stack:
+        ends = TwoEnds(tmp_path, stack).start()
+        robot, ceddp = ends.side("robot").node("lidar"), ends.side("ceddp").node("planner")
+        publish_often(robot, String, "/scan", 10, rate_hz=20, message=String())
+        publish_often(ceddp, String, "/cmd_vel", 10, rate_hz=20, message=String())
+        _, unread = publish_often(ceddp, String, "/unread", 10, rate_hz=20, message=String())
+        ceddp.create_subscription(String, "/scan", lambda _sample: None, 10)
+        arrived = []
+        robot.create_subscription(String, "/cmd_vel", arrived.append, 10)
+        eventually(lambda: len(arrived) > 20, 40.0)
+
+        found = survey()
+
+        assert (found["/scan"].writers, found["/scan"].is_crossing) == (("/lidar",), True)
+        assert (found["/cmd_vel"].far_writers, found["/cmd_vel"].readers) == (("/planner",), ("/lidar",))
+        assert found["/cmd_vel"].is_crossing
+        assert found["/cmd_vel"].traffic.rate_hz == pytest.approx(20, rel=0.3)
+        assert (found["/unread"].far_writers, found["/unread"].traffic) == (("/planner",), None)
+        assert unread == [0]
+        assert not [topic for topic in found if topic.startswith("/arpd")]
+
+
 def test_a_relayed_topic_is_listed_once(process, survey):
     """A topic and what a relay with one end makes of it are one line, which crosses if somebody beyond reads it."""
     relay, sensor, planner = process().node("arpd_relay_robot"), process().node("lidar"), process().node("planner")
@@ -166,17 +193,25 @@ def test_a_relayed_topic_is_listed_once(process, survey):
 
 
 def test_types_that_cannot_be_read_are_listed_with_the_reason(process, survey, monkeypatch):
-    """A type that is not installed, and a topic with two types, stay in the list."""
+    """A type that is not installed or lacks its libraries, and a topic with two types, stay in the list."""
+
+    class WithoutLibraries(type):
+        _TYPE_SUPPORT = None
+
+        @classmethod
+        def __import_type_support__(cls):
+            raise UnsupportedTypeSupport("std_msgs")
 
     def message_class(type_name):
         if type_name == "std_msgs/msg/Empty":
             raise UnknownTypeError("std_msgs/msg/Empty is not installed here")
-        return String
+        return WithoutLibraries("Header", (), {}) if type_name == "std_msgs/msg/Header" else String
 
     monkeypatch.setattr(topic_measuring, "message_class", message_class)
     node = process().node("talker")
     node.create_publisher(Empty, "/odd", 10)
     node.create_publisher(Empty, "/two", 10)
+    node.create_publisher(Header, "/unlinked", 10)
     process().node("listener").create_subscription(String, "/two", lambda _sample: None, 10)
 
     found = survey(seconds=0.2)
@@ -184,6 +219,7 @@ def test_types_that_cannot_be_read_are_listed_with_the_reason(process, survey, m
     assert found["/odd"].unmeasured == "std_msgs/msg/Empty is not installed here"
     assert found["/two"].unmeasured == "it has 2 types: std_msgs/msg/Empty, std_msgs/msg/String"
     assert found["/two"].type_name == ""
+    assert "libraries of std_msgs/msg/Header" in found["/unlinked"].unmeasured
 
 
 def test_a_topic_of_which_enough_is_known_is_read_no_more(process, survey, monkeypatch):

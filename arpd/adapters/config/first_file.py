@@ -84,7 +84,7 @@ def _sums(guess: FirstGuess) -> str:
     floors, full = format_rate(guess.floors_bytes_per_second), format_rate(guess.full_bytes_per_second)
     lowered = f", lowered to fit into {format_rate(FLOORS_BYTES_PER_SECOND)}" if guess.is_lowered else ""
     unknown = sum(topic.payload_bytes is None for topic in guess.topics)
-    besides = f" Not counted: {unknown} without a measured size." if unknown else ""
+    besides = f" Topics of unknown size, which do not count: {unknown}." if unknown else ""
     return (
         f"All floors together need {floors} of the link, with headers{lowered}. On a slower link the lightest weights "
         f"fall below their floors first. At the measured rates everything needs {full}.{besides}"
@@ -104,7 +104,7 @@ def _relay(guess: FirstGuess, link: LinkChoice) -> Iterator[str]:
     ceddp = "" if link.ceddp else "; not needed where the robot's address is known: the CEDDP's end finds the robot"
     yield from _indented(_comment(f"address or name of the CEDDP on the link{ceddp}"))
     yield from _indented(_yaml({"ceddp": link.ceddp or NONE}))
-    yield from _indented(_comment("Nothing of these crosses unless it is named: [/map_server/*]"))
+    yield from _indented(_comment("services and actions cross only where they are named, for example [/map_server/*]"))
     yield from _indented(["services: []", "actions: []"])
     if guess.groups:
         yield from _indented(_comment("a picture and its camera_info cross together or not at all: by the same stamp"))

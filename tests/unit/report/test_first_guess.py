@@ -81,6 +81,7 @@ TOPICS = st.lists(TOPIC, max_size=25, unique_by=lambda each: each.name)
         ("nav_msgs/msg/Path", Role.PERCEPTION),
         ("visualization_msgs/msg/MarkerArray", Role.PERCEPTION),
         ("sensor_msgs/msg/BatteryState", Role.STATUS),
+        ("sensor_msgs/msg/Range", Role.PERCEPTION),
         ("diagnostic_msgs/msg/DiagnosticArray", Role.DIAGNOSTIC),
         ("my_robot_msgs/msg/Wheel", Role.OTHER),
         ("sensor_msgs/msg/ImuExtra", Role.STATUS),
