@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 # Processes announce themselves every three seconds; a busy one misses the first announcements of this one.
 _DISCOVERY_S, _QUIET_S, _LONGEST_DISCOVERY_S = 3.2, 0.7, 8.0
 _LOOK_S, _LOOK_AGAIN_S = 0.1, 1.0  # between looks at the graph, before measuring and while it lasts
+_REST = 4.0  # times as long as a look
 _HISTORY_S = 1.0  # in which the history of a latched topic arrives
 _DEPTH = 5  # samples that wait for the thread; a lost one counts all the same
 _TURN_S = 0.05
@@ -124,7 +125,8 @@ class _Survey:
                 break
             if self._look():
                 changed_s = self._clock()
-            time.sleep(_LOOK_S)
+            # A large graph takes long to read, and the robot's nodes need the processor, too.
+            time.sleep(max(_LOOK_S, _REST * (self._clock() - now_s)))
 
     def measure(self, seconds: float, on_progress: Callable[[float, str], None]) -> None:
         """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
