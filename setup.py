@@ -11,7 +11,7 @@ from pathlib import Path
 from setuptools import Distribution, setup
 
 # Executables for `ros2 run arpd NAME` and launch files: the subcommands of arpd, and arpd itself.
-COMMANDS = ("run", "relay", "peer", "check", "solve", "simulate", "status", "top")
+COMMANDS = ("run", "relay", "peer", "topics", "check", "solve", "simulate", "status", "top", "doctor")
 ROS_FILES = [
     ("share/ament_index/resource_index/packages", ["resource/arpd"]),
     # With --symlink-install, setuptools runs where colcon links the files named here, and reads pyproject.toml there.
