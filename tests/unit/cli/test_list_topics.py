@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from types import ModuleType
 
 import pytest
@@ -48,7 +48,7 @@ ROBOT = (
 @pytest.fixture
 def robot(monkeypatch, tmp_path):
     """Let the measurement find these topics; returns what it was asked."""
-    asked = {}
+    asked: dict[str, object] = {}
 
     def robot(topics=ROBOT, **other):
         def list_topics(_node, *, is_of_interest, seconds, prefix, on_progress):
@@ -58,7 +58,7 @@ def robot(monkeypatch, tmp_path):
             return TopicList(topics=found, seconds=seconds, domain_id=7, **other)
 
         module = ModuleType("arpd.adapters.ros.topic_measuring")
-        module.list_topics = list_topics
+        monkeypatch.setattr(module, "list_topics", list_topics, raising=False)
         monkeypatch.setitem(sys.modules, module.__name__, module)
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
         monkeypatch.setattr(host, "likeliest_interface", lambda: "wlan0")
@@ -257,10 +257,8 @@ def test_without_ros_the_command_exits_69(run, robot, monkeypatch):
     """The reason is one line."""
     robot()
 
-    @contextmanager
     def no_ros(_name):
         raise RosUnavailableError("ROS 2 cannot be imported")
-        yield
 
     monkeypatch.setattr(runtime, "ros_node", no_ros)
     assert run("topics") == (69, "", "arpd: ROS 2 cannot be imported\n")

@@ -162,6 +162,7 @@ def test_a_picture_crosses_with_its_camera_info():
     assert [group.topics for group in guess.groups] == [("/cam/image_raw/compressed", "/cam/camera_info")]
     assert {each.name for each in guess.topics} == {"/cam/image_raw", "/cam/image_raw/compressed"}
     (grouped,) = [each for each in guess.topics if each.name == "/cam/image_raw/compressed"]
+    assert grouped.payload_bytes is not None
     assert 30_400 <= grouped.payload_bytes < 31_000
 
 
