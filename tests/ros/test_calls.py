@@ -20,6 +20,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 from sensor_msgs.srv import SetCameraInfo
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes, Empty
@@ -661,3 +662,15 @@ def test_a_name_of_no_such_type_is_refused(importer, name):
     """A type that is missing, or is none of this kind, is named."""
     with pytest.raises(UnknownTypeError, match=name):
         importer(name)
+
+
+def test_a_type_without_its_libraries_is_refused(monkeypatch):
+    """A message package that was built elsewhere, or half, is named before an endpoint needs it."""
+
+    def fails(_metaclass):
+        raise UnsupportedTypeSupport("test_msgs")
+
+    monkeypatch.setattr(type(BasicTypes), "_TYPE_SUPPORT", None)
+    monkeypatch.setattr(type(BasicTypes), "__import_type_support__", classmethod(fails))
+    with pytest.raises(UnknownTypeError, match="libraries of test_msgs/srv/BasicTypes"):
+        service_class("test_msgs/srv/BasicTypes")

@@ -10,9 +10,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.qos import QoSProfile
-from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport  # type: ignore[import-untyped]
 
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import own_participant
@@ -197,8 +195,6 @@ class _Survey:
             reader = RawReader(self._node, message, topic.name, qos, deliver=deliver, thread=self._thread)
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             return " ".join(str(fault).split())
-        except (UnsupportedTypeSupport, NoTypeSupportImportedException):
-            return f"the libraries of {topic.types[0]} cannot be loaded; source the setup.bash of their workspace"
         self._measured[topic.name] = _Measured(meter=meter, reader=reader)
         return ""
 

@@ -6,13 +6,17 @@ import importlib
 import re
 from typing import Any
 
+from rclpy.exceptions import NoTypeSupportImportedException
+from rclpy.type_support import check_for_type_support
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport  # type: ignore[import-untyped]
+
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
 _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
 
 
 class UnknownTypeError(Exception):
-    """A type that is not installed on this host."""
+    """A type that is not installed on this host, or whose libraries cannot be loaded."""
 
 
 def message_class(type_name: str) -> Any:
@@ -21,9 +25,9 @@ def message_class(type_name: str) -> Any:
     Raises
     ------
     UnknownTypeError
-        If its package is not installed or has no such message.
+        If its package is not installed, has no such message, or lacks its libraries.
     """
-    return _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES)
+    return _loaded(type_name, _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES))
 
 
 def service_class(type_name: str) -> Any:
@@ -32,9 +36,20 @@ def service_class(type_name: str) -> Any:
     Raises
     ------
     UnknownTypeError
-        If its package is not installed or has no such service.
+        If its package is not installed, has no such service, or lacks its libraries.
     """
-    return _import(type_name, folder="srv", of_actions=_ACTION_SERVICES)
+    return _loaded(type_name, _import(type_name, folder="srv", of_actions=_ACTION_SERVICES))
+
+
+def _loaded(type_name: str, kind: Any) -> Any:
+    """Return the class after loading its libraries, which rclpy otherwise does at the first endpoint."""
+    try:
+        check_for_type_support(kind)
+    except (UnsupportedTypeSupport, NoTypeSupportImportedException) as error:
+        raise UnknownTypeError(
+            f"the libraries of {type_name} cannot be loaded; source the setup.bash of their workspace"
+        ) from error
+    return kind
 
 
 def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
