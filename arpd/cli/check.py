@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,10 +47,9 @@ def _check(options: argparse.Namespace) -> int:
     from arpd.adapters.config.domain import local_domain
     from arpd.adapters.config.load import load_settings
     from arpd.adapters.config.schema import flatten
-    from arpd.adapters.host.interface import list_interfaces
     from arpd.adapters.http.web_config import check_web_config
 
-    interfaces = None if options.far or options.no_interfaces else list_interfaces
+    interfaces = None if options.far or options.no_interfaces else _list_interfaces
     try:
         settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
         if not options.far:
@@ -64,6 +64,14 @@ def _check(options: argparse.Namespace) -> int:
     else:
         print(_summary(settings, is_far=options.far))
     return 0
+
+
+def _list_interfaces() -> list[str] | None:
+    from arpd.adapters.host.interface import list_interfaces
+
+    if (names := list_interfaces()) is None:
+        print("arpd: the kernel does not list this host's interfaces; link.interface is not checked", file=sys.stderr)
+    return names
 
 
 def _summary(settings: Settings, *, is_far: bool) -> str:

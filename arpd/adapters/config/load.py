@@ -27,14 +27,15 @@ _ABSENT = "absent"
 
 
 def load_settings(
-    path: Path, *, interfaces: Callable[[], Collection[str]] | None, local_domain: int | None = None
+    path: Path, *, interfaces: Callable[[], Collection[str] | None] | None, local_domain: int | None = None
 ) -> Settings:
     """Read and check a configuration file.
 
     Parameters
     ----------
     path : YAML file
-    interfaces : returns the names of this host's interfaces, None = do not check ``link.interface``
+    interfaces : returns the names of this host's interfaces, None where they are unknown; None = do not check
+        ``link.interface``
     local_domain : ROS domain of this host's own nodes (`arpd.adapters.config.domain`), None = do not check
         ``relay.link_domain`` against it
 

@@ -16,7 +16,7 @@ from arpd.model.observation import MemoryState
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection
 
 log = logging.getLogger(__name__)
 _SYS_NET = Path("/sys/class/net")
@@ -24,7 +24,11 @@ _PROC_ROUTE = Path("/proc/net/route")
 
 
 def likeliest_interface(
-    *, sys_net: Path = _SYS_NET, route: Path = _PROC_ROUTE, names: Callable[[], Mapping[str, Any]] | None = None
+    *,
+    sys_net: Path = _SYS_NET,
+    route: Path = _PROC_ROUTE,
+    names: Callable[[], Collection[str] | None] | None = None,
+    is_running: Callable[[str], bool] | None = None,
 ) -> str | None:
     """Return the interface that ``auto`` means now, None if none stands out.
 
@@ -32,15 +36,11 @@ def likeliest_interface(
 
     Parameters
     ----------
-    sys_net, route, names : sources of the kernel's answers
+    sys_net, route, names, is_running : sources of the kernel's answers
     """
-    try:
-        stats = (names or psutil.net_if_stats)()
-    except OSError:
-        return None
-    others = [name for name in sorted(stats) if name != "lo"]
+    others = [name for name in sorted((names or list_interfaces)() or ()) if name != "lo"]
     for name in others:
-        if (sys_net / name / "wireless").exists() and stats[name].isup:
+        if (sys_net / name / "wireless").exists() and (is_running or _is_running)(name):
             return name
     routed = _default_route(route)
     if routed in others:
@@ -70,8 +70,11 @@ def read_counters(name: str) -> LinkCounters | None:
 
 
 def hardware_address(name: str) -> str:
-    """Return an interface's Ethernet address as lower-case hexadecimal digits, empty if it has none."""
-    addresses = psutil.net_if_addrs().get(name, [])
+    """Return an interface's Ethernet address as lower-case hexadecimal digits, empty if none is known."""
+    try:
+        addresses = psutil.net_if_addrs().get(name, [])
+    except OSError:
+        return ""
     found = next((address.address for address in addresses if address.family == psutil.AF_LINK), "")
     digits = re.sub("[^0-9a-f]", "", found.lower())
     return digits if digits.strip("0") else ""
@@ -235,9 +238,22 @@ def _default_route(route: Path) -> str:
     return next((field[0] for field in fields if len(field) > 1 and field[1] == "00000000"), "")
 
 
-def list_interfaces() -> list[str]:
-    """Return the names of this host's network interfaces."""
-    return sorted(psutil.net_if_stats())
+def list_interfaces() -> list[str] | None:
+    """Return the names of this host's network interfaces, None if the kernel does not tell.
+
+    `psutil.net_if_stats` also asks every driver for its speed, and fails as a whole where one such question is not
+    possible, for example under qemu-user.
+    """
+    try:
+        return sorted(name for _, name in socket.if_nameindex())
+    except OSError:
+        return None
+
+
+def _is_running(name: str) -> bool:
+    index = index_of(name)
+    device = None if index is None else read_device(index)
+    return device is not None and device.is_running
 
 
 def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:
@@ -249,6 +265,6 @@ def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:
         return None
     try:
         stats = psutil.net_if_stats().get(name)
-    except OSError:  # the interface vanished while psutil asked
+    except OSError:  # the interface vanished while psutil asked, or this system does not pass the question on
         return None
     return stats.speed * 1e6 / 8 if stats is not None and stats.speed > 0 else None

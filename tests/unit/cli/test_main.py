@@ -86,6 +86,17 @@ def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, 
     assert run("check", "--no-interfaces", path)[0] == 0
 
 
+def test_interfaces_that_the_kernel_does_not_list_are_not_checked(run, config, monkeypatch):
+    """Where this host's interfaces are unknown, the check says so and accepts any name."""
+
+    def refuse():
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", refuse)
+    code, out, err = run("check", config("link:\n  interface: nosuch0\n"))
+    assert (code, out.startswith("OK"), "link.interface" in err) == (0, True, True)
+
+
 def test_check_says_what_a_file_changes(run, config):
     """After OK come the keys that differ from the default."""
     path = config("link: {headroom: 0.5}\ntopics: [{name: /a}]\nrelay: {topics: [{name: /b}, {name: /c}]}")

@@ -12,13 +12,15 @@ from arpd.adapters.host.interface import (
     index_of,
     ipv4_addresses,
     likeliest_interface,
+    list_interfaces,
     name_of,
     read_counters,
+    read_speed,
 )
 from arpd.adapters.host.netlink import NetDevice
 from arpd.model.interface import InterfaceState, LinkCounters, state_of
 
-UP, DOWN = SimpleNamespace(isup=True), SimpleNamespace(isup=False)
+UP, DOWN = True, False
 ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 
 
@@ -31,8 +33,12 @@ def host(tmp_path):
             (tmp_path / name / ("wireless" if wireless else "plain")).mkdir(parents=True)
         route = tmp_path / "route"
         route.write_text(ROUTE)
-        names = {"lo": UP, **{name: state for name, (state, _) in interfaces.items()}}
-        return likeliest_interface(sys_net=tmp_path, route=route, names=lambda: names)
+        return likeliest_interface(
+            sys_net=tmp_path,
+            route=route,
+            names=lambda: ["lo", *interfaces],
+            is_running=lambda name: interfaces[name][0] is UP,
+        )
 
     return choose
 
@@ -284,8 +290,30 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     for name in ("net_if_stats", "net_if_addrs"):
         monkeypatch.setattr(psutil, name, refuse)
     monkeypatch.setattr("arpd.adapters.host.netlink.socket.socket", refuse)
+    monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", refuse)
     assert (read_counters("lo"), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
+    assert (list_interfaces(), hardware_address("lo")) == (None, "")
     assert InterfaceReader("auto").read() is None
+
+
+def test_a_driver_that_cannot_be_asked_its_speed_hides_no_interface(monkeypatch, tmp_path):
+    """Where drivers cannot be asked, as under qemu-user, only the speed is unknown."""
+
+    def refuse():
+        raise OSError(38, "[Errno 38] Function not implemented (originated from ioctl(SIOCETHTOOL))")
+
+    monkeypatch.setattr(psutil, "net_if_stats", refuse)
+    (tmp_path / "lo" / "device").mkdir(parents=True)
+    (tmp_path / "lo" / "wireless").mkdir()
+    names = list_interfaces()
+    assert names is not None
+    assert "lo" in names
+    assert read_speed("lo", sys_net=tmp_path) is None
+    radio = tmp_path / "wlan0" / "wireless"
+    radio.mkdir(parents=True)
+    monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", lambda: [(1, "lo"), (2, "wlan0")])
+    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": index_of("lo")}.get)
+    assert likeliest_interface(sys_net=tmp_path) == "wlan0"
 
 
 def test_memory_that_cannot_be_read_is_what_it_was(caplog):
