@@ -10,7 +10,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.errors import DaemonUnreachableError, UsageError
+from arpd.model.errors import DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
 from arpd.model.settings import HttpSettings
 
@@ -111,7 +111,7 @@ class DaemonAddress:
         try:
             code, body = _get(url.rstrip("/") + path, login)
         except (OSError, HTTPException) as error:
-            raise DaemonUnreachableError(_no_answer(url, getattr(error, "reason", None) or error)) from None
+            raise _no_answer(url, getattr(error, "reason", None) or error) from None
         except ValueError as error:
             raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
         if code == HTTPStatus.UNAUTHORIZED:
@@ -161,14 +161,17 @@ def _document(body: bytes) -> dict[str, Any] | None:
     return document if isinstance(document, dict) and "api_version" in document else None
 
 
-def _no_answer(url: str, reason: object) -> str:
+def _no_answer(url: str, reason: object) -> DaemonUnreachableError:
     import ssl
 
     if isinstance(reason, ssl.SSLCertVerificationError):
-        return f"the certificate of {url} is not trusted ({reason.verify_message}); name its CA with --cacert"
+        why = f"the certificate of {url} is not trusted ({reason.verify_message}); name its CA with --cacert"
+        return DaemonUnreachableError(why)
     if isinstance(reason, ssl.SSLError):
-        return f"{url} cannot be reached by TLS ({reason.reason or 'the handshake failed'}); does it speak https?"
-    return f"no daemon answers at {url} ({reason}); is it running (systemctl status arpd), and is http.port the same?"
+        why = f"{url} cannot be reached by TLS ({reason.reason or 'the handshake failed'}); does it speak https?"
+        return DaemonUnreachableError(why)
+    hint = "is it running (systemctl status arpd), and is http.port the same?"
+    return NoAnswerError(f"no daemon answers at {url} ({reason}); {hint}")
 
 
 def _get(address: str, login: Login) -> tuple[int, bytes]:

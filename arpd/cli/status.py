@@ -5,17 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arpd.cli.client import add_address, address, count, counts, find, number, rows, text, texts
 from arpd.cli.columns import cut, last_events, wrapped
+from arpd.cli.no_daemon import OTHER_END, ROBOT, is_here, next_step
 from arpd.cli.topics import reader_table, topic_table
-from arpd.model.errors import ArpdError, DaemonUnreachableError
+from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError
 from arpd.model.quantities import format_duration, format_rate, format_share, format_size
 from arpd.report.events import Severity
 from arpd.report.situation import STALE_AFTER_S, stale
 from arpd.report.status import API_VERSION
-from arpd.report.wording import NOTHING_ANNOUNCED, confirmed, lease
+from arpd.report.wording import confirmed, lease
+
+if TYPE_CHECKING:
+    from arpd.adapters.systemd.services import ServiceState
 
 _NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
 _WITHOUT_END = 10_000
@@ -58,6 +62,8 @@ def _status(options: argparse.Namespace) -> int:
         status = address(options).status()
     except DaemonUnreachableError as error:
         print(f"arpd: {error}", file=sys.stderr)
+        if isinstance(error, NoAnswerError) and is_here(options.url) and (step := next_step(_units())):
+            print(f"arpd: {step}", file=sys.stderr)
         return _NOT_RUNNING
     wrong = [finding.text for finding in findings(status) if finding.is_wrong]
     if "link" in status and not options.json:
@@ -75,6 +81,12 @@ def _status(options: argparse.Namespace) -> int:
     for fault in wrong:
         print(f"arpd: {fault}", file=sys.stderr)
     return 1 if wrong else 0
+
+
+def _units() -> dict[str, ServiceState]:
+    from arpd.adapters.systemd.services import service_states
+
+    return service_states(ROBOT, OTHER_END)
 
 
 def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _WITHOUT_END) -> str:
@@ -95,14 +107,13 @@ def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _
 def _lines(status: dict[str, Any], width: int, *, is_airy: bool, events: int) -> list[str]:
     gap = [""] if is_airy else []
     log = last_events(status, events, width=width)
-    readers = reader_table(status, width=width)
+    topics, readers = _topics(status, width), reader_table(status, width=width)
     return [
         cut(_title(status), width),
         *_findings(status, width),
         *gap,
         *(line for fact in _facts(status, is_airy=is_airy) for line in wrapped(fact, width, indent=_LABEL)),
-        *gap,
-        *_topics(status, width),
+        *(gap + topics if topics else []),
         *(gap + readers if readers else []),
         *(gap + log if log else []),
     ]
@@ -207,9 +218,7 @@ def _dropped(status: dict[str, Any]) -> str:
 
 def _topics(status: dict[str, Any], width: int) -> list[str]:
     topics = rows(status, "topics")
-    if not topics:
-        return [NOTHING_ANNOUNCED]
-    return topic_table(topics, width=width)
+    return topic_table(topics, width=width) if topics else []
 
 
 class Finding(NamedTuple):
@@ -223,7 +232,7 @@ class Finding(NamedTuple):
 def findings(status: dict[str, Any]) -> list[Finding]:
     """Return what the daemon says of its situation: its verdict, then faults, the worst first."""
     if not status.get("ready"):
-        return [_wrong("Not ready: it has not finished a tick, or does not govern yet.")]
+        return [_wrong("Not ready: the daemon has just started or is stuck; if this stays, see journalctl -u arpd.")]
     is_older = "faults" not in status
     found = []
     if said := text(status, "verdict", "text"):

@@ -45,6 +45,10 @@ class DaemonUnreachableError(ArpdError):
     exit_code = 69
 
 
+class NoAnswerError(DaemonUnreachableError):
+    """Address at which nothing listens, or what listens says nothing."""
+
+
 class LinkError(ArpdError):
     """Link interface that cannot be read (gone, renamed, or never there)."""
 

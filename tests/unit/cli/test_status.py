@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from arpd.adapters.systemd.services import ServiceState
 from arpd.cli import main as cli
 from arpd.cli.status import findings, screen
 from arpd.model.endpoints import RefusalReason
@@ -206,8 +207,27 @@ def test_json_is_the_daemons_own(status):
 
 
 def test_it_says_how_to_begin_when_nothing_is_managed(status):
-    """A sentence stands in place of the table."""
-    assert "no publisher has announced itself" in status(calm(publishers=()))[1]
+    """Without a publisher the verdict names the next step, and there is no table."""
+    code, out, _ = status(calm(publishers=()))
+    assert (code, "AdaptivePublisher" in out, "TOPIC" in out) == (0, True, False)
+
+
+def test_it_says_who_is_missing_for_the_capacity(status):
+    """Without a peer all is well, and the screen names the unit to start."""
+    code, out, _ = status(calm(peer_ages_s={}))
+    assert (code, "wrong" in out, "arpd-peer" in out) == (0, False, True)
+
+
+def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch):
+    """Where nothing listens on this computer, the state of the unit tells the next step."""
+    failed = ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78)
+    monkeypatch.setattr("arpd.cli.status._units", lambda: {"arpd": failed})
+    with serving("{}") as url:
+        pass
+    code, out, err = run("status", "--url", url)
+    assert (code, out) == (3, "")
+    assert "arpd check" in err
+    assert "arpd.service" not in run("status", "--url", url.replace("127.0.0.1", "127.0.0.2"))[2]
 
 
 def test_it_says_what_a_silent_daemon_leaves(status):

@@ -1,0 +1,73 @@
+"""Asks systemd for the state of services."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+_TIMEOUT_S = 2.0
+_PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,Result,ExecMainCode,ExecMainStatus"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ServiceState:
+    """State of one service (systemctl(1), org.freedesktop.systemd1(5)).
+
+    Parameters
+    ----------
+    is_installed : whether there is a unit file
+    is_enabled : whether it starts at boot
+    active : ``active``, ``activating``, ``inactive``, ``failed`` …
+    sub : the finer state, ``auto-restart`` between two attempts
+    result : reason of the last end, ``success`` where nothing went wrong
+    exit_code : exit code of the last main process, None where a signal ended it or none has ended
+    """
+
+    is_installed: bool
+    is_enabled: bool
+    active: str
+    sub: str = ""
+    result: str = ""
+    exit_code: int | None = None
+
+
+def ask_systemctl(arguments: Sequence[str]) -> str:
+    """Return what systemctl prints, empty where there is no systemd or it does not answer."""
+    try:
+        done = subprocess.run(  # noqa: S603 - fixed arguments
+            ["systemctl", *arguments],  # noqa: S607 - distributions have it in different folders
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_TIMEOUT_S,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout if done.returncode == 0 else ""
+
+
+def service_states(*names: str, ask: Callable[[Sequence[str]], str] = ask_systemctl) -> dict[str, ServiceState]:
+    """Return the states of services by name, without ``.service``; empty where systemd does not tell."""
+    found = {}
+    for block in ask(["show", f"--property={_PROPERTIES}", *names]).split("\n\n"):
+        told = dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
+        if name := told.get("Id", "").removesuffix(".service"):
+            found[name] = _state_of(told)
+    return found
+
+
+def _state_of(told: dict[str, str]) -> ServiceState:
+    code = told.get("ExecMainStatus", "")
+    has_exited = told.get("ExecMainCode") == "1"  # CLD_EXITED
+    return ServiceState(
+        is_installed=told.get("LoadState") not in {None, "not-found"},
+        is_enabled=told.get("UnitFileState") == "enabled",
+        active=told.get("ActiveState", ""),
+        sub=told.get("SubState", ""),
+        result=told.get("Result", ""),
+        exit_code=int(code) if has_exited and code.isdecimal() else None,
+    )

@@ -1,0 +1,58 @@
+"""The next step for people whose daemon does not answer, from the state of arpd's units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from arpd.adapters.systemd.services import ServiceState
+
+ROBOT, OTHER_END = "arpd", "arpd-peer"
+_LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+_ENDED = {"inactive", "deactivating", ""}
+_JOURNAL = "see journalctl -u arpd"
+_CAUSES = {
+    2: "its command line is wrong: see systemctl cat arpd",
+    69: f"ROS cannot be used: {_JOURNAL}",
+    78: "its configuration is wrong: arpd check names every fault",
+}
+
+
+def is_here(url: str) -> bool:
+    """Return whether a URL names this computer, so that its units tell why nobody answers."""
+    try:
+        return urlsplit(url).hostname in _LOOPBACK
+    except ValueError:
+        return False
+
+
+def next_step(units: Mapping[str, ServiceState]) -> str:
+    """Say what the units tell about a daemon that does not answer here, and what to do; empty without units."""
+    robot, other_end = units.get(ROBOT), units.get(OTHER_END)
+    if robot is None:
+        return ""
+    if robot.active not in _ENDED:
+        return _of_running(robot)
+    if other_end is not None and other_end.active == "active":
+        return "arpd-peer runs here, so this is the other end of the link: run arpd status on the robot"
+    if not robot.is_installed:
+        return "there is no arpd.service here: install arpd, or start it by hand: arpd run --config FILE"
+    return f"arpd.service is not started: sudo systemctl {'start' if robot.is_enabled else 'enable --now'} arpd"
+
+
+def _of_running(robot: ServiceState) -> str:
+    is_repeated = robot.sub == "auto-restart"
+    if robot.active == "failed" or is_repeated:
+        return f"arpd.service failed, {_cause(robot)}{'; systemd starts it again' if is_repeated else ''}"
+    if robot.active == "active":
+        return f"arpd.service runs, but not at this address: compare http.host and http.port of its file; {_JOURNAL}"
+    return "arpd.service is starting; ask again in some seconds, or follow it: journalctl -fu arpd"
+
+
+def _cause(unit: ServiceState) -> str:
+    if unit.exit_code:
+        return _CAUSES.get(unit.exit_code, f"exit code {unit.exit_code}: {_JOURNAL}")
+    return f"{unit.result or 'reason unknown'}: {_JOURNAL}"
