@@ -14,7 +14,6 @@ from arpd.cli.status import findings, who_confirmed
 from arpd.cli.topics import topic_table
 from arpd.model.quantities import format_duration, format_rate, format_share, printable
 from arpd.report.situation import SLOWED_BELOW
-from arpd.report.wording import NOTHING_ANNOUNCED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -163,7 +162,7 @@ def _share(room: int, topics: int, events: int) -> tuple[int, int]:
 def _topics(status: dict[str, Any], width: int, room: int) -> list[Text]:
     topics = sorted(rows(status, "topics"), key=_rank)
     if not topics:
-        return [Text(cut(NOTHING_ANNOUNCED, width))][:room]
+        return []
     shown = topics if len(topics) < room else topics[: max(0, room - 2)]
     heading, *lines = (Text(line) for line in topic_table(shown, width=width))
     heading.stylize("bold underline")

@@ -243,6 +243,7 @@ class Daemon:
             allocation=allocation,
             decision=decision,
             totals=Totals(),
+            settings=self.settings,
             config_path=configuration.path,
             config_error=configuration.error,
             confirmed=steps.confirmed,

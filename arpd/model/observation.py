@@ -83,6 +83,7 @@ class Observation:
     taken : messages refused, and endpoints not confirmed
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 3.5 s
+    domain : ROS domain in which publishers and peers are looked for, None without ROS
     """
 
     now_s: float
@@ -104,3 +105,4 @@ class Observation:
     taken: Taken = field(default_factory=Taken)
     relay: RelaySummary | None = None
     is_relay_silent: bool = False
+    domain: int | None = None

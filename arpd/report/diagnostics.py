@@ -20,7 +20,13 @@ _RECENT_S = 60.0
 _MOST_EVENTS = 10
 _MOST_TOPICS = 10
 _MOST_PEERS = 5
-_OF_LINK = {Condition.INTERFACE_ABSENT, Condition.INTERFACE_DOWN, Condition.OUTAGE, Condition.OVERFULL}
+_OF_LINK = {
+    Condition.INTERFACE_ABSENT,
+    Condition.INTERFACE_DOWN,
+    Condition.OUTAGE,
+    Condition.OVERFULL,
+    Condition.WITHOUT_PEER,
+}
 _OF_PLAN = {
     Condition.STANDING_BY,
     Condition.MEASURING,

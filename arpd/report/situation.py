@@ -16,9 +16,10 @@ from arpd.model.interface import state_of
 from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.model.settings import AUTO
+from arpd.report import waiting
 from arpd.report.events import EventKind, Severity
 from arpd.report.topic_rows import topic_rows
-from arpd.report.wording import AT_FLOORS, NOTHING_ANNOUNCED, confirmed, count, listed, short
+from arpd.report.wording import AT_FLOORS, confirmed, count, listed, short
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Sequence
@@ -34,7 +35,6 @@ _LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people
 _STEPS = 20  # of the admitted part in the line for systemd, which sends each change to everybody who watches
 _EMPTY_QUEUE_S = 0.001
 _LOSSY = 0.01
-_REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
 _OF_THE_LINK = {Binding.LINK, Binding.FLOOR}
 _PLAN_BEGINS = {EventKind.PLAN, EventKind.MEMORY, EventKind.TOPIC_FOUND}
 
@@ -70,6 +70,7 @@ class Condition(StrEnum):
     RELAY_REFUSES = "relay_refuses", Severity.WARNING, "The relay refuses topics", True
     UNCONFIRMED = "unconfirmed", Severity.WARNING, "Plan not confirmed", True
     RESTART_NEEDED = "restart_needed", Severity.WARNING, "Restart needed", False
+    WITHOUT_PEER = "without_peer", Severity.INFO, "No peer reports", False
 
     def __new__(cls, name: str, severity: Severity, headline: str, is_wrong: bool) -> Self:  # noqa: FBT001 - the table above names none
         """Return a member: its name in documents, and its attributes."""
@@ -82,6 +83,9 @@ class Condition(StrEnum):
     def phrase(self) -> str:
         """The headline inside a sentence."""
         return self.headline[0].lower() + self.headline[1:]
+
+
+_WAITS = {Condition.MEASURING, Condition.NOTHING_TO_GOVERN}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +127,7 @@ class Situation:
     Parameters
     ----------
     conditions : of link and plan, at least one, the most important first
-    faults : of ticks, configuration, relay and publishers, the worst first
+    faults : of ticks, configuration, relay, publishers and peers, the worst first
     slowed : topics that the link keeps below their sources' rates, the most slowed first
     """
 
@@ -210,7 +214,7 @@ def _governing(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> It
     if not slowed:
         carries = format_rate(snapshot.link.capacity_bytes_per_second)
         why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
-        yield Finding(Condition.CLEAR, f"{why}; {_queue_and_loss(snapshot)}")
+        yield Finding(Condition.CLEAR, f"{why}; {_unmeasured(snapshot) or _queue_and_loss(snapshot)}")
         return
     _, most, rate_hz, source_hz = slowed[0]
     rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
@@ -227,12 +231,9 @@ def _budget(snapshot: Snapshot) -> str:
 
 
 def _without_plan(snapshot: Snapshot) -> Finding:
-    publishers = snapshot.observation.publishers
-    if not publishers:
-        return Finding(Condition.NOTHING_TO_GOVERN, NOTHING_ANNOUNCED)
-    if crossing := sum(publisher.direction != "local" for publisher in publishers):
-        return Finding(Condition.MEASURING, f"arpd is still measuring the link for {count(crossing, 'topic')}")
-    return Finding(Condition.NOTHING_TO_GOVERN, "no announced topic has a reader on the other side of the link")
+    if any(publisher.direction != "local" for publisher in snapshot.observation.publishers):
+        return Finding(Condition.MEASURING, waiting.first_plan(snapshot))
+    return Finding(Condition.NOTHING_TO_GOVERN, waiting.topics(snapshot))
 
 
 def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]:
@@ -247,19 +248,24 @@ def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]
     if keys := snapshot.keys_awaiting_restart:
         why = f"the file's {listed(keys)} {'is' if len(keys) == 1 else 'are'} not in force"
         yield Finding(Condition.RESTART_NEEDED, why)
+    is_cut = snapshot.link.state is LinkState.OUTAGE or interface_fault(snapshot) is not None
+    if not is_cut and standing_by(snapshot) is None and (why := waiting.peer(snapshot)):
+        yield Finding(Condition.WITHOUT_PEER, why)
 
 
 def _relay_faults(snapshot: Snapshot) -> Iterator[Finding]:
     relay = snapshot.observation.relay
     if snapshot.observation.is_relay_silent:
-        yield Finding(Condition.RELAY_SILENT, "it tells this daemon nothing; see systemctl status arpd-relay")
+        start = "start it: sudo systemctl enable --now arpd-relay"
+        yield Finding(Condition.RELAY_SILENT, f"it tells this daemon nothing; {start}; or see journalctl -u arpd-relay")
     if relay is None:
         return
     if relay.fault:
         yield Finding(Condition.RELAY_CUT, f"the CEDDP's end is not understood: {relay.fault}")
     elif not relay.is_reachable and snapshot.link.state is not LinkState.OUTAGE:
         who = f"the CEDDP's end on {relay.other_host} is silent" if relay.other_host else "no end on the CEDDP is heard"
-        yield Finding(Condition.RELAY_CUT, f"{who}, so no topic crosses")
+        start = "start it there: sudo systemctl enable --now arpd-relay-far"
+        yield Finding(Condition.RELAY_CUT, f"{who}, so no topic crosses; {start}; or see its journal")
     if refused := {**relay.to_robot.refused, **relay.to_ceddp.refused}:
         first, *more = sorted(refused)
         also = f"; also {listed(more)}" if more else ""
@@ -303,10 +309,17 @@ def _unconfirmed_s(snapshot: Snapshot) -> float:
 def _effect(snapshot: Snapshot) -> str:
     """Say whether a decision helped: it did when little queues and little is lost."""
     link = snapshot.link
-    if min(snapshot.observation.peer_ages_s.values(), default=math.inf) >= _REPORTS_WITHIN_S:
-        return "no peer reports, so the capacity is a guess and nobody measures the queue"
+    if without := _unmeasured(snapshot):
+        return without
     helps = link.queue_delay_s <= link.queue_allowance_s and (link.loss_ratio or 0.0) <= _LOSSY
     return f"{'it helps' if helps else 'it does not help yet'}: {_queue_and_loss(snapshot)}"
+
+
+def _unmeasured(snapshot: Snapshot) -> str:
+    """Say that nobody measures the link, empty where a peer does."""
+    if min(snapshot.observation.peer_ages_s.values(), default=math.inf) < waiting.REPORTS_WITHIN_S:
+        return ""
+    return "no peer reports, so the capacity is a guess and nobody measures the queue"
 
 
 def _queue_and_loss(snapshot: Snapshot) -> str:
@@ -353,4 +366,6 @@ def status_line(snapshot: Snapshot | None) -> str:
         f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
     )
     _, fault = interface_fault(snapshot) or (None, "")
+    if (verdict := judge(snapshot).verdict).condition in _WAITS:
+        line = verdict.phrase
     return "; ".join(said for said in (fault, line, *(finding.phrase for finding in _faults(snapshot))) if said)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from arpd.model.settings import Settings
 from arpd.report.durations import Durations
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ class Snapshot:
     tick_s : how long the tick took (s)
     observation, link, allocation, decision : what the stages of the tick returned
     totals : counts since start
-    config_path : file in force
+    settings : configuration in force
+    config_path : its file
     config_error : first line of why the last reload was refused, empty when it was accepted
     config_loaded_at_s : wall clock when the configuration in force was read (s)
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
@@ -92,6 +94,7 @@ class Snapshot:
     allocation: Allocation
     decision: Decision
     totals: Totals
+    settings: Settings = field(default_factory=Settings)
     config_path: str = ""
     config_error: str = ""
     config_loaded_at_s: float = 0.0

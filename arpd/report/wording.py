@@ -13,7 +13,6 @@ MOST_TEXT = 600  # characters
 _MOST_NAME = 64
 _MOST_NAMED = 3
 
-NOTHING_ANNOUNCED = "no publisher has announced itself; use arpd.AdaptivePublisher, or name topics under relay.topics"
 AT_FLOORS = "no topic sends more than its floor"
 PACED_ONLY = "rate only"  # of a publisher or reader that refuses new QoS for good
 

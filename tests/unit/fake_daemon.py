@@ -103,6 +103,7 @@ def document(**changes):
             active_daemon=changes.pop("active_daemon", ""),
             relay=changes.pop("relay", None),
             is_relay_silent=changes.pop("is_relay_silent", False),
+            peer_ages_s=changes.pop("peer_ages_s", {"laptop": 0.5}),
         ),
         link=LinkEstimate(
             capacity_bytes_per_second=625_000.0,

@@ -83,6 +83,7 @@ class RosControl:
         randomness: Callable[[int], int] = secrets.randbelow,
     ) -> None:
         self._node = node
+        self._domain = node.context.get_domain_id()
         self._rmw = rmw or current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
@@ -183,6 +184,7 @@ class RosControl:
             taken=Taken(refused=self._refused.counts, pending=self._publishers.pending + self._readers.pending),
             relay=relay,
             is_relay_silent=is_relay_silent,
+            domain=self._domain,
         )
 
     # -- act

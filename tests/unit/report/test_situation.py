@@ -64,7 +64,7 @@ def test_a_link_that_carries_all_is_fine():
         ({"allocation": {"capacity_bytes_per_second": 1e5}}, Condition.OVERFULL, "may use 800 kbit/s of 4 Mbit/s"),
         ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.OVERFULL, "next to nothing of 4 Mbit/s"),
         ({"allocation": {"status": AllocationStatus.DEGRADED, "degradation": "20 % left"}}, Condition.DEGRADED, "20 %"),
-        ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_GOVERN, "relay.topics"),
+        ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_GOVERN, "AdaptivePublisher"),
         ({"decision": {"plan": NO_PLAN}}, Condition.MEASURING, "3 topics"),
     ],
 )

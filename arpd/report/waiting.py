@@ -1,0 +1,105 @@
+"""Next steps of a robot that starts: what the daemon waits for, and who can bring it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from arpd.model.link import CapacityKind
+from arpd.model.quantities import format_rate
+from arpd.model.settings import AUTO
+from arpd.report.wording import count, listed
+
+if TYPE_CHECKING:
+    from arpd.model.relay import RelaySummary
+    from arpd.report.snapshot import Snapshot
+
+REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
+_LIST = "arpd topics lists what there is"
+
+
+def first_plan(snapshot: Snapshot) -> str:
+    """Say why the topics that cross the link have no plan yet."""
+    crossing = sum(publisher.direction != "local" for publisher in snapshot.observation.publishers)
+    why = f"arpd is still measuring the link for {count(crossing, 'topic')}"
+    return f"{why}; the first plan follows within seconds"
+
+
+def topics(snapshot: Snapshot) -> str:
+    """Say why there is no topic to plan for, and the next step."""
+    observation, settings = snapshot.observation, snapshot.settings
+    if observation.publishers:
+        names = listed(sorted(publisher.topic for publisher in observation.publishers))
+        return f"no node on the other side of the link reads {names}; start one there{_where(snapshot)}"
+    if settings.relay.link_domain is not None:
+        return _of_two_ends(observation.relay)
+    if settings.relay.topics:
+        names = listed([settings.relay.prefix + name for name in settings.relay.topics])
+        return f"the relay does not publish {names} yet; start arpd-relay, and the nodes whose topics it carries"
+    where, file = _where(snapshot), snapshot.config_path or "the configuration"
+    if settings.topics:
+        names = listed([*settings.topics])
+        return f"no AdaptivePublisher{where} has a topic that {file} names ({names}); start its node; {_LIST}"
+    return (
+        f"no AdaptivePublisher is found{where}, and the relay has nothing to carry; "
+        f"use AdaptivePublisher in your nodes, or write relay: into {file}; {_LIST}"
+    )
+
+
+def peer(snapshot: Snapshot) -> str:
+    """Say why no peer reports and the next step, empty while one reports."""
+    observation = snapshot.observation
+    if min(observation.peer_ages_s.values(), default=REPORTS_WITHIN_S) < REPORTS_WITHIN_S:
+        return ""
+    without = _without_peer(snapshot)
+    if observation.peer_ages_s:
+        return f"{listed([*observation.peer_ages_s])} reports no more, so {without}"
+    if observation.peers:
+        many = "a peer is" if observation.peers == 1 else f"{observation.peers} peers are"
+        return f"{many} in the graph, but no report arrives, so {without}; see journalctl -u arpd-peer there"
+    start = f"start arpd-peer on the other computer{_where(snapshot)}: sudo systemctl enable --now arpd-peer"
+    guess = f"; is {snapshot.interface} the link? (link.interface is auto)" if _is_guess(snapshot) else ""
+    return f"{without}; {start}{guess}"
+
+
+def _without_peer(snapshot: Snapshot) -> str:
+    """Say where the capacity comes from; without its number, which would change systemd's line too often."""
+    pinned, assumed = (
+        snapshot.settings.link.capacity_bytes_per_second,
+        snapshot.settings.link.initial_capacity_bytes_per_second,
+    )
+    match snapshot.link.kind:
+        case CapacityKind.CONFIGURED if pinned is not None:
+            return f"nothing checks the {format_rate(pinned)} of link.capacity"
+        case CapacityKind.CONFIGURED:
+            return f"{format_rate(assumed)} is only assumed (link.initial_capacity)"
+        case CapacityKind.RADIO:
+            return "the capacity is a guess from the radio's bit rate"
+        case CapacityKind.LOCAL:
+            return "the capacity is known from this computer's own queue alone"
+        case CapacityKind.PEER:
+            return "the capacity is what a peer saw last"
+
+
+def _of_two_ends(relay: RelaySummary | None) -> str:
+    if relay is None or not relay.is_reachable:
+        return "topics cross once both ends of the relay run"
+    offered, wanted = (relay.to_ceddp.offered + relay.to_robot.offered, relay.to_ceddp.wanted + relay.to_robot.wanted)
+    if wanted:
+        return f"the relay begins to carry {count(wanted, 'topic')}"
+    if offered:
+        could = f"the relay could carry {count(offered, 'topic')}, and no node on the other side reads one"
+        return f"{could}; start a reader there; {_LIST}"
+    return (
+        "the relay finds no topic on either side; start your nodes in the ROS_DOMAIN_ID and with the "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE of /etc/default/arpd"
+    )
+
+
+def _where(snapshot: Snapshot) -> str:
+    """Name the ROS domain of nodes and peers, unless it is the relay's, which no user starts a node in."""
+    domain = snapshot.observation.domain
+    return "" if domain is None or snapshot.settings.relay.link_domain is not None else f" in ROS domain {domain}"
+
+
+def _is_guess(snapshot: Snapshot) -> bool:
+    return AUTO == snapshot.settings.link.interface != snapshot.interface
