@@ -265,7 +265,7 @@ def test_enabled_units_run_as_a_user_of_their_own(deployment):
 
 
 def test_a_bad_configuration_fails_the_start_for_good(stopped):
-    """A daemon that ends with 78 has failed, and systemd does not restart it."""
+    """A daemon that ends with 78 has failed, and systemd does not restart it; `arpd status` knows the next step."""
     good = stopped.config.read_text()
     stopped.config.write_text(good + BROKEN)
     try:
@@ -279,6 +279,8 @@ def test_a_bad_configuration_fails_the_start_for_good(stopped):
             "NRestarts": "0",
         }
         assert "/etc/arpd/arpd.yaml:" in stopped.journal_of_this_start()
+        asked = stopped.robot.call("/opt/arpd/bin/arpd", "status")
+        assert (asked.returncode, "arpd check" in asked.stderr) == (3, True), asked.stderr
     finally:
         stopped.config.write_text(good)
 
