@@ -197,7 +197,9 @@ def _conditions(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> I
         yield other
     if (fault := interface_fault(snapshot)) is not None:
         condition, what = fault
-        yield Finding(condition, f"{what}; arpd goes on by itself when that changes")
+        is_absent = condition is Condition.INTERFACE_ABSENT
+        where = "; compare link.interface with what ip link lists" if is_absent else ""
+        yield Finding(condition, f"{what}; arpd goes on by itself when that changes{where}")
     elif snapshot.link.state is LinkState.OUTAGE:
         yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
     elif other is None:

@@ -57,7 +57,7 @@ def test_a_link_that_carries_all_is_fine():
     [
         ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its floor"),
         ({"observation": {"counters": None}}, Condition.INTERFACE_DOWN, "wlan0 is gone"),
-        ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_ABSENT, "wlan0 is not there"),
+        ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_ABSENT, "link.interface"),
         ({"observation": {"active_daemon": "robot-2"}}, Condition.STANDING_BY, "on robot-2"),
         ({"link": {"state": LinkState.DRAINING}}, Condition.OVERFULL, "12.5 ms of queue"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.OVERFULL, "unknown length"),
