@@ -1,16 +1,20 @@
-"""The next step for people whose daemon does not answer, from the state of arpd's units."""
+"""What to tell people whose daemon does not answer: the error, and the next step from the state of arpd's units."""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
+
+from arpd.model.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.adapters.systemd.services import ServiceState
+    from arpd.model.errors import DaemonUnreachableError
 
-ROBOT, OTHER_END = "arpd", "arpd-peer"
+_ROBOT, _OTHER_END = "arpd", "arpd-peer"
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _ENDED = {"inactive", "deactivating", ""}
 _JOURNAL = "see journalctl -u arpd"
@@ -19,6 +23,15 @@ _CAUSES = {
     69: f"ROS cannot be used: {_JOURNAL}",
     78: "its configuration is wrong: arpd check names every fault",
 }
+
+
+def tell_no_daemon(error: DaemonUnreachableError, url: str) -> None:
+    """Print why nobody answers at a URL, and for this computer the next step."""
+    from arpd.adapters.systemd.services import service_states
+
+    print(f"arpd: {error}", file=sys.stderr)
+    if isinstance(error, NoAnswerError) and is_here(url) and (step := next_step(service_states(_ROBOT, _OTHER_END))):
+        print(f"arpd: {step}", file=sys.stderr)
 
 
 def is_here(url: str) -> bool:
@@ -31,7 +44,7 @@ def is_here(url: str) -> bool:
 
 def next_step(units: Mapping[str, ServiceState]) -> str:
     """Say what the units tell about a daemon that does not answer here, and what to do; empty without units."""
-    robot, other_end = units.get(ROBOT), units.get(OTHER_END)
+    robot, other_end = units.get(_ROBOT), units.get(_OTHER_END)
     if robot is None:
         return ""
     if robot.active not in _ENDED:

@@ -5,21 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from arpd.cli.client import add_address, address, count, counts, find, number, rows, text, texts
 from arpd.cli.columns import cut, last_events, wrapped
-from arpd.cli.no_daemon import OTHER_END, ROBOT, is_here, next_step
+from arpd.cli.no_daemon import tell_no_daemon
 from arpd.cli.topics import reader_table, topic_table
-from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError
+from arpd.model.errors import ArpdError, DaemonUnreachableError
 from arpd.model.quantities import format_duration, format_rate, format_share, format_size
 from arpd.report.events import Severity
 from arpd.report.situation import STALE_AFTER_S, stale
 from arpd.report.status import API_VERSION
 from arpd.report.wording import confirmed, lease
-
-if TYPE_CHECKING:
-    from arpd.adapters.systemd.services import ServiceState
 
 _NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
 _WITHOUT_END = 10_000
@@ -61,9 +58,7 @@ def _status(options: argparse.Namespace) -> int:
     try:
         status = address(options).status()
     except DaemonUnreachableError as error:
-        print(f"arpd: {error}", file=sys.stderr)
-        if isinstance(error, NoAnswerError) and is_here(options.url) and (step := next_step(_units())):
-            print(f"arpd: {step}", file=sys.stderr)
+        tell_no_daemon(error, options.url)
         return _NOT_RUNNING
     wrong = [finding.text for finding in findings(status) if finding.is_wrong]
     if "link" in status and not options.json:
@@ -81,12 +76,6 @@ def _status(options: argparse.Namespace) -> int:
     for fault in wrong:
         print(f"arpd: {fault}", file=sys.stderr)
     return 1 if wrong else 0
-
-
-def _units() -> dict[str, ServiceState]:
-    from arpd.adapters.systemd.services import service_states
-
-    return service_states(ROBOT, OTHER_END)
 
 
 def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _WITHOUT_END) -> str:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import add_address, address
-from arpd.model.errors import ArpdError, UsageError
+from arpd.cli.no_daemon import tell_no_daemon
+from arpd.model.errors import ArpdError, DaemonUnreachableError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -58,12 +59,16 @@ def _top(options: argparse.Namespace) -> int:
             f"--interval {options.interval:g} is out of range; write {_LEAST_INTERVAL_S:g} to {_MOST_INTERVAL_S:g}"
         )
     daemon = address(options)
-    if options.once:
-        _print_once(daemon)
-        return 0
-    if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
+    if not options.once and (not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}):
         raise UsageError("arpd top needs a terminal; --once prints one frame anywhere")
-    _watch(daemon, interval_s=options.interval)
+    try:
+        if options.once:
+            _print_once(daemon)
+        else:
+            _watch(daemon, interval_s=options.interval)
+    except DaemonUnreachableError as error:
+        tell_no_daemon(error, options.url)
+        return error.exit_code
     return 0
 
 

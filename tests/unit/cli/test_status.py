@@ -218,16 +218,17 @@ def test_it_says_who_is_missing_for_the_capacity(status):
     assert (code, "wrong" in out, "arpd-peer" in out) == (0, False, True)
 
 
-def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch):
+@pytest.mark.parametrize(("command", "ended"), [(("status",), 3), (("top", "--once"), 69)])
+def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch, command, ended):
     """Where nothing listens on this computer, the state of the unit tells the next step."""
     failed = ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78)
-    monkeypatch.setattr("arpd.cli.status._units", lambda: {"arpd": failed})
+    monkeypatch.setattr("arpd.adapters.systemd.services.service_states", lambda *_names: {"arpd": failed})
     with serving("{}") as url:
         pass
-    code, out, err = run("status", "--url", url)
-    assert (code, out) == (3, "")
+    code, out, err = run(*command, "--url", url)
+    assert (code, out) == (ended, "")
     assert "arpd check" in err
-    assert "arpd.service" not in run("status", "--url", url.replace("127.0.0.1", "127.0.0.2"))[2]
+    assert "arpd.service" not in run(*command, "--url", url.replace("127.0.0.1", "127.0.0.2"))[2]
 
 
 def test_it_says_what_a_silent_daemon_leaves(status):
