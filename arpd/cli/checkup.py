@@ -15,23 +15,26 @@ from arpd.adapters.host.interface import index_of, likeliest_interface, list_int
 from arpd.adapters.ros import installation
 from arpd.adapters.ros.profile import profile_line
 from arpd.adapters.ros.rmw import rmw_of
-from arpd.adapters.systemd import units
+from arpd.adapters.systemd.services import service_states
 from arpd.cli.client import DaemonAddress, find, number, rows, text
 from arpd.model.errors import ConfigError, DaemonUnreachableError
 from arpd.model.settings import AUTO, Settings
 from arpd.report import health_host, health_link
 from arpd.report.health import Judgement, Unknown, unknown
+from arpd.report.health_host import Unit
 from arpd.report.health_link import PeerClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from arpd.report.health_host import NetworkLimits, PythonRos, Unit
+    from arpd.adapters.systemd.services import ServiceState
+    from arpd.report.health_host import NetworkLimits, PythonRos
     from arpd.report.health_link import HeardDiscovery, RadioState
 
 _LOOPBACK = {"", "localhost", "::1"}
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
+UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
 _UNITS_OF_CEDDP = {"arpd-peer", "arpd-relay-far"}
 _WITHOUT_INTERFACE = "no interface looks like the link; name it with --interface"
 
@@ -74,7 +77,7 @@ class Senses:
     listen: Callable[[str, int, float], HeardDiscovery | Unknown] = lambda interface, domain, duration_s: (
         discovery.listen(interface, domain, duration_s=duration_s)
     )
-    units: Callable[[], list[Unit] | Unknown] = units.read_units
+    units: Callable[[], Mapping[str, ServiceState]] = lambda: service_states(*UNITS)
     ros: Callable[[], list[PythonRos | Unknown]] = lambda: [installation.read_ros(), *_system_ros()]
     distros: Callable[[], list[str]] = installation.installed_distros
     environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
@@ -93,7 +96,7 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
     """Read everything, and judge it."""
     url_host = urlsplit(asked.daemon.url).hostname or ""
     is_remote = url_host not in _LOOPBACK and not senses.is_own_address(url_host)
-    installed = senses.units()
+    installed = _installed(senses.units())
     is_far = asked.is_far or is_remote or _is_ceddp(installed)
     settings, faults = _configuration(asked.config_path, is_far=is_far)
     status = _status(asked, settings, is_far=is_far, is_remote=is_remote)
@@ -122,6 +125,16 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
         health_host.judge_configuration(str(asked.config_path), faults, is_far=is_far),
     )
     return Checkup(is_far=is_far, interface=interface, judgements=judgements)
+
+
+def _installed(states: Mapping[str, ServiceState]) -> list[Unit] | Unknown:
+    if not states:
+        return Unknown("systemd does not run here, or does not answer")
+    return [
+        Unit(name=name, active=state.active, is_enabled=state.is_enabled)
+        for name, state in states.items()
+        if state.is_installed
+    ]
 
 
 def _is_ceddp(installed: list[Unit] | Unknown) -> bool:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from arpd import __version__
+from arpd.adapters.systemd.services import ServiceState
 from arpd.cli import checkup
-from arpd.cli.checkup import Asked, Senses, check_up
+from arpd.cli.checkup import UNITS, Asked, Senses, check_up
 from arpd.cli.client import DaemonAddress
 from arpd.cli.doctor import document, lines
 from arpd.report.health import Health, Unknown
-from arpd.report.health_host import NetworkLimits, PythonRos, Unit
+from arpd.report.health_host import NetworkLimits, PythonRos
 from arpd.report.health_link import Announcer, HeardDiscovery, RadioState
 from tests.unit.fake_daemon import calm, serving
 
@@ -27,6 +29,8 @@ LIMITS = NetworkLimits(
     incomplete=0,
 )
 ROS = PythonRos(python="/venv/python", rclpy="/opt/ros/jazzy/rclpy.py", numpy="1.26.4", rmw="rmw_fastrtps_cpp")
+ACTIVE = ServiceState(is_installed=True, is_enabled=True, active="active")
+DISABLED = ServiceState(is_installed=True, is_enabled=False, active="inactive")
 QUIET = HeardDiscovery(domain_id=0, announcers=(), bytes_per_second=0.0)
 WELL = Senses(
     limits=lambda: LIMITS,
@@ -39,7 +43,7 @@ WELL = Senses(
     radios_beneath=lambda _name: [],
     radio=lambda _name: RadioState(saves_power=False, signal_dbm=-50, region="DE"),
     listen=lambda _name, _domain, _duration_s: QUIET,
-    units=lambda: [Unit(name="arpd", active="active", is_enabled=True)],
+    units=lambda: {"arpd": ACTIVE},
     ros=lambda: [ROS],
     distros=lambda: ["jazzy"],
     environment={"ROS_DISTRO": "jazzy"},
@@ -49,7 +53,7 @@ ILL = replace(
     mtu=lambda _name: 1280,
     is_clock_synchronised=lambda: False,
     radio=lambda _name: RadioState(saves_power=True, signal_dbm=-50, region=Unknown("nl80211 does not tell it")),
-    units=lambda: Unknown("systemd does not run here"),
+    units=dict,
 )
 
 
@@ -118,7 +122,7 @@ wrong: mtu: wlan0 has an MTU of 1280 bytes; arpd's packets have up to 1420, so I
 wrong: profile: 1 node with AdaptivePublishers runs without arpd's Fast DDS profile: /camera; their swaps take longer, \
 and lost packets cost whole samples
 not known: region: nl80211 does not tell it
-not known: units: systemd does not run here
+not known: units: systemd does not run here, or does not answer
 4 things to do, 9 checks fine, 2 not known"""
     )
 
@@ -170,24 +174,12 @@ def test_the_far_end_asks_no_daemon_of_its_own(asked):
 @pytest.mark.parametrize(
     ("units", "is_far"),
     [
-        ([Unit(name="arpd-peer", active="active", is_enabled=True)], True),
-        ([Unit(name="arpd-peer", active="failed", is_enabled=False)], True),
-        (
-            [
-                Unit(name="arpd", active="inactive", is_enabled=False),
-                Unit(name="arpd-relay-far", active="active", is_enabled=True),
-            ],
-            True,
-        ),
-        (
-            [
-                Unit(name="arpd", active="active", is_enabled=True),
-                Unit(name="arpd-peer", active="active", is_enabled=True),
-            ],
-            False,
-        ),
-        ([Unit(name="arpd-peer", active="inactive", is_enabled=False)], False),
-        ([], False),
+        ({"arpd-peer": ACTIVE}, True),
+        ({"arpd-peer": ACTIVE, "arpd-relay-far": replace(ACTIVE, active="failed"), "arpd": DISABLED}, True),
+        ({"arpd": ACTIVE, "arpd-peer": ACTIVE}, False),
+        ({"arpd": replace(DISABLED, is_installed=False), "arpd-peer": ACTIVE}, True),
+        ({"arpd-peer": DISABLED}, False),
+        ({}, False),
     ],
 )
 def test_the_units_in_use_tell_the_end(asked, units, is_far):
@@ -279,3 +271,9 @@ def test_the_command_prints_and_exits(run, tmp_path, monkeypatch):
             assert (code, json.loads(out)["ok"]) == (expected, not expected)
     for words in (("--listen", "-1"), ("--listen", "soon"), ("--url", "robot", "--config", config)):
         assert run("doctor", *words)[0] == 2
+
+
+def test_every_unit_of_the_repository_is_asked_for():
+    """A new unit needs a name here."""
+    units = {path.stem for path in (Path(__file__).parents[3] / "systemd").glob("*.service")}
+    assert units == set(UNITS)
