@@ -10,24 +10,16 @@ umask 022
 source=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # shellcheck source=scripts/bootstrap
 . "$source/scripts/bootstrap"
+# shellcheck source=scripts/install-files
+. "$source/scripts/install-files"
 # shellcheck source=scripts/install-checks
 . "$source/scripts/install-checks"
 
 prefix=/opt/arpd
-libexec=/usr/local/lib/arpd
-units=/usr/local/lib/systemd/system
-share=/usr/local/share/arpd
-sysusers=/usr/local/lib/sysusers.d
-catalog=/usr/local/lib/systemd/catalog
+set_places /usr/local
 command_link=/usr/local/bin/arpd
 config=/etc/arpd/arpd.yaml
-ros_setup=/opt/ros/jazzy/setup.bash
-ros_from_apt="sudo apt install ros-jazzy-ros-base (https://docs.ros.org/en/jazzy/Installation/Ubuntu-Install-Debs.html)"
 
-# The daemon comes first: if a new version does not start, the relays, which carry the data, still run the old one.
-all_units=(arpd arpd-peer arpd-relay-far arpd-relay)
-# Imports of the daemon, the peer and the relay; the script does not switch to a version that lacks one.
-imports='import rclpy, diagnostic_msgs.msg, osqp, arpd.daemon.run, arpd.adapters.ros.peer, arpd.adapters.ros.relay, arpd.adapters.ros.ends.end'
 
 usage() {
     cat <<END
@@ -47,11 +39,6 @@ An upgrade never changes /etc/arpd/arpd.yaml and /etc/default/arpd.
 PYTHON=/usr/bin/python3.12 chooses a Python. pip takes its settings (proxy, index) from PIP_* and pip.conf.
 exit codes: 0 done, 1 failed (the old version still runs), 2 wrong usage
 END
-}
-
-die() {
-    say "$*"
-    exit 1
 }
 
 # step WHAT COMMAND...: runs the command and shows WHAT on a terminal; a dry run only shows it.
@@ -100,7 +87,7 @@ name_version() {
         {
             "$python" -VV
             echo "$python $ros"
-            find pyproject.toml README.md LICENSE arpd etc systemd scripts/uninstall.sh \
+            find "${to_build[@]}" etc systemd scripts/{uninstall.sh,install-files} \
                 -type f -not -path '*/__pycache__/*' -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
         } | sha256sum
     )
@@ -112,38 +99,20 @@ name_version() {
 is_built() { [ -e "$new/share/arpd/complete" ] && "$new/bin/arpd" --version >/dev/null 2>&1; }
 
 build() {
-    local venv_options requirements
     building=true
     rm -rf "$new" $prefix/work.*
     work=$(mktemp -d $prefix/work.XXXXXX)
-    if [ "$ros" = apt ]; then
-        # apt's numpy is among them: apt's ROS is built against it.
-        venv_options=(--system-site-packages)
-        requirements=("$work/source")
-    else
-        venv_options=()
-        requirements=("$work/source[ros]")
-    fi
     TMPDIR=$work "$python" -m venv "${venv_options[@]}" "$new" || die "$python cannot make a virtual environment in $new"
-    # A build writes into its source, so it gets a copy.
-    mkdir "$work/source"
-    cp -R "$source"/{pyproject.toml,README.md,LICENSE,arpd} "$work/source"
-    pip_install "${requirements[@]}"
+    pip_install "$new/bin/python" -m pip install
     with_ros "$new/bin/python" -c "$imports" || die "the new version cannot import its modules; see the error above"
+    ln -s "$("$new/bin/python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')" "$new/lib/python"
     mkdir -p "$new/share/arpd/scripts"
     cp -R "$source"/{etc,systemd} "$new/share/arpd"
-    cp "$source/scripts/uninstall.sh" "$new/share/arpd/scripts"
+    install -D "$source/$profile" "$new/share/arpd/$profile"
+    cp "$source"/scripts/{uninstall.sh,install-files} "$new/share/arpd/scripts"
     chmod -R u=rwX,go=rX "$new/share/arpd"
     touch "$new/share/arpd/complete"
     building=false
-}
-
-pip_install() {
-    local log pip
-    log=$(mktemp "${TMPDIR:-/tmp}/arpd-install-pip.XXXXXX")
-    pip=(env -u PYTHONPATH -u PYTHONHOME -u PIP_USER -u PIP_TARGET -u PIP_PREFIX "TMPDIR=$work" "$new/bin/python" -m pip)
-    pip_with "$log" "${pip[@]}" install --no-cache-dir --disable-pip-version-check "$@" || exit 1
-    rm "$log"
 }
 
 make_version() {
@@ -184,26 +153,14 @@ replace() {
     mv -fT "$3.arpd-new" "$3"
 }
 
-# place_files TREE: the files that systemd needs outside /opt/arpd.
-place_files() {
-    local tree=$1 unit drop_in=$units/arpd.service.d/10-notify-reload.conf
-    put 0755 "$tree/systemd/arpd-launch" $libexec/arpd-launch
-    for unit in "$tree"/systemd/*.service; do put 0644 "$unit" "$units/${unit##*/}"; done
-    if [ "$systemd_version" -ge 253 ]; then put 0644 "$tree/systemd/notify-reload.conf" $drop_in; fi
-    put 0644 "$tree/systemd/arpd.sysusers" $sysusers/arpd.conf
-    # An old version that the script goes back to may have no catalog.
-    if [ -e "$tree/systemd/arpd.catalog" ]; then put 0644 "$tree/systemd/arpd.catalog" $catalog/arpd.catalog; fi
-}
+# put_back MODE FILE TARGET: like put, but an old version may lack a file that the new one has.
+put_back() { if [ -e "$2" ]; then put "$@"; else rm -f "$3"; fi; }
 
-# Files for Prometheus and Grafana, which people copy by hand; arpd does not read them.
-place_share() {
-    local name from to
-    for name in prometheus grafana; do
-        from=$1/etc/$name to=$share/$name
-        if [ ! -e "$from" ] || diff -rq "$from" "$to" >/dev/null 2>&1; then continue; fi
-        placed=true
-        step "install $to" replace_tree "$from" "$to"
-    done
+# put_folder FOLDER TARGET: an old version may lack it, too.
+put_folder() {
+    if [ ! -e "$1" ] || diff -rq "$1" "$2" >/dev/null 2>&1; then return; fi
+    placed=true
+    step "install $2" replace_tree "$@"
 }
 
 replace_tree() {
@@ -212,6 +169,18 @@ replace_tree() {
     cp -R --no-preserve=mode,ownership "$1" "$2.arpd-new"
     rm -rf "$2"
     mv -T "$2.arpd-new" "$2"
+}
+
+# One link, so that nodes which run with the system's Python can import arpd and nothing else of its environment.
+put_library() {
+    if [ -z "$site" ] || [ "$(readlink "$site/arpd")" = $library ]; then return; fi
+    placed=true
+    step "install $site/arpd" link_library
+}
+
+link_library() {
+    mkdir -p "$site"
+    ln -sfnT $library "$site/arpd"
 }
 
 # keep FILE TARGET OLD_DEFAULT: keeps the operator's file and puts a changed default beside it.
@@ -233,7 +202,7 @@ point_to() {
 }
 
 tell_systemd() {
-    systemd-sysusers $sysusers/arpd.conf
+    systemd-sysusers "$sysusers/arpd.conf"
     journalctl --update-catalog || true # the catalog only explains messages
     if $systemd_runs; then systemctl daemon-reload; fi
 }
@@ -257,8 +226,9 @@ switch() {
         $dry_run || switched=true
         step "point /opt/arpd/current to versions/$id" point_to "$new"
     fi
-    place_files "$source"
-    place_share "$source"
+    each_file put "$source"
+    each_folder put_folder "$source"
+    put_library
     keep "$source/etc/arpd/arpd.yaml" $config "$old/share/arpd/etc/arpd/arpd.yaml"
     keep "$source/systemd/arpd.default" /etc/default/arpd "$old/share/arpd/systemd/arpd.default"
     if $changed; then step "make the system user arpd and reload systemd" tell_systemd; fi
@@ -291,18 +261,16 @@ restart_running() {
 }
 
 back_to_old() {
-    local unit
+    local unit link
     if [ -z "$old" ]; then
         rm $prefix/current
         return
     fi
     say "going back to ${old##*/}"
     point_to "$old"
-    place_files "$old/share/arpd"
-    place_share "$old/share/arpd"
-    for unit in "${all_units[@]}"; do
-        [ -e "$old/share/arpd/systemd/$unit.service" ] || rm -f "$units/$unit.service"
-    done
+    each_file put_back "$old/share/arpd"
+    each_folder put_folder "$old/share/arpd"
+    if [ ! -e $library ]; then library_links | while IFS= read -r link; do rm "$link"; done; fi
     tell_systemd
     for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
 }
@@ -353,6 +321,8 @@ tell() {
     row $command_link "the command"
     row "$units" "the units; their launcher is in $libexec"
     row "$share/{prometheus,grafana}" "scrape configuration, rules, alerts; dashboards"
+    if [ -n "$site" ]; then row "$site/arpd" "the library, for your nodes"; fi
+    row "$share/fastdds.xml" "for your nodes: export FASTRTPS_DEFAULT_PROFILES_FILE=$share/fastdds.xml"
     row $config "your configuration"
     if [ -e $config.new ]; then row $config.new "the new default, to compare with yours"; fi
     row /etc/default/arpd "your environment for the units"

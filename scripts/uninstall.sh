@@ -2,6 +2,10 @@
 # Removes from this computer what scripts/install.sh installed, and nothing else. See --help.
 set -euo pipefail
 
+# shellcheck source=scripts/install-files
+. "$(dirname "${BASH_SOURCE[0]}")/install-files"
+set_places /usr/local
+
 say() { printf '%s: %s\n' "$(basename "$0")" "$*" >&2; }
 
 usage() {
@@ -36,11 +40,14 @@ remove() {
     done
 }
 
+# remove_target ... TARGET: for each_file and each_folder.
+remove_target() { remove "${!#}"; }
+
 # The daemon stops first, so that it can restore the QoS of the relays' publishers.
 stop() {
     local unit
-    for unit in arpd arpd-relay arpd-relay-far arpd-peer; do
-        if [ -e "/usr/local/lib/systemd/system/$unit.service" ]; then step "stop and disable $unit" disable "$unit"; fi
+    for unit in "${all_units[@]}"; do
+        if [ -e "$units/$unit.service" ]; then step "stop and disable $unit" disable "$unit"; fi
     done
 }
 
@@ -50,13 +57,16 @@ disable() {
 }
 
 remove_program() {
-    remove /usr/local/lib/systemd/system/arpd{,-relay,-relay-far,-peer}.service \
-        /usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf /usr/local/lib/sysusers.d/arpd.conf \
-        /usr/local/lib/systemd/catalog/arpd.catalog /usr/local/lib/arpd /usr/local/share/arpd/{prometheus,grafana}
+    local link folders
+    each_file remove_target ''
+    each_folder remove_target ''
+    remove "$libexec"
+    library_links | while IFS= read -r link; do remove "$link"; done
     if [ "$(readlink /usr/local/bin/arpd)" = /opt/arpd/bin/arpd ]; then remove /usr/local/bin/arpd; fi
     if [ -d /opt/arpd/versions ]; then remove /opt/arpd/{current,bin,versions}; fi
-    $dry_run || rmdir --parents --ignore-fail-on-non-empty \
-        /usr/local/lib/systemd/{system/arpd.service.d,system,catalog} /usr/local/lib/sysusers.d /usr/local/share/arpd /opt/arpd 2>/dev/null || true
+    folders=("$units"{/arpd.service.d,} "$catalog" "$sysusers" "$share" "${completions%/*}" "$completions" /opt/arpd)
+    $dry_run || rmdir "$man" 2>/dev/null || true # the folder above is Debian's
+    $dry_run || rmdir --parents --ignore-fail-on-non-empty "${folders[@]}" 2>/dev/null || true
     $dry_run || journalctl --update-catalog || true
     if ! $dry_run && [ -d /run/systemd/system ]; then
         systemctl daemon-reload

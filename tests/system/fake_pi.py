@@ -22,8 +22,8 @@ SITE = f".venv/lib/{PYTHON}/site-packages"
 IS_SYSTEMS = Path("/usr/bin/python3").resolve().name == PYTHON
 SYSTEM_PYTHON = Path("/usr/bin/python3") if IS_SYSTEMS else machine.PYTHON / "bin" / PYTHON
 SYSTEM_SITE = f"/usr/local/lib/{PYTHON}/dist-packages" if IS_SYSTEMS else f"{machine.PYTHON}/lib/{PYTHON}/site-packages"
-SOURCE = ("pyproject.toml", "README.md", "LICENSE", "arpd", "etc", "systemd")
-SCRIPTS = ("bootstrap", "install-checks", "install.sh", "uninstall.sh")
+SOURCE = ("pyproject.toml", "README.md", "LICENSE", "setup.py", "setup.cfg", "arpd", "etc", "systemd")
+SCRIPTS = ("bootstrap", "install-checks", "install-files", "install.sh", "uninstall.sh")
 CONFIG = "/etc/arpd/arpd.yaml"
 BREAK = "/etc/arpd/break"
 # Replaces the first line of _run: the version passes every check but does not run.
@@ -54,7 +54,7 @@ def unpack_source(folder):
     for name in SOURCE:
         if (REPO / name).is_dir():
             shutil.copytree(REPO / name, folder / name, ignore=ignore)
-        else:
+        elif (REPO / name).exists():
             shutil.copy(REPO / name, folder / name)
     (folder / "scripts").mkdir()
     for name in SCRIPTS:
@@ -83,14 +83,19 @@ def installed_by_apt(folder):
 
 
 def systems_site_packages(folder):
-    """Fill a folder that stands for the system's site-packages: this venv's, some under an older version."""
-    folder.chmod(0o755)
-    (folder / "apt.pth").write_text(f"/srv/arpd/{SITE}\n")
+    """Return files and folders that stand for the system's site-packages: this venv's, some under an older version."""
+    files = {"apt.pth": f"/srv/arpd/{SITE}\n"}
     for name, version in ON_A_PI.items():
-        (folder / f"{name}-{version}.dist-info").mkdir()
-        metadata_of = folder / f"{name}-{version}.dist-info/METADATA"
-        metadata_of.write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
-    return {SYSTEM_SITE: folder}
+        metadata_of = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+        files[f"{name}-{version}.dist-info/METADATA"] = metadata_of
+    if IS_SYSTEMS:
+        return {f"{SYSTEM_SITE}/{path}": text for path, text in files.items()}, {}
+    # The site-packages of the test's Python are read-only.
+    folder.chmod(0o755)
+    for path, text in files.items():
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_text(text)
+    return {}, {SYSTEM_SITE: folder}
 
 
 class FakePi:

@@ -187,8 +187,8 @@ def pi(tmp_path_factory):
     for can, why in (available(), machine.available()):
         if not can:
             pytest.skip(why)
-    files = installed_by_apt(tmp_path_factory.mktemp("wheels"))
-    binds = systems_site_packages(tmp_path_factory.mktemp("site"))
+    files, binds = systems_site_packages(tmp_path_factory.mktemp("site"))
+    files |= installed_by_apt(tmp_path_factory.mktemp("wheels"))
     with (
         SimLink(f"install-{os.getpid()}") as link,
         machine.booted(
