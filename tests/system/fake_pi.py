@@ -23,7 +23,7 @@ IS_SYSTEMS = Path("/usr/bin/python3").resolve().name == PYTHON
 SYSTEM_PYTHON = Path("/usr/bin/python3") if IS_SYSTEMS else machine.PYTHON / "bin" / PYTHON
 SYSTEM_SITE = f"/usr/local/lib/{PYTHON}/dist-packages" if IS_SYSTEMS else f"{machine.PYTHON}/lib/{PYTHON}/site-packages"
 SOURCE = ("pyproject.toml", "README.md", "LICENSE", "setup.py", "setup.cfg", "arpd", "etc", "systemd")
-SCRIPTS = ("bootstrap", "install-checks", "install-files", "install.sh", "uninstall.sh")
+SCRIPTS = ("bootstrap", "install-checks", "install-files", "install.sh", "uninstall.sh", "deb")
 CONFIG = "/etc/arpd/arpd.yaml"
 BREAK = "/etc/arpd/break"
 # Replaces the first line of _run: the version passes every check but does not run.
@@ -59,6 +59,7 @@ def unpack_source(folder):
     (folder / "scripts").mkdir()
     for name in SCRIPTS:
         shutil.copy(REPO / "scripts" / name, folder / "scripts" / name)
+    shutil.copytree(REPO / "scripts/debian", folder / "scripts/debian")
 
 
 def substitute(path, old, new):
@@ -101,8 +102,9 @@ def systems_site_packages(folder):
 class FakePi:
     """A booted robot computer with the sources of two versions of arpd."""
 
-    def __init__(self, booted):
+    def __init__(self, booted, link):
         self.booted = booted
+        self.link = link
         for version in ("first", "second"):
             self.path(f"/srv/{version}").mkdir()
             unpack_source(self.path(f"/srv/{version}"))
@@ -116,12 +118,16 @@ class FakePi:
         return self.booted.root / path.lstrip("/")
 
     def install(self, version, *options):
-        # Like sudo, without this process's environment.
-        environment = ("env", "-i", "PATH=/usr/sbin:/usr/bin", "PIP_NO_INDEX=1", "PIP_FIND_LINKS=/srv/wheels")
+        environment = ()
         if not IS_SYSTEMS:
             environment += (f"PYTHON={SYSTEM_PYTHON}", f"LD_LIBRARY_PATH={machine.PYTHON}/lib")
+        return self.run(f"/srv/{version}/scripts/install.sh", *options, environment=environment)
+
+    def run(self, *argv, environment=()):
+        """Return exit code and output of a command that, like one of sudo, has not this process's environment."""
+        offline = ("PATH=/usr/sbin:/usr/bin:/sbin:/bin", "PIP_NO_INDEX=1", "PIP_FIND_LINKS=/srv/wheels")
         # Without a timeout, because a venv takes seconds, and a minute on two busy cores.
-        running = self.booted.popen(*environment, f"/srv/{version}/scripts/install.sh", *options)
+        running = self.booted.popen("env", "-i", *offline, *environment, *argv)
         told, _ = running.communicate()
         return running.returncode, told
 

