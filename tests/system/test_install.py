@@ -32,6 +32,11 @@ from tests.system.fake_pi import (
 
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
+IN_SHARE = {
+    "arpd/fastdds.xml": "arpd/adapters/ros/fastdds.xml",
+    "man/man1/arpd.1": "etc/man/arpd.1",
+    "bash-completion/completions/arpd": "etc/bash-completion/arpd",
+}
 INSTALL = "/srv/source/scripts/install.sh"
 SHELL = (
     "install.sh",
@@ -39,6 +44,8 @@ SHELL = (
     "deb",
     *(f"debian/{name}" for name in ("preinst", "postinst", "prerm", "postrm")),
 )
+# Where /usr/bin/python3 finds the library.
+LIBRARY = f"/usr/local/lib/{Path('/usr/bin/python3').resolve().name}/dist-packages/arpd"
 ON_THE_ROBOT = {"arpd": "active", "arpd-relay": "active", "arpd-relay-far": "inactive", "arpd-peer": "inactive"}
 
 
@@ -150,10 +157,12 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
         "/usr/local/bin/uname": "#!/bin/sh\necho aarch64\n",
         "/usr/local/bin/arpd": "of somebody else\n",
         "/opt/arpd/theirs": "of somebody else\n",
+        f"{LIBRARY}/__init__.py": "of somebody else\n",
+        "/usr/local/bin/dpkg-query": "#!/bin/sh\necho installed\n",
         "/etc/systemd/system/arpd.service": "[Service]\n",
         "/etc/systemd/system/arpd-peer.service": Path("/dev/null"),
     }
-    run = 'chmod 755 /usr/local/bin/uname; PATH=/usr/local/bin:$PATH exec "$@"'
+    run = 'chmod 755 /usr/local/bin/uname /usr/local/bin/dpkg-query; PATH=/usr/local/bin:$PATH exec "$@"'
     done = chroot.run(tmp_path, files, "sh", "-c", run, "sh", INSTALL)
     assert done.returncode == 1
     for fault in (
@@ -161,13 +170,15 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
         r"no ROS 2 Jazzy under /opt/ros/jazzy.*apt install ros-jazzy-ros-base",
         r"/opt/arpd exists, but this script did not make it",
         r"/usr/local/bin/arpd does not belong to arpd",
+        rf"{LIBRARY} does not belong.*pip uninstall arpd",
+        r"package arpd-ros is installed.*sudo apt remove arpd-ros",
         r"/etc/systemd/system/arpd.service hides the unit",
         r"arpd-peer.service is masked; sudo systemctl unmask arpd-peer",
         r"/systemd/arpd-launch is missing",
         r"nothing was changed",
     ):
         assert re.search(fault, done.stderr), f"{fault}\n{done.stderr}"
-    assert [path for path in wrote(done) if path != "/usr/local/bin/uname"] == []
+    assert [path for path in wrote(done) if path not in {"/usr/local/bin/uname", "/usr/local/bin/dpkg-query"}] == []
 
 
 def test_a_pip_that_fails_leaves_nothing_behind(chroot, source):
@@ -236,6 +247,8 @@ def test_a_fresh_computer_runs_arpd_after_it(installed):
     assert not list(installed.path("/opt/arpd/current/lib").glob("python*/site-packages/numpy"))
     for name in ("prometheus", "grafana"):
         assert tree(installed.path(f"/usr/local/share/arpd/{name}")) == tree(installed.path(f"/srv/first/etc/{name}"))
+    for placed, name in IN_SHARE.items():
+        assert installed.path(f"/usr/local/share/{placed}").read_text() == (REPO / name).read_text()
     notify_reload = "/usr/local/lib/systemd/system/arpd.service.d/10-notify-reload.conf"
     systemd = int(installed.booted.call("systemctl", "--version").stdout.split()[1])
     assert installed.path(notify_reload).exists() == (systemd >= 253)
@@ -315,24 +328,35 @@ def test_a_version_that_does_not_start_is_taken_back(installed):
     assert installed.states()["arpd"] == "active"
 
 
-def test_going_back_removes_a_unit_that_the_old_version_does_not_have(installed):
-    """A command that the old version does not know would end with wrong usage at every start."""
+def test_going_back_removes_what_the_old_version_does_not_have(installed):
+    """A unit of a command that the old version does not know goes, and so do the files for users' nodes."""
     name = "arpd-relay-far.service"
     unit = installed.path(f"/usr/local/lib/systemd/system/{name}")
     of_old = installed.path(f"/opt/arpd/versions/{installed.current()}/share/arpd/systemd/{name}")
     text = unit.read_text()
     unit.unlink()
     of_old.unlink()
+    version = installed.path(f"/opt/arpd/versions/{installed.current()}")
+    users = {"lib/python": LIBRARY} | {
+        f"share/arpd/{name}": f"/usr/local/share/{placed}" for placed, name in IN_SHARE.items()
+    }
+    for number, name in enumerate(users):
+        (version / name).rename(version / f"away-{number}")
     installed.path(BREAK).touch()
     try:
         code, told = installed.install("second")
         assert (code, "going back to" in told) == (1, True), told
         assert not unit.exists()
+        assert [path for path in users.values() if os.path.lexists(installed.path(path))] == []
         assert installed.path("/usr/local/lib/systemd/system/arpd-relay.service").exists()
     finally:
         installed.path(BREAK).unlink()
         for path in (unit, of_old):
             path.write_text(text)
+        for number, name in enumerate(users):
+            (version / f"away-{number}").rename(version / name)
+    code, told = installed.install("first")
+    assert (code, installed.path(LIBRARY).is_symlink()) == (0, True), told
 
 
 def test_an_upgrade_keeps_the_configuration_and_what_was_stopped(installed):
