@@ -81,7 +81,7 @@ read_options() {
 
 name_version() {
     local version hash
-    version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$source/pyproject.toml")
+    version=$(source_version)
     hash=$(
         cd "$source"
         {
