@@ -87,7 +87,6 @@ def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str, argpa
 
 def _usage(parser: argparse.ArgumentParser) -> str:
     formatter = argparse.HelpFormatter(parser.prog, width=_UNFOLDED)
-    # Without groups of options: their brackets differ between versions of Python where a line folds, and only there.
     formatter.add_usage(parser.usage, parser._actions, parser._mutually_exclusive_groups, prefix="")  # noqa: SLF001
     words = _escaped(formatter.format_help().strip())
     # An option and its value stay on one line.
