@@ -22,7 +22,7 @@ ELSEWHERE = {
     re.compile(r"sudo scripts/install\.sh( --ceddp| --robot)?"): "tests/system/test_install.py, in a container",
     re.compile(r"sudo scripts/uninstall\.sh"): "tests/system/test_install.py, in a container",
     re.compile(r"scripts/deb"): "tests of the Debian package, in a container",
-    re.compile(r"sudo apt install \./arpd_\S+\.deb"): "tests of the Debian package, in a container",
+    re.compile(r"sudo apt install \./arpd-ros_\S+\.deb"): "tests of the Debian package, in a container",
     re.compile(r"sudo systemctl (enable --now|start|restart|reload) arpd.*"): "needs units; tests/system has them",
     re.compile(r"sudo apt install ros-jazzy-\S+"): "ROS is there already",
     re.compile(

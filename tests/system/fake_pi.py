@@ -22,7 +22,7 @@ SITE = f".venv/lib/{PYTHON}/site-packages"
 IS_SYSTEMS = Path("/usr/bin/python3").resolve().name == PYTHON
 SYSTEM_PYTHON = Path("/usr/bin/python3") if IS_SYSTEMS else machine.PYTHON / "bin" / PYTHON
 SYSTEM_SITE = f"/usr/local/lib/{PYTHON}/dist-packages" if IS_SYSTEMS else f"{machine.PYTHON}/lib/{PYTHON}/site-packages"
-SOURCE = ("pyproject.toml", "README.md", "LICENSE", "setup.py", "setup.cfg", "arpd", "etc", "systemd")
+SOURCE = ("pyproject.toml", "setup.cfg", "README.md", "LICENSE", "arpd", "etc", "systemd")
 SCRIPTS = ("bootstrap", "install-checks", "install-files", "install.sh", "uninstall.sh", "deb")
 CONFIG = "/etc/arpd/arpd.yaml"
 BREAK = "/etc/arpd/break"
@@ -110,7 +110,7 @@ class FakePi:
             unpack_source(self.path(f"/srv/{version}"))
         substitute(self.path("/srv/second/arpd/cli/main.py"), BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
         version = metadata.version("arpd")
-        substitute(self.path("/srv/second/pyproject.toml"), f'version = "{version}"', 'version = "99.0"')
+        substitute(self.path("/srv/second/arpd/__init__.py"), f'"{version}"', '"99.0"')
         default = self.path("/srv/second" + CONFIG)
         default.write_text(default.read_text() + "# A default of the second version.\n")
 
