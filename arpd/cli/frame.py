@@ -11,7 +11,7 @@ from rich.text import Text
 from arpd.cli.client import count, number, rows, series, text, texts
 from arpd.cli.columns import clock, cut, wall_clock, wrapped
 from arpd.cli.status import findings, who_confirmed
-from arpd.cli.topics import topic_table
+from arpd.cli.status_tables import topic_table
 from arpd.model.quantities import format_duration, format_rate, format_share, printable
 from arpd.report.situation import SLOWED_BELOW
 

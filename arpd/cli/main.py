@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from arpd import __version__
 from arpd.cli.check import add_check
 from arpd.cli.doctor import add_doctor
-from arpd.cli.list_topics import add_list_topics
 from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
 from arpd.cli.top import add_top
+from arpd.cli.topics import add_topics
 from arpd.model.errors import ArpdError, ConfigError, RosUnavailableError
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 
     _add_run(commands)
     _add_relay(commands)
     _add_peer(commands)
-    add_list_topics(commands, default_config=DEFAULT_CONFIG)
+    add_topics(commands, default_config=DEFAULT_CONFIG)
     add_check(commands, default_config=DEFAULT_CONFIG)
     add_solve(commands)
     add_simulate(commands, default_config=DEFAULT_CONFIG)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from arpd.cli.client import add_address, address, count, counts, find, number, rows, text, texts
 from arpd.cli.columns import cut, last_events, wrapped
 from arpd.cli.no_daemon import tell_no_daemon
-from arpd.cli.topics import reader_table, topic_table
+from arpd.cli.status_tables import reader_table, topic_table
 from arpd.model.errors import ArpdError, DaemonUnreachableError
 from arpd.model.quantities import format_duration, format_rate, format_share, format_size
 from arpd.report.events import Severity

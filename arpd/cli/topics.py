@@ -1,115 +1,225 @@
-"""The tables of publishers and readers, as wide as the terminal allows."""
+"""`arpd topics`: what crosses the link or could, measured, and a first configuration from it."""
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import platform
+import shutil
+import sys
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli.client import count, counts, find, number, rows, text
-from arpd.cli.columns import cut, fitted
-from arpd.model.quantities import format_number, format_period, format_share
-from arpd.report.wording import PACED_ONLY
+from arpd import __version__
+from arpd.cli.progress import progress
+from arpd.cli.topics_table import link_table, summary
+from arpd.model.errors import ArpdError, ConfigError, UsageError
+from arpd.model.names import is_hidden, is_internal
+from arpd.model.settings import AUTO, Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from arpd.adapters.config.first_file import LinkChoice
+    from arpd.model.link_topics import TopicList
+    from arpd.model.settings import RelaySettings
+    from arpd.report.first_guess import FirstGuess
 
-_LONGEST_NAME = 250
-
-
-def topic_table(topics: Sequence[dict[str, Any]], *, width: int) -> list[str]:
-    """Return a heading and a line per topic, none wider than ``width``; QoS as ``now→planned`` where the two differ."""
-    columns: list[tuple[str, int, Callable[[dict[str, Any]], str]]] = [
-        ("TOPIC", 0, lambda topic: text(topic, "topic", longest=_LONGEST_NAME)),
-        ("NODE", 1, lambda topic: text(topic, "node", longest=_LONGEST_NAME)),
-        ("ALLOWED", 0, _allowed),
-        ("SENT", 0, lambda topic: format_number(number(topic, "published_rate_hz"))),
-        ("SOURCE", 3, lambda topic: format_number(number(topic, "source_rate_hz"))),
-        ("DEPTH", 4, lambda topic: _moving(topic, "depth", format_number, missing="-")),
-        ("DEADLINE", 5, lambda topic: _moving(topic, "deadline_ns", format_period, missing="none")),
-        ("DROPS", 1, _dropped),
-        ("CAUSES", 6, _causes),
-        ("LATE", 2, _late),
-        ("BOUND BY", 0, _bound_by),
-    ]
-    shown = [column for column in columns if column[0] not in _unknown(topics)]
-    grid = [[title for title, _, _ in shown], *([cell(topic) for _, _, cell in shown] for topic in topics)]
-    return fitted(grid, ranks=[rank for _, rank, _ in shown], width=width)
+_SECONDS = 5.0
+_MOST_SECONDS = 600.0
+_WITHOUT_END = 10_000
+_LINK_DOMAINS = (77, 78)  # the second where the nodes live in the first
 
 
-def reader_table(status: dict[str, Any], *, width: int) -> list[str]:
-    """Return a heading, a line per reader that is planned or refuses to be, and the number of the others."""
-    known = rows(status, "readers")
-    readers = [reader for reader in known if find(reader, "planned") or text(reader, "refusal")]
-    others = f"readers that no plan touches: {len(known) - len(readers)}"
-    if not readers:
-        return [cut(others, width)] if known else []
-    head = ["READER OF", "DEPTH", "planned", "DEADLINE", "planned", "NODE"]
-    grid = [head, *(_reader_cells(reader) for reader in readers)]
-    if any(count(reader, "deadlines_missed") for reader in readers):
-        for cells, title in zip(grid, ("LATE", *map(_late, readers)), strict=True):
-            cells.insert(-1, title)
-    lines = fitted(grid, ranks=[0, 1, 1, 2, 2, 0, 0][: len(grid[0])], width=width)
-    return [*lines, cut(others, width)] if len(readers) < len(known) else lines
+class _NothingFoundError(ArpdError):
+    """No topic that could cross the link."""
 
 
-def _reader_cells(reader: dict[str, Any]) -> list[str]:
-    now, planned = find(reader, "confirmed"), find(reader, "planned")
-    node, refusal = text(reader, "node", longest=_LONGEST_NAME), text(reader, "refusal")
-    return [
-        text(reader, "topic", longest=_LONGEST_NAME),
-        format_number(number(now, "depth")),
-        format_number(number(planned, "depth")) if planned else "-",
-        format_period(number(now, "deadline_ns")),
-        format_period(number(planned, "deadline_ns")) if planned else "-",
-        f"{node}: {refusal}" if refusal else node,
-    ]
+def add_topics(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "topics",
+        help="list and measure what crosses the link or could; --suggest writes a first configuration",
+        description="""\
+Run on the robot while its nodes run. List the topics that cross the link or could, with type, rate and size. Topics
+that are published on this host are measured for some seconds; those of the other side are not, because that would bring
+them over the link once more. No daemon is needed, and nothing is changed. Drivers that work only for readers (such as
+image_transport's compressed pictures) work meanwhile; a large topic is read until 32 MB and ten messages have come.
+--suggest writes a first configuration instead, for a robot that has none: weight, floor and highest rate of each topic
+are guessed by its type and its measured rate, each with its reason.""",
+        epilog="""\
+examples:
+  arpd topics
+  arpd topics --suggest > arpd.yaml          then: arpd check arpd.yaml
+  arpd topics --suggest --robot robot.local > arpd.yaml
+  arpd topics --seconds 20 --json | jq '.topics[] | {name, traffic}'
+
+exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 78 FILE is wrong""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=_SECONDS, metavar="N", help="time to measure (s, default %(default)g)"
+    )
+    parser.add_argument("--all", action="store_true", help="list topics of ROS and of arpd and hidden ones, too")
+    output = parser.add_mutually_exclusive_group()
+    output.add_argument("--suggest", action="store_true", help="print a first configuration file")
+    output.add_argument("--json", action="store_true", help="print JSON")
+    link = parser.add_argument_group("with --suggest")
+    link.add_argument("--robot", metavar="ADDRESS", help="this robot on the link (default: its address there now)")
+    link.add_argument("--ceddp", metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"configuration in force, for the relay's names and addresses (default {default_config} if it is right)",
+    )
+    parser.set_defaults(handler=_list_topics, default_config=default_config)
 
 
-def _unknown(topics: Sequence[dict[str, Any]]) -> set[str]:
-    """Return the columns without content, and those that an older daemon does not know."""
-    nothing = set()
-    if len({text(topic, "topic", longest=_LONGEST_NAME) for topic in topics}) == len(topics):
-        nothing.add("NODE")
-    if not any("published_rate_hz" in topic for topic in topics):
-        nothing.add("SENT")
-    if not any(count(topic, "deadlines_missed") for topic in topics):
-        nothing.add("LATE")
-    if not any(_causes(topic) for topic in topics):
-        nothing.add("CAUSES")
-    return nothing
+def _list_topics(options: argparse.Namespace) -> int:
+    _refuse_nonsense(options)
+    settings = _settings(options)
+    listed = _measured(options, settings.relay)
+    if not listed.topics:
+        raise _NothingFoundError(_nothing_found(listed))
+    if options.json:
+        print(json.dumps(_document(listed), indent=2))
+    elif options.suggest:
+        _suggest(listed, _link(options, settings))
+    else:
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WITHOUT_END
+        print("\n".join([*link_table(listed.topics, width=width), "", *summary(listed)]))
+    if listed.cannot_tell_hosts and not options.json:
+        _remark(listed.cannot_tell_hosts)
+    return 0
 
 
-def _allowed(topic: dict[str, Any]) -> str:
-    """Show the rate that the publisher may send at; an older daemon knows no other one than that of the plan."""
-    key = "paced_rate_hz" if find(topic, "confirmed", "paced_rate_hz") is not None else "rate_hz"
-    rate_hz = number(topic, "confirmed", key)
-    return "unpaced" if rate_hz is None else format_number(rate_hz)
+def _refuse_nonsense(options: argparse.Namespace) -> None:
+    from arpd.adapters.config.kinds import Address
+
+    if not 0 < options.seconds <= _MOST_SECONDS:
+        raise UsageError(f"--seconds {options.seconds:g} is not a time; write one up to {_MOST_SECONDS:g}")
+    for name in ("robot", "ceddp"):
+        given = getattr(options, name)
+        if given is None:
+            continue
+        if not options.suggest:
+            raise UsageError(f"--{name} goes into a configuration; give --suggest, too")
+        try:
+            Address().read(given)
+        except ValueError as error:
+            raise UsageError(f"--{name}: {error}") from None
 
 
-def _moving(topic: dict[str, Any], key: str, show: Callable[[float | None], str], *, missing: str) -> str:
-    """Show the announced value, and the planned one where the two differ."""
-    now, planned = number(topic, "confirmed", key), number(topic, "planned", key)
-    shown = missing if now is None else show(now)
-    if not find(topic, "planned"):
-        return shown
-    wanted = missing if planned is None else show(planned)
-    return shown if shown == wanted else f"{shown}→{wanted}"
+def _settings(options: argparse.Namespace) -> Settings:
+    """Return the configuration in force; the defaults where the default file is missing or wrong."""
+    from arpd.adapters.config.load import load_settings
+
+    if options.config is not None:
+        return load_settings(options.config, interfaces=None)
+    if not options.default_config.exists():
+        return Settings()
+    try:
+        return load_settings(options.default_config, interfaces=None)
+    except ConfigError:
+        _remark(f"{options.default_config} is not used, because it has faults: see `arpd check`")
+        return Settings()
 
 
-def _dropped(topic: dict[str, Any]) -> str:
-    """Show the share of offered messages that the publisher has dropped since it began."""
-    withheld, offered = count(topic, "withheld"), count(topic, "offered")
-    return format_share(withheld / offered) if offered else str(withheld)
+def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
+    from arpd.adapters.ros.runtime import ros_node
+
+    # As in arpd's units: shared memory works between processes of one user only, and this may be another one.
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+
+    def is_of_interest(topic: str) -> bool:
+        return options.all or not (is_internal(topic) or is_hidden(topic))
+
+    with (
+        progress(f"measuring for {options.seconds:g} s", total=options.seconds) as shown,
+        ros_node(f"arpd_topics_{os.getpid()}") as node,
+    ):
+        from arpd.adapters.ros.topic_measuring import list_topics
+
+        return list_topics(
+            node,
+            seconds=options.seconds,
+            prefix=relay.link_prefix,
+            is_of_interest=is_of_interest,
+            on_progress=shown.reach,
+        )
 
 
-def _causes(topic: dict[str, Any]) -> str:
-    return " ".join(f"{cause}:{many}" for cause, many in counts(topic, "withheld_by_cause").items())
+def _nothing_found(listed: TopicList) -> str:
+    """Say what to check where no node was found."""
+
+    def value(name: str) -> str:
+        return os.environ.get(name) or "not set"
+
+    return f"""\
+no topics in ROS domain {listed.domain_id}. Check, in this order:
+  the robot's nodes run now                       ros2 node list
+  ROS_DOMAIN_ID is that of the nodes              here: {value("ROS_DOMAIN_ID")}
+  ROS_AUTOMATIC_DISCOVERY_RANGE is not OFF        here: {value("ROS_AUTOMATIC_DISCOVERY_RANGE")}
+  LOCALHOST there hides nodes of other computers  run this on the computer with the nodes
+  ROS_LOCALHOST_ONLY is the same as the nodes'    here: {value("ROS_LOCALHOST_ONLY")}
+  RMW_IMPLEMENTATION is the same                  here: {value("RMW_IMPLEMENTATION")}"""
 
 
-def _late(row: dict[str, Any]) -> str:
-    return str(count(row, "deadlines_missed")) if "deadlines_missed" in row else "-"
+def _document(listed: TopicList) -> dict[str, Any]:
+    """Return everything that was found, as JSON has it."""
+    topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
+    return asdict(listed) | {"topics": topics}
 
 
-def _bound_by(topic: dict[str, Any]) -> str:
-    if refusal := text(topic, "refusal"):
-        return f"{PACED_ONLY}: {refusal}" if topic.get("refusal_lasts") else refusal
-    return text(topic, "binding").replace("_", " ") or "-"
+def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
+    """Return where the link is: as given, as configured, or as this host's interfaces tell."""
+    from arpd.adapters.config.domain import local_domain
+    from arpd.adapters.config.first_file import LinkChoice
+    from arpd.adapters.host.interface import ipv4_addresses, likeliest_interface
+
+    relay, here = settings.relay, local_domain()
+    domains = (relay.link_domain, *_LINK_DOMAINS)
+    robot, ceddp = options.robot or relay.robot, options.ceddp or relay.ceddp
+    interface = ""
+    if robot is None:
+        wanted = settings.link.interface
+        interface = (likeliest_interface() if wanted == AUTO else wanted) or ""
+        robot = min(ipv4_addresses().get(interface, ()), default=None)
+    return LinkChoice(
+        link_domain=next(domain for domain in domains if domain is not None and domain != here),
+        robot=robot,
+        ceddp=ceddp,
+        robot_is_guessed_from=interface if robot else "",
+        interface=settings.link.interface,
+    )
+
+
+def _suggest(listed: TopicList, link: LinkChoice) -> None:
+    """Print the configuration; what its reader should know besides goes to stderr."""
+    from arpd.adapters.config.first_file import first_file
+    from arpd.report.first_guess import first_guess
+
+    guess = first_guess(listed.topics)
+    origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
+    sys.stdout.write(first_file(guess, link, origin=origin))
+    for words in _remarks(listed, guess, link):
+        _remark(words)
+
+
+def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str]:
+    remarks = []
+    if link.robot_is_guessed_from:
+        remarks.append(f"relay.robot is the address of {link.robot_is_guessed_from}; --robot gives another")
+    elif link.robot is None and link.ceddp is None:
+        remarks.append("no address of this robot was found: fill in relay.robot, or give --robot")
+    if unmeasured := [topic for topic in listed.topics if topic.traffic is None]:
+        remarks.append(f"not measured: {', '.join(topic.name for topic in unmeasured)}; `arpd topics` says why")
+    if guess.left_out:
+        remarks.append(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
+    remarks.append("weights and floors are guesses: read them, then `arpd check FILE`")
+    return remarks
+
+
+def _remark(words: str) -> None:
+    print(f"arpd: {words}", file=sys.stderr)

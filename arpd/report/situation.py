@@ -368,6 +368,7 @@ def status_line(snapshot: Snapshot | None) -> str:
         f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
     )
     _, fault = interface_fault(snapshot) or (None, "")
-    if (verdict := judge(snapshot).verdict).condition in _WAITS:
+    # Judged at each tick only while nothing is planned: a judgement reads every topic.
+    if not snapshot.managed and (verdict := judge(snapshot).verdict).condition in _WAITS:
         line = verdict.phrase
     return "; ".join(said for said in (fault, line, *(finding.phrase for finding in _faults(snapshot))) if said)

@@ -128,7 +128,8 @@ class _Survey:
 
     def measure(self, seconds: float, on_progress: Callable[[float, str], None]) -> None:
         """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
-        begun_s = looked_s = self._clock()
+        begun_s = self._clock()
+        look_s = begun_s + _LOOK_AGAIN_S
         self._begin_all()
         while self._measured and (elapsed_s := self._clock() - begun_s) < seconds:
             running = [each for each in self._measured.values() if each.reader is not None]
@@ -136,10 +137,11 @@ class _Survey:
             for each in running:
                 if each.meter.has_enough:
                     self._end(each)
-            if begun_s + elapsed_s - looked_s >= _LOOK_AGAIN_S:
-                looked_s = self._clock()
+            if (looking_s := self._clock()) >= look_s:
                 self._look()
                 self._begin_all()
+                now_s = self._clock()
+                look_s = now_s + max(_LOOK_AGAIN_S, _REST * (now_s - looking_s))
             time.sleep(min(_TURN_S, seconds - elapsed_s))
         for each in self._measured.values():
             self._end(each)

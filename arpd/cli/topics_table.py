@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from arpd.cli.columns import fitted, wrapped
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
+from arpd.report.wording import count
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -48,8 +49,8 @@ def summary(listed: TopicList) -> list[str]:
     crosses = f"{len(crossing)} of them cross the link now: {_publish(crossing)}" if crossing else "none crosses now"
     lines = [
         _LEGEND,
-        f"{_count(len(measured))} measured for {listed.seconds:g} s: {_publish(measured)}; {crosses}"
-        + (f"; {_count(unknown)} not measured" if unknown else ""),
+        f"{count(len(measured), 'topic')} measured for {listed.seconds:g} s: {_publish(measured)}; {crosses}"
+        + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
         lines.append("Not one message arrived: do the nodes publish now?")
@@ -116,7 +117,3 @@ def _named(nodes: Sequence[str]) -> str:
 
 def _publish(topics: Iterable[LinkTopic]) -> str:
     return format_rate(sum(topic.traffic.bytes_per_second for topic in topics if topic.traffic))
-
-
-def _count(many: int) -> str:
-    return f"{many} topic" if many == 1 else f"{many} topics"

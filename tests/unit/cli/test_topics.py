@@ -14,7 +14,7 @@ from arpd.adapters.config.load import load_settings
 from arpd.adapters.host import interface as host
 from arpd.adapters.ros import runtime
 from arpd.cli import main as cli
-from arpd.cli.list_topics_table import link_table
+from arpd.cli.topics_table import link_table
 from arpd.model.errors import RosUnavailableError
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
 
