@@ -184,7 +184,7 @@ def judge_versions(own: str, daemon: str | Unknown, *, is_far: bool) -> Judgemen
         return wrong(
             VERSIONS,
             f"arpd {own} here, {daemon} on the robot; messages are understood one version back only",
-            "install the newer one at the other end, too: sudo scripts/install.sh, or sudo apt install ./arpd_*.deb",
+            "install the newer one on the other end: sudo scripts/install.sh, or sudo apt install ./arpd-ros_*.deb",
         )
     return wrong(
         VERSIONS, f"arpd {own} is installed, and the running daemon is {daemon}", "sudo systemctl restart arpd"

@@ -129,7 +129,7 @@ def test_versions_must_be_the_same():
     """On the robot a restart mends it, across the link an installation."""
     assert judge_versions("1.0", "1.0", is_far=False).health is Health.FINE
     assert "restart" in judge_versions("1.1", "1.0", is_far=False).remedies[0]
-    assert "install" in judge_versions("1.1", "1.0", is_far=True).remedies[0]
+    assert "./arpd-ros_*.deb" in judge_versions("1.1", "1.0", is_far=True).remedies[0]
     assert judge_versions("1.1", Unknown("no daemon"), is_far=False).health is Health.UNKNOWN
 
 
