@@ -131,7 +131,12 @@ def _installed(states: Mapping[str, ServiceState]) -> list[Unit] | Unknown:
     if not states:
         return Unknown("systemd does not run here, or does not answer")
     return [
-        Unit(name=name, active=state.active, is_enabled=state.is_enabled)
+        Unit(
+            name=name,
+            active=state.active,
+            is_enabled=state.is_enabled,
+            is_looping=state.sub.startswith("auto-restart"),  # systemd 254 and newer have auto-restart-queued, too
+        )
         for name, state in states.items()
         if state.is_installed
     ]

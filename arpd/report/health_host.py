@@ -193,24 +193,33 @@ def judge_versions(own: str, daemon: str | Unknown, *, is_far: bool) -> Judgemen
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unit:
-    """A unit of systemd: its name and states (`systemctl show`)."""
+    """A unit of systemd: its name and states (`systemctl show`).
+
+    Parameters
+    ----------
+    active : its ActiveState
+    is_looping : whether it failed, and systemd waits before the next attempt
+    """
 
     name: str
     active: str
     is_enabled: bool
+    is_looping: bool = False
 
 
 def judge_units(units: Sequence[Unit] | Unknown) -> Iterator[Judgement]:
-    """Judge arpd's units: those that failed, and those that are enabled but do not run."""
+    """Judge arpd's units: those that failed, once or in a loop, and those that are enabled but do not run."""
     if isinstance(units, Unknown):
         yield unknown(UNITS, units)
         return
     well, is_wrong = [], False
     for unit in units:
         is_stopped = unit.is_enabled and unit.active == "inactive"
-        is_wrong = is_wrong or is_stopped or unit.active == "failed"
-        if unit.active == "failed":
-            yield wrong(UNITS, f"{unit.name} has failed", f"journalctl -u {unit.name} -n 30   # the last line says why")
+        has_failed = unit.is_looping or unit.active == "failed"
+        is_wrong = is_wrong or is_stopped or has_failed
+        if has_failed:
+            how = "fails again and again, and systemd restarts it" if unit.is_looping else "has failed"
+            yield wrong(UNITS, f"{unit.name} {how}", f"journalctl -u {unit.name} -n 30   # the last line says why")
         elif is_stopped:
             yield wrong(UNITS, f"{unit.name} is enabled, and does not run", f"sudo systemctl start {unit.name}")
         elif unit.active != "inactive":

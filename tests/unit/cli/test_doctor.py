@@ -191,6 +191,19 @@ def test_the_units_in_use_tell_the_end(asked, units, is_far):
     assert healths(found)["configuration"] is (Health.FINE if is_far else Health.WRONG)
 
 
+@pytest.mark.parametrize(
+    ("sub", "health"),
+    [("start", Health.FINE), ("auto-restart", Health.WRONG), ("auto-restart-queued", Health.WRONG)],
+)
+def test_a_unit_that_fails_again_and_again_is_wrong(asked, sub, health):
+    """With Restart=on-failure it is activating and never failed, as a unit that starts for the first time."""
+    units = {"arpd": replace(ACTIVE, active="activating", sub=sub)}
+    found = check_up(asked(), replace(WELL, units=lambda: units))
+    (judged,) = (each for each in found.judgements if each.about == "units")
+    assert judged.health is health
+    assert ("journalctl -u arpd " in "".join(judged.remedies)) is (health is Health.WRONG)
+
+
 def test_the_radio_beneath_a_tunnel_is_judged(asked):
     """WireGuard has no radio, but what carries it has."""
     radios = {"wlan3": RadioState(saves_power=True, signal_dbm=-50, region="DE")}

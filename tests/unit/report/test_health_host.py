@@ -142,6 +142,7 @@ def test_versions_must_be_the_same():
         ([Unit(name="arpd", active="inactive", is_enabled=True)], [Health.WRONG]),
         ([Unit(name="arpd", active="inactive", is_enabled=False)], [Health.FINE]),
         ([Unit(name="arpd", active="activating", is_enabled=True)], [Health.FINE]),
+        ([Unit(name="arpd", active="activating", is_enabled=True, is_looping=True)], [Health.WRONG]),
         (
             [
                 Unit(name="arpd", active="active", is_enabled=True),
