@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.adapters.host.interface import index_of
 from arpd.adapters.host.radio import ask_stations
+from arpd.adapters.systemd.services import service_states
 from arpd.report.health import Unknown
 from arpd.report.health_link import RadioState
 
@@ -16,7 +17,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _SYS_NET = Path("/sys/class/net")
-_NETWORK_MANAGER = Path("/run/NetworkManager")
+_NETWORK_MANAGER = "NetworkManager"
+
+
+def runs_network_manager() -> bool:
+    """Return whether NetworkManager runs. Its folders also exist where netplan wrote for it and networkd runs."""
+    unit = service_states(_NETWORK_MANAGER).get(_NETWORK_MANAGER)
+    return unit is not None and unit.active == "active"
 
 
 def ask_power_save(index: int) -> list[Any]:
@@ -49,14 +56,14 @@ def read_radio(
     stations: Callable[[int], Iterable[Any]] = ask_stations,
     regions: Callable[[int], Iterable[Any]] = ask_regions,
     sys_net: Path = _SYS_NET,
-    network_manager: Path = _NETWORK_MANAGER,
+    has_network_manager: Callable[[], bool] = runs_network_manager,
 ) -> RadioState | None:
     """Return the state of an interface's radio, None if it has none.
 
     Parameters
     ----------
     power_save, stations, regions : ask nl80211 about the interface with a number of the kernel
-    network_manager : folder that exists while NetworkManager runs
+    has_network_manager : returns whether NetworkManager runs
     """
     radio = sys_net / interface / "phy80211"
     index = index_of(interface)
@@ -66,7 +73,7 @@ def read_radio(
         saves_power=_read(lambda: saves_power(power_save(index)), "power save"),
         signal_dbm=_read(lambda: signal_dbm(stations(index)), "a signal"),
         region=_read(lambda: region_of(regions(index), radio=_number(radio / "index")), "a regulatory domain"),
-        has_network_manager=network_manager.exists(),
+        has_network_manager=has_network_manager(),
     )
 
 

@@ -11,7 +11,15 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.adapters.host.wireless import radios_beneath, read_radio, region_of, saves_power, signal_dbm
+from arpd.adapters.host.wireless import (
+    radios_beneath,
+    read_radio,
+    region_of,
+    runs_network_manager,
+    saves_power,
+    signal_dbm,
+)
+from arpd.adapters.systemd.services import ServiceState
 from arpd.report.health import Unknown
 from arpd.report.health_link import RadioState
 from tests.unit.adapters.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
@@ -92,7 +100,7 @@ def test_a_radio_is_read_whole(sys_net):
         stations=ask(station(signal(STA_INFO_SIGNAL, -60))),
         regions=ask(region("00"), region("DE", radio=1)),
         sys_net=sys_net,
-        network_manager=sys_net,
+        has_network_manager=lambda: True,
     )
     assert found == RadioState(saves_power=True, signal_dbm=-60, region="DE", has_network_manager=True)
     assert asked == [3, 3, 3]
@@ -105,12 +113,32 @@ def test_a_radio_that_refuses_is_not_known(sys_net):
         raise PermissionError(1, "Operation not permitted")
 
     found = read_radio(
-        "wlan0", power_save=refuse, stations=lambda _index: [], regions=refuse, sys_net=sys_net, network_manager=sys_net
+        "wlan0",
+        power_save=refuse,
+        stations=lambda _index: [],
+        regions=refuse,
+        sys_net=sys_net,
+        has_network_manager=lambda: False,
     )
     assert found is not None
     facts = (found.saves_power, found.signal_dbm, found.region)
     assert all(isinstance(fact, Unknown) for fact in facts)
     assert "not permitted" in str(facts[0])
+
+
+@pytest.mark.parametrize(
+    ("states", "runs"),
+    [
+        ({}, False),
+        ({"NetworkManager": ServiceState(is_installed=True, is_enabled=True, active="active")}, True),
+        ({"NetworkManager": ServiceState(is_installed=True, is_enabled=False, active="inactive")}, False),
+        ({"NetworkManager": ServiceState(is_installed=False, is_enabled=False, active="inactive")}, False),
+    ],
+)
+def test_network_manager_counts_only_while_it_runs(monkeypatch, states, runs):
+    """Where networkd runs, netplan may have left files for NetworkManager, which nobody reads."""
+    monkeypatch.setattr("arpd.adapters.host.wireless.service_states", lambda *_names: states)
+    assert runs_network_manager() is runs
 
 
 @pytest.mark.parametrize("name", ["eth0", "gone0"])
