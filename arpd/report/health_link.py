@@ -26,6 +26,12 @@ _WITHOUT_INTERNET = (
     "the CEDDP needs `allow` and `local stratum 10` in /etc/chrony/chrony.conf"
 )
 
+# udev knows the name that an interface gets from rule 80-net-setup-link on; NAME matches only those that are renamed.
+_WITHOUT_POWER_SAVE = (
+    'echo \'ACTION=="add", SUBSYSTEM=="net", ENV{DEVTYPE}=="wlan", RUN+="/usr/sbin/iw dev $name set power_save off"\' '
+    "| sudo tee /etc/udev/rules.d/81-arpd-no-powersave.rules"
+)
+
 CLOCK, POWER_SAVE, SIGNAL, REGION, MTU, DISCOVERY = "clock", "power save", "signal", "region", "mtu", "discovery"
 
 
@@ -126,8 +132,7 @@ def _judge_power_save(interface: str, radio: RadioState) -> Judgement:
     lasting = (
         "printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee /etc/NetworkManager/conf.d/zz-no-powersave.conf"
         if radio.has_network_manager
-        else f'echo \'ACTION=="add", SUBSYSTEM=="net", KERNEL=="{interface}", RUN+="/usr/sbin/iw dev %k set power_save '
-        "off\"' | sudo tee /etc/udev/rules.d/70-no-powersave.rules"
+        else _WITHOUT_POWER_SAVE
     )
     return wrong(
         POWER_SAVE,

@@ -121,6 +121,15 @@ def test_power_save_stays_off_by_whatever_sets_it():
     assert "udev" in radio(saves_power=True)["power save"].remedies[1]
 
 
+def test_the_rule_of_udev_holds_for_renamed_interfaces_too():
+    """The kernel calls wlp2s0 wlan0 when it adds it; the new name is known from rule 80 on."""
+    (judged,) = (each for each in judge_radio("wlp2s0", replace(WELL, saves_power=True)) if each.health is Health.WRONG)
+    line = judged.remedies[1]
+    assert "wlp2s0" not in line
+    assert "$name" in line
+    assert "/81-" in line
+
+
 def test_what_the_radio_does_not_tell_is_not_known():
     """No alarm without a fact."""
     silent = Unknown("the driver does not tell")
