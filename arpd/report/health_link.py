@@ -21,9 +21,13 @@ _WORLD = "00"  # the regulatory domain that holds everywhere
 _MANY_PARTICIPANTS = 20
 _ARPDS_PROCESSES = 2  # on another host, with one end: `arpd run` and `arpd relay`, or `arpd peer`
 
-_WITHOUT_INTERNET = (
-    "without internet: echo 'server ADDRESS_OF_CEDDP iburst' | sudo tee /etc/chrony/sources.d/ceddp.sources   # robot; "
-    "the CEDDP needs `allow` and `local stratum 10` in /etc/chrony/chrony.conf"
+_SERVE_WITHOUT_INTERNET = (
+    "printf 'allow\\nlocal stratum 10\\n' | sudo tee /etc/chrony/conf.d/arpd.conf && sudo systemctl restart chrony"
+    "   # without internet, on the CEDDP"
+)
+_FOLLOW_WITHOUT_INTERNET = (
+    "echo 'server ADDRESS_OF_CEDDP iburst' | sudo tee /etc/chrony/sources.d/ceddp.sources && sudo systemctl restart "
+    "chrony   # without internet, on the robot"
 )
 
 # udev knows the name that an interface gets from rule 80-net-setup-link on; NAME matches only those that are renamed.
@@ -58,7 +62,9 @@ def judge_clock(
     if judged.health is Health.WRONG:
         mend = _synchronise(is_synchronised=is_synchronised, is_far=is_far)
         here = {True: "; this computer's is synchronised", False: "; this computer's is not synchronised", None: ""}
-        judged = wrong(CLOCK, judged.text + here[is_synchronised], mend, _WITHOUT_INTERNET)
+        judged = wrong(
+            CLOCK, judged.text + here[is_synchronised], mend, _SERVE_WITHOUT_INTERNET, _FOLLOW_WITHOUT_INTERNET
+        )
     yield judged
     if judged.health is Health.UNKNOWN and is_synchronised is False:
         yield unknown(CLOCK, "nothing keeps this computer's clock right; it may differ from the other end's")

@@ -77,6 +77,19 @@ def test_the_remedy_names_the_side_that_is_likely_wrong(is_synchronised, is_far,
     assert where in judged.remedies[0]
 
 
+def test_the_lines_without_internet_are_complete():
+    """Each end has one, and chrony reads what it wrote."""
+    (judged,) = clock(1.0)
+    lines = [line for line in judged.remedies if "without internet" in line]
+    assert [line.rpartition("# ")[2] for line in lines] == [
+        f"without internet, on the {end}" for end in ("CEDDP", "robot")
+    ]
+    for line in lines:
+        written, _, restarted = line.partition("   #")[0].partition(" && ")
+        assert "/etc/chrony/" in written
+        assert restarted == "sudo systemctl restart chrony"
+
+
 @pytest.mark.parametrize("clocks", [Unknown("no daemon answers"), []])
 def test_a_clock_that_nobody_keeps_is_said_where_the_offset_is_not_known(clocks):
     """It may be right all the same, so nothing is called wrong."""
