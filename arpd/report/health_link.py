@@ -169,8 +169,9 @@ def _judge_region(region: str | Unknown) -> Judgement:
     return wrong(
         REGION,
         "no regulatory domain is set: the radio sends with little power, and on few channels of 5 GHz",
-        "sudo iw reg set DE   # the code of your country",
-        "echo 'options cfg80211 ieee80211_regdom=DE' | sudo tee /etc/modprobe.d/cfg80211.conf   # from the next start",
+        "sudo iw reg set YOUR_COUNTRY   # its two letters",
+        "echo 'options cfg80211 ieee80211_regdom=YOUR_COUNTRY' | sudo tee /etc/modprobe.d/arpd-region.conf   # its two "
+        "letters; from the next start",
     )
 
 

@@ -128,6 +128,13 @@ def test_each_fault_of_a_radio_has_its_remedy(changes, about, remedy):
     assert {each.health for name, each in judged.items() if name != about} == {Health.FINE}
 
 
+def test_no_country_is_guessed_and_no_file_overwritten():
+    """A line that is copied as it is must not set a law of another country."""
+    lines = radio(region="00")["region"].remedies
+    assert all("YOUR_COUNTRY" in line for line in lines)
+    assert "/etc/modprobe.d/arpd-" in lines[1]
+
+
 def test_power_save_stays_off_by_whatever_sets_it():
     """NetworkManager has a setting; without it udev does it."""
     assert "NetworkManager" in radio(saves_power=True, has_network_manager=True)["power save"].remedies[1]
