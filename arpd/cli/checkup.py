@@ -239,9 +239,9 @@ def _older(status: dict[str, Any]) -> Unknown:
 def _rmw(status: dict[str, Any] | Unknown, python: PythonRos | Unknown) -> Judgement:
     """Judge the daemon's middleware, or, without a daemon, that of this shell."""
     if not isinstance(status, Unknown) and find(status, "rmw") is not None:
-        return health_host.judge_rmw(text(status, "rmw", "name"), text(status, "rmw", "refusal"))
+        return health_host.judge_rmw(text(status, "rmw", "name"), text(status, "rmw", "refusal"), is_of_daemon=True)
     name = "" if isinstance(python, Unknown) else python.rmw
-    return health_host.judge_rmw(name, rmw_of(name).refusal if name else None)
+    return health_host.judge_rmw(name, rmw_of(name).refusal if name else None, is_of_daemon=False)
 
 
 def _system_ros() -> list[PythonRos | Unknown]:

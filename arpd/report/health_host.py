@@ -18,6 +18,7 @@ _SHORT_REASSEMBLY_S, _ENOUGH_REASSEMBLY_BYTES = 3, 128 * 2**20  # as "DDS tuning
 _MANY_INCOMPLETE_RATIO = 0.01
 _DISTRO = "jazzy"
 _FIRST_UNFIT_NUMPY = 2
+_FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 
 BUFFERS, FRAGMENTS, ROS, NUMPY = "receive buffers", "fragments", "ros", "numpy"
 RMW, VERSIONS, UNITS, CONFIGURATION, PROFILE = "rmw", "versions", "units", "configuration", "profile"
@@ -159,18 +160,23 @@ def _major(version: str) -> int:
     return int(digits) if digits.isdecimal() else 0
 
 
-def judge_rmw(name: str, refusal: str | None) -> Judgement:
+def judge_rmw(name: str, refusal: str | None, *, is_of_daemon: bool) -> Judgement:
     """Judge the middleware.
 
     Parameters
     ----------
     name : its identifier, empty = not known
     refusal : why its publishers are only paced, empty if they are swapped, too; None = not known
+    is_of_daemon : whether the daemon tells it of itself; no shell's environment reaches its unit
     """
     if not name or refusal is None:
         return unknown(RMW, "neither a daemon nor rclpy tells it")
     if refusal:
-        return wrong(RMW, refusal, "export RMW_IMPLEMENTATION=rmw_fastrtps_cpp   # for all nodes of both ends")
+        lines = [f"export {_FAST_DDS}   # for all nodes of both ends"]
+        if is_of_daemon:
+            append = f"echo {_FAST_DDS} | sudo tee -a /etc/default/arpd"
+            lines.append(f"{append} && sudo systemctl restart 'arpd*'   # for arpd, on both ends")
+        return wrong(RMW, refusal, *lines)
     return fine(RMW, name)
 
 

@@ -120,9 +120,19 @@ def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
 
 def test_another_middleware_is_only_paced():
     """Without any fact nothing is said."""
-    assert judge_rmw("rmw_fastrtps_cpp", "").health is Health.FINE
-    assert judge_rmw("rmw_cyclonedds_cpp", "it is only paced").health is Health.WRONG
-    assert judge_rmw("", None).health is Health.UNKNOWN
+    assert judge_rmw("rmw_fastrtps_cpp", "", is_of_daemon=True).health is Health.FINE
+    assert judge_rmw("rmw_cyclonedds_cpp", "it is only paced", is_of_daemon=True).health is Health.WRONG
+    assert judge_rmw("", None, is_of_daemon=False).health is Health.UNKNOWN
+
+
+def test_the_daemons_middleware_has_a_line_for_its_unit():
+    """What a shell exports reaches nodes that are started there, and no unit."""
+    of_daemon, of_shell = (
+        judge_rmw("rmw_cyclonedds_cpp", "it is only paced", is_of_daemon=is_of_daemon).remedies
+        for is_of_daemon in (True, False)
+    )
+    assert of_daemon[:1] == of_shell
+    assert "/etc/default/arpd && sudo systemctl restart 'arpd*'" in of_daemon[1]
 
 
 def test_versions_must_be_the_same():
