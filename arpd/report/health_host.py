@@ -64,8 +64,8 @@ def judge_buffers(limits: NetworkLimits) -> Judgement:
         BUFFERS,
         f"{lost} of {total} datagrams since the start ({format_share(lost / total)}) met a full receive buffer of "
         f"{format_size(size)} (net.core.rmem_default) and were lost",
-        "printf 'net.core.rmem_max=8388608\\nnet.core.rmem_default=8388608\\n' | sudo tee "
-        "/etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system   # then restart the nodes",
+        "echo net.core.rmem_default=8388608 | sudo tee /etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system"
+        "   # then restart the nodes",
     )
 
 

@@ -53,6 +53,13 @@ def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(change
     assert bool(judged.remedies) is (health is Health.WRONG)
 
 
+def test_the_line_for_buffers_lowers_no_limit():
+    """DDS tuning guides raise net.core.rmem_max to 2 GiB; the default that Fast DDS takes is below what is enough."""
+    (line,) = judge_buffers(replace(LIMITS, overflowed=5000)).remedies
+    assert "net.core.rmem_default=8388608 " in line
+    assert "rmem_max" not in line
+
+
 @pytest.mark.parametrize(
     ("changes", "health"),
     [
