@@ -84,12 +84,14 @@ def judge_fragments(limits: NetworkLimits) -> Judgement:
         return fine(FRAGMENTS, found)
     if kept_s <= _SHORT_REASSEMBLY_S and kept_bytes >= _ENOUGH_REASSEMBLY_BYTES:
         return fine(FRAGMENTS, f"{found}; they are kept for {kept_s} s, and do not fill the memory")
+    settings = [f"net.ipv4.ipfrag_time={_SHORT_REASSEMBLY_S}"] if kept_s > _SHORT_REASSEMBLY_S else []
+    if kept_bytes < _ENOUGH_REASSEMBLY_BYTES:
+        settings.append(f"net.ipv4.ipfrag_high_thresh={_ENOUGH_REASSEMBLY_BYTES}")
     return wrong(
         FRAGMENTS,
         f"{found}; each stays in {format_size(kept_bytes)} of memory for {kept_s} s, and while that is full no sample "
         "larger than a packet arrives from nodes without arpd's Fast DDS profile",
-        "printf 'net.ipv4.ipfrag_time=3\\nnet.ipv4.ipfrag_high_thresh=134217728\\n' | sudo tee "
-        "/etc/sysctl.d/60-arpd-fragments.conf && sudo sysctl --system",
+        f"printf '%s\\n' {' '.join(settings)} | sudo tee /etc/sysctl.d/60-arpd-fragments.conf && sudo sysctl --system",
     )
 
 

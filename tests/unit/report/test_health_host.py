@@ -79,6 +79,21 @@ def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, he
     assert bool(judged.remedies) is (health is Health.WRONG)
 
 
+@pytest.mark.parametrize(
+    ("kept_s", "kept_mib", "settings"),
+    [
+        (30, 4, ["net.ipv4.ipfrag_time=3", "net.ipv4.ipfrag_high_thresh=134217728"]),
+        (30, 256, ["net.ipv4.ipfrag_time=3"]),
+        (1, 4, ["net.ipv4.ipfrag_high_thresh=134217728"]),
+    ],
+)
+def test_the_line_for_fragments_sets_only_what_is_unfit(kept_s, kept_mib, settings):
+    """What the user has set shorter or larger stays."""
+    limits = replace(LIMITS, incomplete=500, reassembly_s=kept_s, reassembly_bytes=kept_mib * 2**20)
+    (line,) = judge_fragments(limits).remedies
+    assert [word for word in line.split() if word.startswith("net.")] == settings
+
+
 def test_a_kernel_that_tells_nothing_alarms_nobody():
     """No fact, no judgement."""
     nothing = NetworkLimits()
