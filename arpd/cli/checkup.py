@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -26,7 +28,6 @@ from arpd.report.health_link import PeerClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
 
     from arpd.adapters.systemd.services import ServiceState
     from arpd.report.health_host import NetworkLimits, PythonRos
@@ -107,7 +108,7 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
         told = "" if is_far or isinstance(status, Unknown) else text(status, "interface")
         configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
         interface = _interface(senses, names=(told, configured), other=other)
-    pythons = senses.ros()
+    pythons, distros = senses.ros(), senses.distros()
     judgements = (
         *health_link.judge_clock(_clocks(status), is_synchronised=senses.is_clock_synchronised(), is_far=is_far),
         *_of_interface(senses, interface, other),
@@ -115,8 +116,8 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
         health_host.judge_fragments(limits),
         _discovery(asked, senses, interface, has_two_ends=relay.link_domain is not None),
         health_host.judge_profile(_lacking(status), line=profile_line()),
-        health_host.judge_ros(pythons[0], distro=senses.environment.get("ROS_DISTRO", ""), installed=senses.distros()),
-        health_host.judge_numpy([one for one in pythons if not isinstance(one, Unknown)]),
+        health_host.judge_ros(pythons[0], distro=senses.environment.get("ROS_DISTRO", ""), installed=distros),
+        health_host.judge_numpy([one for one in pythons if not isinstance(one, Unknown)], installed=distros),
         _rmw(status, pythons[0]),
         health_host.judge_versions(
             __version__, status if isinstance(status, Unknown) else text(status, "version"), is_far=is_far
@@ -244,10 +245,17 @@ def _rmw(status: dict[str, Any] | Unknown, python: PythonRos | Unknown) -> Judge
     return health_host.judge_rmw(name, rmw_of(name).refusal if name else None, is_of_daemon=False)
 
 
-def _system_ros() -> list[PythonRos | Unknown]:
-    """Return what the system's Python finds, where that is another one and ROS comes from apt."""
-    import sys
+def _system_ros(
+    *,
+    own: str = sys.executable,
+    system: Path = installation.SYSTEM_PYTHON,
+    distros: Callable[[], list[str]] = installation.installed_distros,
+    read: Callable[[str], PythonRos | Unknown] = installation.read_ros,
+) -> list[PythonRos | Unknown]:
+    """Return what the system's Python finds, where that is another one and ROS comes from apt.
 
-    python = installation.SYSTEM_PYTHON
-    is_another = python.exists() and python.resolve() != type(python)(sys.executable).resolve()
-    return [installation.read_ros(str(python))] if is_another and installation.installed_distros() else []
+    The Python of a virtual environment is a link to the system's, but in another folder, and has other packages.
+    """
+    folder, file = Path(own).parent.resolve(), Path(own).resolve()
+    is_another = system.exists() and (folder, file) != (system.parent.resolve(), system.resolve())
+    return [read(str(system))] if is_another and distros() else []

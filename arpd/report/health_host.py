@@ -18,6 +18,8 @@ _SHORT_REASSEMBLY_S, _ENOUGH_REASSEMBLY_BYTES = 3, 128 * 2**20  # as "DDS tuning
 _MANY_INCOMPLETE_RATIO = 0.01
 _DISTRO = "jazzy"
 _FIRST_UNFIT_NUMPY = 2
+_ROS = "/opt/ros/"
+_OF_ROOT = ("/usr/", "/opt/")
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 
 BUFFERS, FRAGMENTS, ROS, NUMPY = "receive buffers", "fragments", "ros", "numpy"
@@ -103,7 +105,8 @@ class PythonRos:
     ----------
     python : path of the interpreter
     rclpy : file of rclpy, empty = it cannot be imported
-    numpy : version, empty = there is none
+    numpy, numpy_file : version and file of numpy, empty = there is none
+    venv : folder of the virtual environment, empty = the interpreter has none
     rmw : identifier of the middleware, empty = not known
     fault : why ROS does not work there, empty if it does
     """
@@ -111,6 +114,8 @@ class PythonRos:
     python: str
     rclpy: str = ""
     numpy: str = ""
+    numpy_file: str = ""
+    venv: str = ""
     rmw: str = ""
     fault: str = ""
 
@@ -141,20 +146,38 @@ def _source(distro: str) -> str:
     return f"source /opt/ros/{distro}/setup.bash"
 
 
-def judge_numpy(pythons: Sequence[PythonRos]) -> Judgement:
-    """Judge numpy beside the Python packages of /opt/ros and of apt, which are built for numpy 1.26."""
-    unfit = [one for one in pythons if one.rclpy.startswith("/opt/ros/") and _major(one.numpy) >= _FIRST_UNFIT_NUMPY]
+def judge_numpy(pythons: Sequence[PythonRos], *, installed: Sequence[str]) -> Judgement:
+    """Judge numpy beside the Python packages of /opt/ros and of apt, which are built for numpy 1.26.
+
+    Parameters
+    ----------
+    installed : names under /opt/ros; the system's Python belongs to them, also in a shell where ROS is not sourced
+    """
+    has_ros = _DISTRO in installed
+    unfit = [one for one in pythons if _has_unfit_numpy(one, has_ros=has_ros)]
     if unfit:
         one = unfit[0]
-        mend = "uninstall --break-system-packages numpy" if one.python.startswith("/usr/bin/") else "install 'numpy<2'"
         return wrong(
             NUMPY,
             f"{one.python} has numpy {one.numpy} in front of the one that ROS 2 {_DISTRO} is built for "
             "(1.26); cv_bridge and others fail with it",
-            f"{one.python} -m pip {mend}",
+            _numpy_remedy(one),
         )
     versions = [f"{one.numpy} in {one.python}" for one in pythons if one.numpy]
     return fine(NUMPY, listed(versions)) if versions else unknown(NUMPY, "no Python here imports numpy")
+
+
+def _has_unfit_numpy(one: PythonRos, *, has_ros: bool) -> bool:
+    is_of_ros = one.rclpy.startswith(_ROS) or (has_ros and one.python.startswith("/usr/bin/"))
+    return is_of_ros and _major(one.numpy) >= _FIRST_UNFIT_NUMPY
+
+
+def _numpy_remedy(one: PythonRos) -> str:
+    """Return the line for a numpy in a virtual environment, or for one that pip put before apt's."""
+    root = "sudo " if one.numpy_file.startswith(_OF_ROOT) else ""
+    if one.venv and one.numpy_file.startswith(f"{one.venv}/"):
+        return f"{root}{one.python} -m pip install 'numpy<2'"
+    return f"{root}/usr/bin/python3 -m pip uninstall --break-system-packages numpy"
 
 
 def _major(version: str) -> int:

@@ -21,14 +21,16 @@ _TIMEOUT_S = 20.0
 _MOST_FAULT = 160
 # Each line tells all that is known so far. The message has a fixed array, which numpy holds.
 _PROBE = """
-import json
+import json, sys
 facts = {}
 def tell(**more):
     facts.update(more)
     print(json.dumps(facts), flush=True)
+if sys.prefix != sys.base_prefix:
+    tell(venv=sys.prefix)
 try:
     import numpy
-    tell(numpy=numpy.__version__)
+    tell(numpy=numpy.__version__, numpy_file=numpy.__file__)
 except ImportError:
     pass
 try:
@@ -72,6 +74,8 @@ def read_ros(
         python=python,
         rclpy=str(facts.get("rclpy") or ""),
         numpy=str(facts.get("numpy") or ""),
+        numpy_file=str(facts.get("numpy_file") or ""),
+        venv=str(facts.get("venv") or ""),
         rmw=str(facts.get("rmw") or ""),
         fault=printable(" ".join(fault.split()), longest=_MOST_FAULT),
     )

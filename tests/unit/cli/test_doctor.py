@@ -286,6 +286,53 @@ def test_the_command_prints_and_exits(run, tmp_path, monkeypatch):
         assert run("doctor", *words)[0] == 2
 
 
+@pytest.fixture
+def pythons(tmp_path):
+    """Return a system's Python and, by name, others that lead to the same file or to another one."""
+    (tmp_path / "usr/bin").mkdir(parents=True)
+    (tmp_path / "venv/bin").mkdir(parents=True)
+    real = tmp_path / "usr/bin/python3.12"
+    real.touch()
+    system = tmp_path / "usr/bin/python3"
+    system.symlink_to(real)
+    (tmp_path / "usr/bin/python3.11").touch()
+    (tmp_path / "bin").symlink_to(tmp_path / "usr/bin")
+    (tmp_path / "venv/bin/python").symlink_to(system)
+    return system, {
+        "venv": tmp_path / "venv/bin/python",
+        "itself": system,
+        "its file": real,
+        "merged /usr": tmp_path / "bin/python3",
+        "another": tmp_path / "usr/bin/python3.11",
+    }
+
+
+@pytest.mark.parametrize(
+    ("own", "is_asked"),
+    [("venv", True), ("another", True), ("itself", False), ("its file", False), ("merged /usr", False)],
+)
+def test_the_systems_python_is_asked_unless_arpd_runs_in_it(pythons, own, is_asked):
+    """A virtual environment, as on every installed computer, leads to the same file and has other packages."""
+    system, others = pythons
+    asked = []
+
+    def read(python):
+        asked.append(python)
+        return ROS
+
+    found = checkup._system_ros(own=str(others[own]), system=system, distros=lambda: ["jazzy"], read=read)
+    assert (found, asked) == (([ROS], [str(system)]) if is_asked else ([], []))
+
+
+def test_the_systems_python_is_not_asked_without_ros_from_apt(pythons, tmp_path):
+    """Nor where there is none."""
+    system, others = pythons
+    own = str(others["venv"])
+    assert checkup._system_ros(own=own, system=system, distros=list, read=lambda _python: ROS) == []
+    none = tmp_path / "none"
+    assert checkup._system_ros(own=own, system=none, distros=lambda: ["jazzy"], read=lambda _python: ROS) == []
+
+
 def test_every_unit_of_the_repository_is_asked_for():
     """A new unit needs a name here."""
     units = {path.stem for path in (Path(__file__).parents[3] / "systemd").glob("*.service")}

@@ -32,6 +32,11 @@ LIMITS = NetworkLimits(
     incomplete=0,
 )
 WORKS = PythonRos(python="/venv/bin/python", rclpy="/opt/ros/jazzy/lib/rclpy/__init__.py", numpy="1.26.4", rmw="rmw")
+SYSTEM = {"python": "/usr/bin/python3"}
+OWN_NUMPY = {"venv": "/venv", "numpy_file": "/venv/lib/python3.12/site-packages/numpy/__init__.py"}
+AT_HOME = "/home/ubuntu/.local/lib/python3.12/site-packages/numpy/__init__.py"
+FOR_ALL = "/usr/local/lib/python3.12/dist-packages/numpy/__init__.py"
+UNINSTALL = "-m pip uninstall --break-system-packages numpy"
 
 
 @pytest.mark.parametrize(
@@ -126,8 +131,12 @@ def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
     ("changes", "health", "remedy"),
     [
         ({}, Health.FINE, ""),
-        ({"numpy": "2.4.6"}, Health.WRONG, "/venv/bin/python -m pip install 'numpy<2'"),
-        ({"numpy": "2.1", "python": "/usr/bin/python3"}, Health.WRONG, "/usr/bin/python3 -m pip uninstall"),
+        ({"numpy": "2.4.6"} | OWN_NUMPY, Health.WRONG, "/venv/bin/python -m pip install 'numpy<2'"),
+        ({"numpy": "2.1", "numpy_file": AT_HOME} | SYSTEM, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
+        ({"numpy": "2.1", "numpy_file": AT_HOME, "venv": "/venv"}, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
+        ({"numpy": "2.1", "numpy_file": FOR_ALL} | SYSTEM, Health.WRONG, f"sudo /usr/bin/python3 {UNINSTALL}"),
+        ({"numpy": "2.1", "rclpy": ""} | SYSTEM, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
+        ({"numpy": "2.1", "rclpy": ""}, Health.FINE, ""),
         ({"numpy": "2.4.6", "rclpy": "/venv/lib/rclpy/__init__.py"}, Health.FINE, ""),
         ({"numpy": ""}, Health.UNKNOWN, ""),
         ({"numpy": "dev"}, Health.FINE, ""),
@@ -135,9 +144,14 @@ def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
 )
 def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
     """Wheels of ROS from PyPI take either."""
-    judged = judge_numpy([replace(WORKS, **changes)])
+    judged = judge_numpy([replace(WORKS, **changes)], installed=["jazzy"])
     assert judged.health is health
-    assert remedy in "".join(judged.remedies)
+    assert "".join(judged.remedies) == remedy
+
+
+def test_the_systems_numpy_is_free_without_ros_from_apt():
+    """Nothing there is built for another one."""
+    assert judge_numpy([PythonRos(python="/usr/bin/python3", numpy="2.1")], installed=[]).health is Health.FINE
 
 
 def test_another_middleware_is_only_paced():

@@ -51,6 +51,8 @@ def test_this_interpreter_has_a_ros_that_works():
     assert isinstance(found, PythonRos)
     assert (found.fault, found.rmw[:4]) == ("", "rmw_")
     assert found.rclpy.endswith("__init__.py")
+    assert found.numpy_file.endswith("__init__.py")
+    assert found.venv == ("" if sys.prefix == sys.base_prefix else sys.prefix)
 
 
 def test_a_distribution_has_a_setup_file(tmp_path):
