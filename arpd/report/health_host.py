@@ -19,6 +19,8 @@ _MANY_INCOMPLETE_RATIO = 0.01
 _DISTRO = "jazzy"
 _FIRST_UNFIT_NUMPY = 2
 _ROS = "/opt/ros/"
+_SOURCE = f"source {_ROS}{_DISTRO}/setup.bash"
+_INSTALL = f"sudo apt install ros-{_DISTRO}-ros-base   # on Ubuntu 24.04, with the apt source of ROS 2"
 _OF_ROOT = ("/usr/", "/opt/")
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 
@@ -104,7 +106,7 @@ class PythonRos:
     Parameters
     ----------
     python : path of the interpreter
-    rclpy : file of rclpy, empty = it cannot be imported
+    rclpy : file of rclpy, which may not work, empty = there is none
     numpy, numpy_file : version and file of numpy, empty = there is none
     venv : folder of the virtual environment, empty = the interpreter has none
     rmw : identifier of the middleware, empty = not known
@@ -128,22 +130,34 @@ def judge_ros(found: PythonRos | Unknown, *, distro: str, installed: Sequence[st
     distro : ROS_DISTRO of the environment, empty = none
     installed : names under /opt/ros
     """
+    lines = [_SOURCE] if _DISTRO in installed else [_INSTALL]
     if distro and distro != _DISTRO:
-        return wrong(ROS, f"this shell has ROS 2 {distro}; arpd is measured with {_DISTRO}", _source(_DISTRO))
+        return wrong(ROS, f"this shell has ROS 2 {distro}; arpd is measured with {_DISTRO}", *lines)
     if isinstance(found, Unknown):
         return unknown(ROS, found)
     if not found.fault:
         return fine(ROS, f"rclpy works ({found.rclpy})")
     if found.rclpy:
-        return wrong(ROS, f"ROS in {found.python} does not work: {found.fault}", f"{found.python} -c 'import rclpy'")
+        return wrong(ROS, f"ROS in {found.python} does not work: {found.fault}", *_ros_remedies(found))
     if not distro and _DISTRO in installed:
-        return unknown(ROS, f"ROS is not sourced in this shell; `{_source(_DISTRO)} && arpd doctor` looks")
-    why = f"{found.python} cannot import rclpy: {found.fault}"
-    return wrong(ROS, why, _source(_DISTRO) if _DISTRO in installed else f"{found.python} -m pip install 'arpd[ros]'")
+        return unknown(ROS, f"ROS is not sourced in this shell; `{_SOURCE} && arpd doctor` looks")
+    if _DISTRO in installed:  # the environment says that it is sourced, and may have lost a part of it
+        lines.append(f"{_INSTALL}, if that does not help")
+    return wrong(ROS, f"{found.python} cannot import rclpy: {found.fault}", *lines)
 
 
-def _source(distro: str) -> str:
-    return f"source /opt/ros/{distro}/setup.bash"
+def _ros_remedies(one: PythonRos) -> Iterator[str]:
+    """Yield the lines for an rclpy that is there and does not work."""
+    if _has_unfit_numpy(one, has_ros=False):
+        yield _numpy_remedy(one)
+        return
+    if "rmw" in one.fault.lower():
+        yield "unset RMW_IMPLEMENTATION   # then ROS takes Fast DDS"
+    if one.rclpy.startswith(_ROS):
+        yield f"sudo apt install --reinstall ros-{_DISTRO}-rclpy ros-{_DISTRO}-rmw-fastrtps-cpp"
+    else:
+        root = "sudo " if one.rclpy.startswith(_OF_ROOT) else ""
+        yield f"{root}{one.python} -m pip install --force-reinstall 'ros-{_DISTRO}-rclpy[fastrtps]'"
 
 
 def judge_numpy(pythons: Sequence[PythonRos], *, installed: Sequence[str]) -> Judgement:

@@ -21,7 +21,7 @@ _TIMEOUT_S = 20.0
 _MOST_FAULT = 160
 # Each line tells all that is known so far. The message has a fixed array, which numpy holds.
 _PROBE = """
-import json, sys
+import importlib.util, json, sys
 facts = {}
 def tell(**more):
     facts.update(more)
@@ -34,8 +34,9 @@ try:
 except ImportError:
     pass
 try:
+    found = importlib.util.find_spec("rclpy")
+    tell(rclpy=found.origin if found else "")
     import rclpy
-    tell(rclpy=rclpy.__file__)
     from rclpy.utilities import get_rmw_implementation_identifier
     tell(rmw=get_rmw_implementation_identifier())
     from rclpy.serialization import serialize_message
@@ -69,7 +70,7 @@ def read_ros(
     facts = _last(done.stdout)
     fault = str(facts.get("fault", ""))
     if not fault and not facts.get("works"):
-        fault = f"it ended with status {done.returncode}"
+        fault = ": ".join([f"it ended with status {done.returncode}", *_last_words(done.stderr)])
     return PythonRos(
         python=python,
         rclpy=str(facts.get("rclpy") or ""),
@@ -87,6 +88,10 @@ def installed_distros(folder: Path = _ROS) -> list[str]:
         return sorted(path.name for path in folder.iterdir() if (path / "setup.bash").exists())
     except OSError:
         return []
+
+
+def _last_words(errors: str) -> list[str]:
+    return [line for line in errors.splitlines() if line.strip()][-1:]
 
 
 def _last(output: str) -> dict[str, Any]:

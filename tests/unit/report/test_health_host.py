@@ -111,11 +111,12 @@ def test_a_kernel_that_tells_nothing_alarms_nobody():
     [
         (WORKS, "jazzy", ["jazzy"], Health.FINE, ""),
         (WORKS, "", [], Health.FINE, ""),
-        (WORKS, "humble", ["humble"], Health.WRONG, "source /opt/ros/jazzy/setup.bash"),
+        (WORKS, "humble", ["humble", "jazzy"], Health.WRONG, "source /opt/ros/jazzy/setup.bash"),
+        (WORKS, "humble", ["humble"], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
         (PythonRos(python="p", fault="ImportError"), "", ["jazzy"], Health.UNKNOWN, ""),
-        (PythonRos(python="p", fault="ImportError"), "", [], Health.WRONG, "p -m pip install 'arpd[ros]'"),
+        (PythonRos(python="p", fault="ImportError"), "", [], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
         (PythonRos(python="p", fault="ImportError"), "jazzy", ["jazzy"], Health.WRONG, "source /opt/ros/jazzy"),
-        (replace(WORKS, fault="it ended with status -11"), "jazzy", ["jazzy"], Health.WRONG, "import rclpy"),
+        (PythonRos(python="p", fault="ImportError"), "jazzy", [], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
         (Unknown("no answer"), "jazzy", ["jazzy"], Health.UNKNOWN, ""),
     ],
 )
@@ -123,8 +124,32 @@ def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
     """A shell in which ROS is not sourced tells nothing of the daemon's."""
     judged = judge_ros(found, distro=distro, installed=installed)
     assert judged.health is health
-    assert remedy in "".join(judged.remedies)
+    assert "".join(judged.remedies).startswith(remedy)
     assert bool(judged.remedies) is (health is Health.WRONG)
+    assert "jazzy" in installed or "source /opt" not in "".join(judged.remedies)
+
+
+PYPI = "/home/ubuntu/arpd/.venv/lib/python3.12/site-packages/rclpy/__init__.py"
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedies"),
+    [
+        ({}, ["sudo apt install --reinstall ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp"]),
+        ({"rclpy": PYPI}, ["/venv/bin/python -m pip install --force-reinstall 'ros-jazzy-rclpy[fastrtps]'"]),
+        ({"numpy": "2.4.6"} | OWN_NUMPY, ["/venv/bin/python -m pip install 'numpy<2'"]),
+        (
+            {"fault": "it ended with status 102: Expected RMW implementation identifier of 'rmw_other'"},
+            ["unset RMW_IMPLEMENTATION", "sudo apt install --reinstall"],
+        ),
+    ],
+)
+def test_an_rclpy_that_does_not_work_is_mended_where_it_comes_from(changes, remedies):
+    """Apt mends its own, pip its own; an unfit numpy or middleware is the fault itself."""
+    found = replace(WORKS, **({"fault": "it ended with status -11"} | changes))
+    lines = judge_ros(found, distro="jazzy", installed=["jazzy"]).remedies
+    assert len(lines) == len(remedies)
+    assert all(line.startswith(start) for line, start in zip(lines, remedies, strict=True))
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,24 @@ def test_the_last_line_counts_also_of_a_process_that_crashed(output, code, rclpy
     assert (found.rclpy, found.fault) == (rclpy, fault)
 
 
+def test_a_process_that_died_says_why_in_its_last_line():
+    """As rcl does where RMW_IMPLEMENTATION names a middleware that is not there."""
+    died = subprocess.CompletedProcess(["python"], 102, stdout='{"rclpy": "r"}\n', stderr="first\nno rmw_other\n\n")
+    found = read_ros("python", run=lambda _python: died)
+    assert isinstance(found, PythonRos)
+    assert (found.rclpy, found.fault) == ("r", "it ended with status 102: no rmw_other")
+
+
+def test_an_rclpy_that_cannot_be_imported_is_there_all_the_same(tmp_path, monkeypatch):
+    """So that it is repaired and not installed."""
+    (tmp_path / "rclpy").mkdir()
+    (tmp_path / "rclpy/__init__.py").write_text("raise ImportError('no C extension')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    found = read_ros(sys.executable)
+    assert isinstance(found, PythonRos)
+    assert (found.rclpy, found.fault) == (str(tmp_path / "rclpy/__init__.py"), "ImportError: no C extension")
+
+
 @pytest.mark.parametrize("fault", [FileNotFoundError("python"), subprocess.TimeoutExpired("python", 20)])
 def test_an_interpreter_that_does_not_answer_is_not_known(fault):
     """It may be busy, or gone."""
