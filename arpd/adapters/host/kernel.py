@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import socket
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -63,8 +64,9 @@ def interface_to(address: str) -> str | None:
 
 
 def is_own_address(address: str) -> bool:
-    """Return whether an address, or a host name, is this computer's."""
-    return _on_the_way(address, lambda asked: asked.getsockname()[0] == asked.getpeername()[0]) is True
+    """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
+    ends = _on_the_way(address, lambda asked: (asked.getsockname()[0], asked.getpeername()[0]))
+    return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
 
 
 def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
@@ -73,7 +75,7 @@ def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
             asked.connect((address, _DISCARD_PORT))
             return ask(asked)
-    except OSError:
+    except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
         return None
 
 

@@ -75,6 +75,8 @@ def test_the_route_to_this_computer_is_the_loopback():
     assert interface_to("127.0.0.1") == "lo"
     assert (route_mtu("127.0.0.1") or 0) >= 16_384
     assert is_own_address("localhost")
+    assert is_own_address("127.0.1.1")
+    assert not is_own_address("robot..local")
     assert not is_own_address("192.0.2.77")
     assert not is_own_address("no.such.host.invalid")
     assert interface_to("no.such.host.invalid") is None
