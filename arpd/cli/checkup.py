@@ -7,7 +7,6 @@ import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from arpd import __version__
 from arpd.adapters.config.domain import local_domain
@@ -19,6 +18,7 @@ from arpd.adapters.ros.profile import profile_line
 from arpd.adapters.ros.rmw import rmw_of
 from arpd.adapters.systemd.services import service_states
 from arpd.cli.client import DaemonAddress, find, number, rows, text
+from arpd.cli.no_daemon import host_of, is_here
 from arpd.model.errors import ConfigError, DaemonUnreachableError
 from arpd.model.settings import AUTO, Settings
 from arpd.report import health_host, health_link
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from arpd.report.health_host import NetworkLimits, PythonRos
     from arpd.report.health_link import HeardDiscovery, RadioState
 
-_LOOPBACK = {"", "localhost", "::1"}
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
 UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
 _UNITS_OF_CEDDP = {"arpd-peer", "arpd-relay-far"}
@@ -95,8 +94,8 @@ class Checkup:
 
 def check_up(asked: Asked, senses: Senses) -> Checkup:
     """Read everything, and judge it."""
-    url_host = urlsplit(asked.daemon.url).hostname or ""
-    is_remote = url_host not in _LOOPBACK and not senses.is_own_address(url_host)
+    url_host = host_of(asked.daemon.url)
+    is_remote = bool(url_host) and not is_here(asked.daemon.url, is_own_address=senses.is_own_address)
     installed = _installed(senses.units())
     is_far = asked.is_far or is_remote or _is_ceddp(installed)
     settings, faults = _configuration(asked.config_path, is_far=is_far)

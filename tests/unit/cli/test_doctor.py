@@ -284,6 +284,8 @@ def test_the_command_prints_and_exits(run, tmp_path, monkeypatch):
             assert (code, json.loads(out)["ok"]) == (expected, not expected)
     for words in (("--listen", "-1"), ("--listen", "soon"), ("--url", "robot", "--config", config)):
         assert run("doctor", *words)[0] == 2
+    code, out, err = run("doctor", "--url", "http://[robot:9464", "--config", config)
+    assert (code, out, err.count("\n")) == (2, "", 1)
 
 
 @pytest.fixture
