@@ -29,19 +29,27 @@ def read_limits(proc: Path = _PROC) -> NetworkLimits:
     """Return the limits for datagrams and the losses, of this network namespace where the kernel counts by those."""
     udp, ip = _counters(proc, "Udp"), _counters(proc, "Ip")
     return NetworkLimits(
-        buffer_bytes=_number(proc / "sys/net/core/rmem_default"),
+        buffer_bytes=read_number(proc / "sys/net/core/rmem_default"),
         received=udp.get("InDatagrams"),
         overflowed=udp.get("RcvbufErrors"),
-        reassembly_s=_number(proc / "sys/net/ipv4/ipfrag_time"),
-        reassembly_bytes=_number(proc / "sys/net/ipv4/ipfrag_high_thresh"),
+        reassembly_s=read_number(proc / "sys/net/ipv4/ipfrag_time"),
+        reassembly_bytes=read_number(proc / "sys/net/ipv4/ipfrag_high_thresh"),
         reassembled=ip.get("ReasmOKs"),
         incomplete=ip.get("ReasmFails"),
     )
 
 
+def read_number(path: Path) -> int | None:
+    """Return the number in a file of the kernel's, None if there is none."""
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
 def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int | Unknown:
     """Return the MTU of an interface (bytes)."""
-    found = _number(sys_net / interface / "mtu")
+    found = read_number(sys_net / interface / "mtu")
     return Unknown(f"there is no interface {interface}") if found is None else found
 
 
@@ -91,13 +99,6 @@ def is_clock_synchronised(ask: Callable[[], int] = _adjtimex) -> bool | None:
     except (OSError, AttributeError):
         return None
     return None if state < 0 else state != _TIME_ERROR
-
-
-def _number(path: Path) -> int | None:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):
-        return None
 
 
 def _counters(proc: Path, protocol: str) -> dict[str, int]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.adapters.host.interface import index_of
+from arpd.adapters.host.kernel import read_number
 from arpd.adapters.host.radio import ask_stations
 from arpd.adapters.systemd.services import service_states
 from arpd.report.health import Unknown
@@ -72,7 +73,7 @@ def read_radio(
     return RadioState(
         saves_power=_read(lambda: saves_power(power_save(index)), "power save"),
         signal_dbm=_read(lambda: signal_dbm(stations(index)), "a signal"),
-        region=_read(lambda: region_of(regions(index), radio=_number(radio / "index")), "a regulatory domain"),
+        region=_read(lambda: region_of(regions(index), radio=read_number(radio / "index")), "a regulatory domain"),
         has_network_manager=has_network_manager(),
     )
 
@@ -125,10 +126,3 @@ def _read(read: Callable[[], T | None], what: str) -> T | Unknown:
     except Exception as error:  # noqa: BLE001 - permission, driver or pyroute2; the other facts may still be known
         return Unknown(f"nl80211 does not tell {what} ({type(error).__name__}: {error})")
     return Unknown(f"the radio tells no {what.removeprefix('a ')} now") if found is None else found
-
-
-def _number(path: Path) -> int | None:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):
-        return None
