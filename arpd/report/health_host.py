@@ -69,7 +69,7 @@ def judge_buffers(limits: NetworkLimits) -> Judgement:
         f"{lost} of {total} datagrams since the start ({format_share(lost / total)}) met a full receive buffer of "
         f"{format_size(size)} (net.core.rmem_default) and were lost",
         "echo net.core.rmem_default=8388608 | sudo tee /etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system"
-        "   # then restart the nodes",
+        "   # then restart arpd and your nodes",
     )
 
 
