@@ -171,7 +171,7 @@ def _no_answer(url: str, reason: object) -> DaemonUnreachableError:
         why = f"{url} cannot be reached by TLS ({reason.reason or 'the handshake failed'}); does it speak https?"
         return DaemonUnreachableError(why)
     hint = "is it running (systemctl status arpd), and is http.port the same?"
-    return NoAnswerError(f"no daemon answers at {url} ({reason}); {hint}")
+    return NoAnswerError(f"no daemon answers at {url} ({reason}); {hint}", is_late=isinstance(reason, TimeoutError))
 
 
 def _get(address: str, login: Login) -> tuple[int, bytes]:

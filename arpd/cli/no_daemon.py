@@ -30,8 +30,10 @@ def tell_no_daemon(error: DaemonUnreachableError, url: str) -> None:
     from arpd.adapters.systemd.services import service_states
 
     print(f"arpd: {error}", file=sys.stderr)
-    if isinstance(error, NoAnswerError) and is_here(url) and (step := next_step(service_states(_ROBOT, _OTHER_END))):
-        print(f"arpd: {step}", file=sys.stderr)
+    if isinstance(error, NoAnswerError) and is_here(url):
+        step = next_step(service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
+        if step:
+            print(f"arpd: {step}", file=sys.stderr)
 
 
 def _is_own_address(host: str) -> bool:
@@ -65,13 +67,18 @@ def host_of(url: str) -> str:
         raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
 
 
-def next_step(units: Mapping[str, ServiceState]) -> str:
-    """Say what the units tell about a daemon that does not answer here, and what to do; empty without units."""
+def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> str:
+    """Say what the units tell about a daemon that does not answer here, and what to do; empty without units.
+
+    Parameters
+    ----------
+    is_late : whether somebody listens, and has not answered in time
+    """
     robot, other_end = units.get(_ROBOT), units.get(_OTHER_END)
     if robot is None:
         return ""
     if robot.active not in _ENDED:
-        return _of_running(robot)
+        return _of_running(robot, is_late=is_late)
     if other_end is not None and other_end.active == "active":
         return "arpd-peer runs here, so this is the other end of the link: run arpd status on the robot"
     if not robot.is_installed:
@@ -79,11 +86,13 @@ def next_step(units: Mapping[str, ServiceState]) -> str:
     return f"arpd.service is not started: sudo systemctl {'start' if robot.is_enabled else 'enable --now'} arpd"
 
 
-def _of_running(robot: ServiceState) -> str:
+def _of_running(robot: ServiceState, *, is_late: bool) -> str:
     is_repeated = robot.sub == "auto-restart"
     if robot.active == "failed" or is_repeated:
         return f"arpd.service failed, {_cause(robot)}{'; systemd starts it again' if is_repeated else ''}"
-    if robot.active == "active":
+    if is_late:
+        return f"arpd.service listens, and is too busy to answer or hangs; ask again, or {_JOURNAL}"
+    if robot.active in {"active", "reloading"}:
         return f"arpd.service runs, but not at this address: compare http.host and http.port of its file; {_JOURNAL}"
     return "arpd.service is starting; ask again in some seconds, or follow it: journalctl -fu arpd"
 

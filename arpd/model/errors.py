@@ -46,7 +46,17 @@ class DaemonUnreachableError(ArpdError):
 
 
 class NoAnswerError(DaemonUnreachableError):
-    """Address at which nothing listens, or what listens says nothing."""
+    """Address at which nothing listens, or what listens says nothing.
+
+    Parameters
+    ----------
+    message : what the user reads
+    is_late : whether somebody listens, and has not answered in time
+    """
+
+    def __init__(self, message: str, *, is_late: bool = False) -> None:
+        super().__init__(message)
+        self.is_late = is_late
 
 
 class LinkError(ArpdError):

@@ -17,6 +17,7 @@ def unit(active, **fields):
     ("robot", "other_end", "words"),
     [
         (unit("active", sub="running"), "inactive", "http.port"),
+        (unit("reloading", sub="reload"), "inactive", "http.port"),
         (unit("activating", sub="start"), "inactive", "ask again"),
         (unit("activating", sub="auto-restart", exit_code=1), "inactive", "exit code 1"),
         (unit("activating", sub="auto-restart", exit_code=69), "inactive", "ROS cannot be used"),
@@ -31,6 +32,13 @@ def unit(active, **fields):
 def test_the_units_tell_the_next_step(robot, other_end, words):
     """Each state of the units has one sentence with what to do."""
     assert words in next_step({"arpd": robot, "arpd-peer": unit(other_end)})
+
+
+def test_a_daemon_that_is_late_runs_at_the_right_address():
+    """A busy Pi needs no other configuration."""
+    step = next_step({"arpd": unit("active", sub="running")}, is_late=True)
+    assert "ask again" in step
+    assert "http.port" not in step
 
 
 def test_without_systemd_there_is_nothing_to_tell():

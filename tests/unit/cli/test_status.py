@@ -228,7 +228,7 @@ def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch, command
     code, out, err = run(*command, "--url", url)
     assert (code, out) == (ended, "")
     assert "arpd check" in err
-    assert "arpd.service" not in run(*command, "--url", url.replace("127.0.0.1", "127.0.0.2"))[2]
+    assert "arpd.service" not in run(*command, "--url", "http://robot.invalid:9464")[2]
 
 
 def test_it_says_what_a_silent_daemon_leaves(status):
