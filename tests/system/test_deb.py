@@ -77,7 +77,8 @@ class Packages:
         made = self.pi.booted.call("dpkg-deb", "-R", self.files["first"], "/srv/debs/second")
         assert made.returncode == 0, made.stderr
         (main,) = self.pi.path("/srv/debs/second").glob("usr/lib/arpd/env/lib/python*/site-packages/arpd/cli/main.py")
-        for changed, second in ((main, "/arpd/cli/main.py"), (self.pi.path(f"/srv/debs/second{CONFIG}"), CONFIG)):
+        default = self.pi.path(f"/srv/debs/second/usr/share/arpd{CONFIG}")
+        for changed, second in ((main, "/arpd/cli/main.py"), (default, CONFIG)):
             shutil.copyfile(self.pi.path(f"/srv/second{second}"), changed)
         control = self.pi.path("/srv/debs/second/DEBIAN/control")
         substitute(control, f"Version: {VERSIONS['first']}\n", f"Version: {VERSIONS['second']}\n")
@@ -87,7 +88,7 @@ class Packages:
 
     def install(self, version):
         """Install a version, again if it is there, as a script does: without questions."""
-        options = ("-y", "--allow-downgrades", "--reinstall", "-oDpkg::Options::=--force-confold")
+        options = ("-y", "--allow-downgrades", "--reinstall")
         environment = ("DEBIAN_FRONTEND=noninteractive",)
         return self.pi.run("apt-get", "install", *options, self.files[version], environment=environment)
 
@@ -156,7 +157,8 @@ def test_a_fresh_computer_has_arpd_and_runs_nothing(fresh):
     assert booted.call("dpkg", "--verify", NAME).stdout == ""
     listed = set(booted.call("dpkg", "--listfiles", NAME).stdout.split())
     made = {path for path in fresh.named_arpd() if not path.startswith("/var/")} - listed
-    assert made == {"/usr/local/bin/arpd", "/usr/local/share/arpd", user_world.PROFILE}
+    links = {"/usr/local/bin/arpd", "/usr/local/share/arpd", user_world.PROFILE}
+    assert made == links | {"/etc/arpd", CONFIG, "/etc/default/arpd"}
     assert booted.call("id", "arpd").returncode == 0
 
 
@@ -207,7 +209,7 @@ def test_the_enabled_daemon_tunes_a_users_node(running, tmp_path):
 
 
 def test_an_upgrade_restarts_what_runs_and_keeps_the_configuration(running):
-    """Running units run the new version, stopped ones stay stopped, and an edited file stays."""
+    """Running units run the new version, stopped ones stay stopped, and a new default lies beside an edited file."""
     config = running.pi.path(CONFIG)
     config.write_text(config.read_text() + "# mine\n")
     edited, before = config.read_text(), running.pi.processes()
@@ -216,6 +218,8 @@ def test_an_upgrade_restarts_what_runs_and_keeps_the_configuration(running):
     assert running.status() == "installed 99.0"
     assert "systemctl enable" not in told
     assert config.read_text() == edited
+    assert running.pi.path(f"{CONFIG}.new").read_text().endswith("# A default of the second version.\n")
+    assert not running.pi.path("/etc/default/arpd.new").exists()
     after = running.pi.processes()
     assert all(after[unit] not in ("0", before[unit]) for unit in before)
     assert running.pi.states() == ON_THE_ROBOT
@@ -262,6 +266,23 @@ def test_package_and_script_refuse_each_other(running):
     running.pi.path("/opt/arpd").rmdir()
     assert code != 0
     assert "sudo /opt/arpd/current/share/arpd/scripts/uninstall.sh" in told
+
+
+def test_a_purge_keeps_what_the_script_has_installed_since(running):
+    """Configuration and user stay if scripts/install.sh has installed arpd after the package was removed."""
+    config = running.pi.path(CONFIG)
+    config.write_text(config.read_text() + "# mine\n")
+    edited = config.read_text()
+    assert running.remove("remove")[0] == 0
+    running.pi.path("/opt/arpd/versions").mkdir(parents=True)
+    code, told = running.remove("purge")
+    running.pi.path("/opt/arpd/versions").rmdir()
+    running.pi.path("/opt/arpd").rmdir()
+    assert code == 0, told
+    assert "installed" not in running.status().split()
+    assert config.read_text() == edited
+    assert running.pi.path("/etc/default/arpd").exists()
+    assert running.pi.booted.call("id", "arpd").returncode == 0
 
 
 def test_removing_keeps_the_configuration_and_a_purge_leaves_nothing(running):
