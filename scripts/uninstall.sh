@@ -102,6 +102,10 @@ main() {
             ;;
         esac
     done
+    if has_package; then
+        say "arpd came with the Debian package arpd-ros; remove that: sudo apt remove arpd-ros"
+        exit 1
+    fi
     if ! $dry_run && [ "$(id -u)" != 0 ]; then
         say "not root; sudo $0"
         exit 1

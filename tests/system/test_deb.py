@@ -259,6 +259,11 @@ def test_package_and_script_refuse_each_other(running):
     code, told = running.pi.install("first")
     assert code == 1
     assert "sudo apt remove arpd-ros" in told
+    before = running.named_arpd()
+    code, told = running.pi.run("/srv/first/scripts/uninstall.sh", "--purge")
+    assert code == 1
+    assert "sudo apt remove arpd-ros" in told
+    assert (running.named_arpd(), running.pi.states()) == (before, ON_THE_ROBOT)
     assert running.remove("purge")[0] == 0
     running.pi.path("/opt/arpd/versions").mkdir(parents=True)
     code, told = running.install("first")
