@@ -275,7 +275,8 @@ back_to_old() {
     for unit in "${restarted[@]}"; do bring_up "$unit" || tell_why "$unit"; done
 }
 
-# A first installation that does not start stays, because there is no version to go back to.
+# A first installation that does not start stays, because there is no version to go back to. A unit may be enabled and
+# stopped: the Debian package leaves its units so when it is removed.
 set_role() {
     local unit wanted other=()
     failed=()
@@ -289,9 +290,10 @@ set_role() {
         step "stop and disable $unit" disable "$unit"
     done
     for unit in "${wanted[@]}"; do
-        if systemctl --quiet is-enabled "$unit" 2>/dev/null; then continue; fi
-        step "enable $unit" systemctl --quiet enable "$unit"
-        if ! $start || step "start $unit" bring_up "$unit"; then continue; fi
+        if ! systemctl --quiet is-enabled "$unit" 2>/dev/null; then
+            step "enable $unit" systemctl --quiet enable "$unit"
+        fi
+        if ! $start || [ "$(state "$unit")" = active ] || step "start $unit" bring_up "$unit"; then continue; fi
         tell_why "$unit"
         failed+=("$unit")
     done

@@ -394,6 +394,17 @@ def test_a_computer_can_change_its_role(some_version):
         } == role
 
 
+def test_a_given_role_starts_its_stopped_units(some_version):
+    """The option --robot starts a unit that is enabled and stopped, and leaves the one that runs alone."""
+    some_version.booted.call("systemctl", "stop", "arpd")
+    relay = some_version.processes()["arpd-relay"]
+    version = "second" if some_version.current().startswith("99.0-") else "first"
+    code, told = some_version.install(version, "--robot")
+    assert code == 0, told
+    assert some_version.states() == ON_THE_ROBOT
+    assert some_version.processes()["arpd-relay"] == relay
+
+
 def test_uninstalling_leaves_what_it_says_and_a_purge_nothing(some_version):
     """Configuration and user stay until a purge, and a second purge works, too."""
     shutil.copytree(some_version.path("/opt/arpd/current/share/arpd/scripts"), some_version.path("/srv/scripts"))
