@@ -225,6 +225,16 @@ def test_an_upgrade_restarts_what_runs_and_keeps_the_configuration(running):
     assert running.pi.states() == ON_THE_ROBOT
 
 
+def test_an_installation_names_what_is_enabled_and_stopped(running):
+    """A unit that the operator stopped stays stopped, and the installation shows the line that starts it."""
+    running.pi.booted.call("systemctl", "stop", "arpd")
+    code, told = running.install("first")
+    assert code == 0, told
+    assert "sudo systemctl start arpd\n" in told
+    assert "systemctl enable" not in told
+    assert running.pi.states() == {**ON_THE_ROBOT, "arpd": "inactive"}
+
+
 def test_an_upgrade_whose_configuration_is_refused_keeps_the_old_processes(running):
     """The upgrade names the fault with file and line, and the line that starts the new version; no unit restarts."""
     config = running.pi.path(CONFIG)
