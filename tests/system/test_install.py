@@ -44,8 +44,9 @@ SHELL = (
     "deb",
     *(f"debian/{name}" for name in ("preinst", "postinst", "prerm", "postrm")),
 )
+SYSTEMS_PYTHON = Path("/usr/bin/python3").resolve().name
 # Where /usr/bin/python3 finds the library.
-LIBRARY = f"/usr/local/lib/{Path('/usr/bin/python3').resolve().name}/dist-packages/arpd"
+LIBRARY = f"/usr/local/lib/{SYSTEMS_PYTHON}/dist-packages/arpd"
 ON_THE_ROBOT = {"arpd": "active", "arpd-relay": "active", "arpd-relay-far": "inactive", "arpd-peer": "inactive"}
 
 
@@ -158,6 +159,7 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
         "/usr/local/bin/arpd": "of somebody else\n",
         "/opt/arpd/theirs": "of somebody else\n",
         f"{LIBRARY}/__init__.py": "of somebody else\n",
+        f"/usr/lib/{SYSTEMS_PYTHON}/EXTERNALLY-MANAGED": "[externally-managed]\n",
         "/usr/local/bin/dpkg-query": "#!/bin/sh\necho installed\n",
         "/etc/systemd/system/arpd.service": "[Service]\n",
         "/etc/systemd/system/arpd-peer.service": Path("/dev/null"),
@@ -170,7 +172,7 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_is_touched(chroot, tmp_pa
         r"no ROS 2 Jazzy under /opt/ros/jazzy.*apt install ros-jazzy-ros-base",
         r"/opt/arpd exists, but this script did not make it",
         r"/usr/local/bin/arpd does not belong to arpd",
-        rf"{LIBRARY} does not belong.*pip uninstall arpd",
+        rf"{LIBRARY} does not belong.*pip uninstall arpd --break-system-packages",
         r"package arpd-ros is installed.*sudo apt remove arpd-ros",
         r"/etc/systemd/system/arpd.service hides the unit",
         r"arpd-peer.service is masked; sudo systemctl unmask arpd-peer",
