@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import subprocess
 from importlib import metadata
 from importlib.util import cache_from_source
+from itertools import pairwise
 
 import pytest
 
@@ -26,6 +28,7 @@ from tests.system.fake_pi import (
     installed_by_apt,
     substitute,
     systems_site_packages,
+    unpack_source,
 )
 
 pytestmark = [
@@ -137,6 +140,36 @@ def running(packages):
     enabled = packages.pi.booted.call("systemctl", "enable", "--now", "arpd", "arpd-relay")
     assert enabled.returncode == 0, enabled.stderr
     return packages
+
+
+def version_of(source):
+    script = '. "$source/scripts/bootstrap"; . "$source/scripts/install-checks"; commit_version'
+    command = ("env", f"source={source}", "bash", "-eu", "-o", "pipefail", "-c", script)
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_each_commit_is_a_newer_version(tmp_path):
+    """An archive has the plain version; dpkg takes a later commit for newer, and an edited checkout for newer still."""
+    git = ("git", "-C", tmp_path, "-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false")
+    subprocess.run([*git, "init", "-q"], check=True)
+    source = tmp_path / "arpd"
+    source.mkdir()
+    unpack_source(source)
+    versions = [version_of(source)]  # in the checkout of another project
+    assert versions == [VERSIONS["first"]]
+    (tmp_path / ".git").rename(source / ".git")
+    git = ("git", "-C", source, *git[3:])
+    for date in ("2026-11-23T23:30:00 -0100", "2026-11-24T01:00:00 +0000"):
+        environ = os.environ | {"GIT_COMMITTER_DATE": date}
+        subprocess.run([*git, "add", "-A"], check=True)
+        subprocess.run([*git, "commit", "-qm", "x", "--allow-empty"], env=environ, check=True)
+        versions.append(version_of(source))
+    (source / "README.md").write_text("mine\n")
+    versions += [version_of(source), f"{VERSIONS['first']}.1"]
+    assert re.fullmatch(rf"{re.escape(VERSIONS['first'])}\+git20261124003000\.[0-9a-f]{{7}}", versions[1])
+    assert versions[3] == f"{versions[2]}.dirty"
+    for older, newer in pairwise(versions):
+        subprocess.run(["dpkg", "--compare-versions", older, "lt", newer], check=True)
 
 
 def test_a_fresh_computer_has_arpd_and_runs_nothing(fresh):
