@@ -316,21 +316,25 @@ def test_package_and_script_refuse_each_other(running):
     assert "sudo /opt/arpd/current/share/arpd/scripts/uninstall.sh" in told
 
 
-def test_a_purge_keeps_what_the_script_has_installed_since(running):
-    """Configuration and user stay if scripts/install.sh has installed arpd after the package was removed."""
+def test_a_computer_can_move_from_the_package_to_the_script(running):
+    """The script starts the units that the removed package left enabled; a purge of the package then takes nothing."""
     config = running.pi.path(CONFIG)
     config.write_text(config.read_text() + "# mine\n")
     edited = config.read_text()
     assert running.remove("remove")[0] == 0
-    running.pi.path("/opt/arpd/versions").mkdir(parents=True)
-    code, told = running.remove("purge")
-    running.pi.path("/opt/arpd/versions").rmdir()
-    running.pi.path("/opt/arpd").rmdir()
-    assert code == 0, told
-    assert "installed" not in running.status().split()
-    assert config.read_text() == edited
-    assert running.pi.path("/etc/default/arpd").exists()
-    assert running.pi.booted.call("id", "arpd").returncode == 0
+    try:
+        code, told = running.pi.install("first")
+        assert code == 0, told
+        before = running.pi.processes()
+        code, told = running.remove("purge")
+        assert code == 0, told
+        assert "installed" not in running.status().split()
+        assert config.read_text() == edited
+        assert running.pi.path("/etc/default/arpd").exists()
+        assert running.pi.booted.call("id", "arpd").returncode == 0
+        assert (running.pi.processes(), running.pi.states()) == (before, ON_THE_ROBOT)
+    finally:
+        running.pi.run("/srv/first/scripts/uninstall.sh")
 
 
 def test_removing_keeps_the_configuration_and_a_purge_leaves_nothing(running):
