@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.two_ends_account import Death, Reading, gaps, reachable, row, sets_of, unfolded
 from scripts.bench.two_ends_calls import summary
-from scripts.bench.two_ends_nodes import DEMAND, LATCHED, SET_TOPICS, STREAMS
+from scripts.bench.two_ends_nodes import DEMAND, LATCHED, SET_TOPICS, STREAMS, VISIT_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -85,7 +85,7 @@ def _visits(visits: list[dict[str, Any]], course: Course) -> list[dict[str, Any]
     found = []
     for visit in visits:
         at_s, first_s = visit["at_s"], visit["first_s"]
-        until_s = at_s if first_s is None else first_s
+        until_s = at_s + VISIT_S if first_s is None else first_s
         meanwhile = [what for what, begin_s, over_s in course.disturbed if begin_s <= until_s and over_s >= at_s - 5.0]
         found.append(
             {

@@ -24,7 +24,7 @@ LATCHED, DEMAND = "/robot_description", "/on_demand"
 _IMAGE_BYTES = 10_000
 _READER_DEPTH = 2000
 _POLL_S = 0.004
-_VISIT_S = 15.0  # a reader that has nothing by then gives up
+VISIT_S = 15.0  # a reader that has nothing by then gives up
 _NANOSECONDS = 10**9
 
 
@@ -272,7 +272,7 @@ class Visitors:
                 visit.newest[writer] = [number, now_s]
             if visit.first_s is None:
                 visit.first_s, visit.first_number = now_s, number
-        until_s = visit.at_s + _VISIT_S if visit.first_s is None else visit.first_s + self._stays_s
+        until_s = visit.at_s + VISIT_S if visit.first_s is None else visit.first_s + self._stays_s
         if now_s >= until_s:
             self._node.destroy_subscription(visit.reader)
             noted = {"at_s": visit.at_s, "first_s": visit.first_s, "first_number": visit.first_number}
