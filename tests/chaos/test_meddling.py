@@ -122,7 +122,7 @@ def fight(world, *, is_at_once):
     time.sleep(2.0)  # until its last action is announced
     wait(lambda: world.shows(FOUGHT, depth=loser), 20.0)
     sent = talker.tell("publish", is_on=False)
-    insist(lambda: world.shows(FOUGHT, offered=sent, queued=0), "the queue is empty")
+    insist(lambda: world.shows(FOUGHT, offered=sent, queued=0) and world.rests(FOUGHT), "the queue is empty")
     wait(lambda: len(reader.numbers[FOUGHT]) == sent, 10.0)
     logs = [daemon.log() for daemon in daemons.values()]
     print(dict(fought.swaps_by_result), [(s.depth, s.generation) for s in world.announced(FOUGHT)], *logs, sep="\n")

@@ -419,7 +419,7 @@ def test_only_due_publishers_are_served(ros, monkeypatch, eventually):
         publisher.offer(b"paced")
     eventually(lambda: state(publisher).published == 20)
     assert calls[publisher] >= 5
-    assert all(calls[one] <= 1 for one in idle)  # at its creation
+    assert all(calls[one] <= 2 for one in idle)  # at its creation, and if that was late, with its sample
 
 
 def test_what_waits_leaves_without_further_offers(ros, monkeypatch, eventually):
