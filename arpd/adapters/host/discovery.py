@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
 _PORT, _PORTS_OF_DOMAIN, _MOST_DOMAIN = 7400, 250, 232
-_GUID = slice(8, 20)  # of the sender, in the header of every RTPS message
+_GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS message
 _FIRST_SUBMESSAGE = 20
 _DATA, _LITTLE_ENDIAN = 0x15, 0x01
 _TO_PARAMETERS = 20 + 4  # from the body of a DATA submessage without inline QoS: two ids, a number, CDR header
@@ -59,9 +59,10 @@ class DiscoveryEar:
     def take(self, packet: bytes, sender: str) -> None:
         """Take one datagram of the discovery port, from an address."""
         self._bytes += len(packet) + _HEADERS_BYTES
-        if packet[:4] != b"RTPS" or len(packet) < _FIRST_SUBMESSAGE or len(self._participants) >= _MOST_PARTICIPANTS:
+        participant = participant_in(packet)
+        if participant is None or len(self._participants) >= _MOST_PARTICIPANTS:
             return
-        known = self._participants.setdefault(packet[_GUID], _Participant(sender))
+        known = self._participants.setdefault(participant, _Participant(sender))
         known.properties.update(announced_properties(packet))
 
     def heard(self, *, domain_id: int, elapsed_s: float) -> HeardDiscovery:
@@ -176,7 +177,10 @@ def listen(
     every = ipv4_addresses()
     ear = DiscoveryEar(frozenset[str]().union(*every.values()))
     try:
-        with _hearing(_PORT + _PORTS_OF_DOMAIN * domain_id, index) as heard:
+        with discovery_socket(domain_id) as heard:
+            heard.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
+            heard.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+            join_discovery(heard, index)
             began_s = clock()
             while (left_s := began_s + duration_s - clock()) > 0:
                 if not select.select([heard], [], [], left_s)[0]:
@@ -190,17 +194,36 @@ def listen(
     return ear.heard(domain_id=domain_id, elapsed_s=duration_s)
 
 
-def _hearing(port: int, index: int) -> socket.socket:
-    """Return a socket that hears the multicast group on one interface."""
+def discovery_socket(domain_id: int) -> socket.socket:
+    """Return a socket for the multicast discovery of a domain; it hears the interfaces of `join_discovery`.
+
+    Raises
+    ------
+    OSError
+        If the kernel refuses it.
+    """
     heard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         heard.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        heard.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
-        heard.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-        heard.bind((_GROUP, port))
-        member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
-        heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        heard.bind((_GROUP, _PORT + _PORTS_OF_DOMAIN * domain_id))
     except BaseException:
         heard.close()
         raise
     return heard
+
+
+def join_discovery(heard: socket.socket, index: int) -> None:
+    """Let a socket hear the interface with a number of the kernel.
+
+    Raises
+    ------
+    OSError
+        If it cannot join the group: it is down, or has no address.
+    """
+    member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
+    heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+
+
+def participant_in(packet: bytes) -> bytes | None:
+    """Return the first bytes of the GUIDs of the process that sent a packet, None if it is no message of RTPS."""
+    return packet[_GUID] if packet[:4] == b"RTPS" and len(packet) >= _FIRST_SUBMESSAGE else None

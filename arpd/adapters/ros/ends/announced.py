@@ -5,18 +5,17 @@ from __future__ import annotations
 import logging
 import select
 import socket
-import struct
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
+
+from arpd.adapters.host.discovery import discovery_socket, join_discovery, participant_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
 log = logging.getLogger(__name__)
-_GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
-_PORT, _PORTS_OF_DOMAIN = 7400, 250
-_GUID = slice(8, 20)  # of the sender, in the header of every RTPS message
 _MOST = 1000
 _FORGET_S = 60.0
 
@@ -37,7 +36,7 @@ class AnnouncedParticipants:
         self._is_ended = False
         self._socket: socket.socket | None = None
         try:
-            self._socket = _listening(_PORT + _PORTS_OF_DOMAIN * domain_id)
+            self._socket = _listening(domain_id)
         except OSError as error:
             log.warning("cannot listen for nodes that cross the link on their own: %s", error)
             return
@@ -58,21 +57,16 @@ class AnnouncedParticipants:
                 if not select.select([heard], [], [], 1.0)[0]:
                     continue
                 packet = heard.recv(64)  # its header is enough
-                if packet[:4] == b"RTPS" and len(packet) >= _GUID.stop:
+                if (participant := participant_in(packet)) is not None:
                     if len(self._heard_s) > _MOST:
                         self._heard_s.clear()
-                    self._heard_s[packet[_GUID].hex()] = time.monotonic()
+                    self._heard_s[participant.hex()] = time.monotonic()
 
 
-def _listening(port: int) -> socket.socket:
-    """Return a socket that hears the multicast group on every interface that can join it."""
-    heard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    heard.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    heard.bind((_GROUP, port))
+def _listening(domain_id: int) -> socket.socket:
+    """Return a socket that hears the multicast discovery on every interface that can join it."""
+    heard = discovery_socket(domain_id)
     for index, _name in socket.if_nameindex():
-        member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
-        try:
-            heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-        except OSError:
-            continue  # down, or without an address
+        with suppress(OSError):  # down, or without an address
+            join_discovery(heard, index)
     return heard
