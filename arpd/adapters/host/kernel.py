@@ -8,8 +8,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-import psutil
-
+from arpd.adapters.host.interface import ipv4_addresses
 from arpd.report.health import Unknown
 from arpd.report.health_host import NetworkLimits
 
@@ -64,11 +63,7 @@ def route_mtu(address: str) -> int | None:
 def interface_to(address: str) -> str | None:
     """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
     own: str | None = _on_the_way(address, lambda asked: asked.getsockname()[0])
-    try:
-        every = psutil.net_if_addrs()
-    except OSError:
-        return None
-    return next((name for name, found in every.items() if any(each.address == own for each in found)), None)
+    return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
 
 
 def is_own_address(address: str) -> bool:

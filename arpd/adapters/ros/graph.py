@@ -241,6 +241,11 @@ def participant_of(info: Any) -> bytes:
     return bytes(info.endpoint_gid)[:_PARTICIPANT_BYTES]
 
 
+def host_of(participant: bytes) -> bytes:
+    """Return the part of a process's GUIDs that names its host; only Fast DDS has one."""
+    return participant[2:4]
+
+
 def type_name_of(msg_type: Any) -> str:
     """Return the ROS name of a message class, ``sensor_msgs/msg/LaserScan``."""
     package = msg_type.__module__.split(".")[0]
@@ -250,7 +255,7 @@ def type_name_of(msg_type: Any) -> str:
 def _endpoint(info: Any) -> Endpoint:
     participant = participant_of(info)
     return Endpoint(
-        host=participant[2:4],
+        host=host_of(participant),
         participant=participant,
         deadline_ns=deadline_ns_of(info.qos_profile),
         node=known_node_of(info),

@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import own_participant
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
-from arpd.adapters.ros.graph import policies_of
+from arpd.adapters.ros.graph import host_of, policies_of
 from arpd.adapters.ros.link_topics import (
     FoundTopic,
     Sides,
@@ -44,7 +44,6 @@ _REST = 4.0  # times as long as a look
 _HISTORY_S = 1.0  # in which the history of a latched topic arrives
 _DEPTH = 5  # samples that wait for the thread; a lost one counts all the same
 _TURN_S = 0.05
-_HOST = slice(2, 4)  # bytes of a GUID that name the host (Fast DDS)
 
 
 @dataclass(slots=True)
@@ -219,4 +218,4 @@ def _host_check(rmw: Rmw, own: bytes) -> Callable[[bytes], bool]:
         return lambda _participant: True
     if not rmw.tells_hosts:
         return lambda _participant: False
-    return lambda participant: participant[_HOST] == own[_HOST]
+    return lambda participant: host_of(participant) == host_of(own)
