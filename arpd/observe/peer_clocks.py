@@ -56,7 +56,7 @@ class PeerClocks:
         now_s : monotonic clock (s)
         """
         self._forget(now_s)
-        return {peer: kept[0].offset for peer, kept in sorted(self._samples.items())}
+        return {peer: kept[0].offset for peer, kept in self._samples.items()}
 
     def _forget(self, now_s: float) -> None:
         for peer, kept in [*self._samples.items()]:

@@ -319,7 +319,7 @@ def _effect(snapshot: Snapshot) -> str:
 
 def _unmeasured(snapshot: Snapshot) -> str:
     """Say that nobody measures the link, empty where a peer does."""
-    if min(snapshot.observation.peer_ages_s.values(), default=math.inf) < waiting.REPORTS_WITHIN_S:
+    if waiting.is_reported(snapshot):
         return ""
     return "no peer reports, so the capacity is a guess and nobody measures the queue"
 
@@ -369,6 +369,8 @@ def status_line(snapshot: Snapshot | None) -> str:
     )
     _, fault = interface_fault(snapshot) or (None, "")
     # Judged at each tick only while nothing is planned: a judgement reads every topic.
-    if not snapshot.managed and (verdict := judge(snapshot).verdict).condition in _WAITS:
-        line = verdict.phrase
-    return "; ".join(said for said in (fault, line, *(finding.phrase for finding in _faults(snapshot))) if said)
+    unplanned = None if snapshot.managed else judge(snapshot)
+    if unplanned is not None and unplanned.verdict.condition in _WAITS:
+        line = unplanned.verdict.phrase
+    faults = _faults(snapshot) if unplanned is None else unplanned.faults
+    return "; ".join(said for said in (fault, line, *(finding.phrase for finding in faults)) if said)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from arpd.model.relay import RelaySummary
     from arpd.report.snapshot import Snapshot
 
-REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
+_REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
 _LIST = "arpd topics lists what there is"
 
 
@@ -45,10 +45,15 @@ def topics(snapshot: Snapshot) -> str:
     )
 
 
+def is_reported(snapshot: Snapshot) -> bool:
+    """Return whether a peer reports."""
+    return any(age_s < _REPORTS_WITHIN_S for age_s in snapshot.observation.peer_ages_s.values())
+
+
 def peer(snapshot: Snapshot) -> str:
     """Say why no peer reports and the next step, empty while one reports."""
     observation = snapshot.observation
-    if min(observation.peer_ages_s.values(), default=REPORTS_WITHIN_S) < REPORTS_WITHIN_S:
+    if is_reported(snapshot):
         return ""
     without = _without_peer(snapshot)
     if observation.peer_ages_s:
