@@ -113,7 +113,7 @@ class Paced(Protocol):
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
 
-    def state(self, *, generation: int, lease_s: float) -> PublisherState:
+    def state(self, *, generation: int, lease_s: float, lacks_profile: bool) -> PublisherState:
         """Return the state to announce."""
 
 
@@ -282,8 +282,11 @@ class NodePublishers:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         generation, lease_s = self._grant.generation, self._grant.lease.granted_s
-        states = (one.state(generation=generation, lease_s=lease_s) for one in publishers)
-        message.status = [to_status(replace(state, lacks_profile=self._lacks_profile)) for state in states]
+        lacks_profile = self._lacks_profile
+        message.status = [
+            to_status(one.state(generation=generation, lease_s=lease_s, lacks_profile=lacks_profile))
+            for one in publishers
+        ]
         if message.status:  # the last one may just be destroyed, and an empty message is none
             self._announcer.publish(message)
 

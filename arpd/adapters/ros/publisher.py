@@ -280,7 +280,7 @@ class AdaptivePublisher:
         finally:
             self._writing.release()
 
-    def state(self, *, generation: int, lease_s: float = 0.0) -> PublisherState:
+    def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
         """Return the settings in force, for the announcement; called about once a second."""
         with self._lock:
             flow, refusal = self._flow.state(), self._refusal if self._refusal.words else self._clamp
@@ -297,6 +297,7 @@ class AdaptivePublisher:
             refusal=refusal.words,
             refusal_reason=refusal.reason,
             keeps_all=self._keeps_all,
+            lacks_profile=lacks_profile,
             **{name: getattr(flow, name) for name in _FLOW_FIELDS},
         )
 
