@@ -208,11 +208,9 @@ def _discovery(asked: Asked, senses: Senses, interface: str, *, has_two_ends: bo
 
 
 def _clocks(status: dict[str, Any] | Unknown) -> list[PeerClock] | Unknown:
-    if isinstance(status, Unknown):
-        return status
-    peers = rows(status, "peers")
-    if any("clock_offset_seconds" not in peer for peer in peers):
-        return _older(status)
+    peers = _told(status, "peers", "clock_offset_seconds")
+    if isinstance(peers, Unknown):
+        return peers
     return [
         PeerClock(
             peer=text(peer, "peer"),
@@ -224,15 +222,19 @@ def _clocks(status: dict[str, Any] | Unknown) -> list[PeerClock] | Unknown:
 
 
 def _lacking(status: dict[str, Any] | Unknown) -> list[str] | Unknown:
-    if isinstance(status, Unknown):
-        return status
-    topics = rows(status, "topics")
-    if any("lacks_profile" not in topic for topic in topics):
-        return _older(status)
+    topics = _told(status, "topics", "lacks_profile")
+    if isinstance(topics, Unknown):
+        return topics
     return sorted({text(topic, "node") for topic in topics if topic["lacks_profile"] is True})
 
 
-def _older(status: dict[str, Any]) -> Unknown:
+def _told(status: dict[str, Any] | Unknown, name: str, key: str) -> list[dict[str, Any]] | Unknown:
+    """Return the objects of a list in the status, unless the daemon is one that does not tell a key of them."""
+    if isinstance(status, Unknown):
+        return status
+    found = rows(status, name)
+    if all(key in row for row in found):
+        return found
     return Unknown(f"the daemon is an older one ({text(status, 'version')}), which does not tell it")
 
 

@@ -12,6 +12,7 @@ from arpd.model.quantities import printable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+WITHOUT_END = 10_000  # columns, or lines, of a pipe
 _LONGEST_NAME = 32  # fits a line of 120 columns
 # A first column up to _WHOLE_NAME wide is worth more than a column of rank 5; the others keep it and the last readable.
 _WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8

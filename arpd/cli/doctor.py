@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import add_address, address
-from arpd.cli.columns import wrapped
+from arpd.cli.columns import WITHOUT_END, wrapped
 from arpd.cli.progress import progress
 from arpd.report.health import Health
 from arpd.report.wording import count
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _LISTEN_S = 6.0  # a participant announces itself every three seconds
 _MOST_LISTEN_S = 600.0
-_WITHOUT_END = 10_000
 _MOST_LINES = 6
 
 
@@ -100,7 +99,7 @@ def _doctor(options: argparse.Namespace, *, default_url: str) -> int:
         print(json.dumps(document(found), indent=2))
     else:
         # A pipe has no width, unless COLUMNS gives it one.
-        width = shutil.get_terminal_size((_WITHOUT_END, _WITHOUT_END)).columns
+        width = shutil.get_terminal_size((WITHOUT_END, WITHOUT_END)).columns
         sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack a character
         print("\n".join(lines(found, width=width, is_verbose=options.verbose)))
     return 1 if any(each.health is Health.WRONG for each in found.judgements) else 0
@@ -124,7 +123,7 @@ def document(found: Checkup) -> dict[str, Any]:
     }
 
 
-def lines(found: Checkup, *, width: int = _WITHOUT_END, is_verbose: bool = False) -> list[str]:
+def lines(found: Checkup, *, width: int = WITHOUT_END, is_verbose: bool = False) -> list[str]:
     """Lay a checkup out for a terminal: what is wrong, each with its remedies, what is not known, and a count.
 
     Parameters

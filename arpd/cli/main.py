@@ -16,7 +16,7 @@ from arpd.cli.solve import add_solve
 from arpd.cli.status import add_status
 from arpd.cli.top import add_top
 from arpd.cli.topics import add_topics
-from arpd.model.errors import ArpdError, ConfigError, RosUnavailableError
+from arpd.model.errors import GET_ROS, ArpdError, ConfigError, RosUnavailableError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _incomplete(package: str, error: ImportError) -> str:
     if package == "rclpy" or package.endswith(("_interfaces", "_msgs")):
-        way_out = "source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
+        way_out = GET_ROS
     else:
         way_out = (
             "scripts/install.sh and arpd's Debian package bring all that its commands need; "

@@ -8,7 +8,7 @@ import sys
 from typing import Any, NamedTuple
 
 from arpd.cli.client import add_address, address, count, counts, find, number, rows, text, texts
-from arpd.cli.columns import cut, last_events, wrapped
+from arpd.cli.columns import WITHOUT_END, cut, last_events, wrapped
 from arpd.cli.no_daemon import tell_no_daemon
 from arpd.cli.status_tables import reader_table, topic_table
 from arpd.model.errors import ArpdError, DaemonUnreachableError
@@ -19,7 +19,6 @@ from arpd.report.status import API_VERSION
 from arpd.report.wording import confirmed, lease
 
 _NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
-_WITHOUT_END = 10_000
 _LABEL = 9
 
 
@@ -67,7 +66,7 @@ def _status(options: argparse.Namespace) -> int:
         import shutil
 
         # A pipe has no width, unless COLUMNS gives it one.
-        width, height = shutil.get_terminal_size((_WITHOUT_END, _WITHOUT_END))
+        width, height = shutil.get_terminal_size((WITHOUT_END, WITHOUT_END))
         sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack an arrow
         print(screen(status, width=width, height=height))
         return 1 if wrong else 0
@@ -78,7 +77,7 @@ def _status(options: argparse.Namespace) -> int:
     return 1 if wrong else 0
 
 
-def screen(status: dict[str, Any], *, width: int = _WITHOUT_END, height: int = _WITHOUT_END) -> str:
+def screen(status: dict[str, Any], *, width: int = WITHOUT_END, height: int = WITHOUT_END) -> str:
     """Lay a status document out for a terminal.
 
     Parameters

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
+from arpd.cli.columns import WITHOUT_END
 from arpd.cli.progress import progress
 from arpd.cli.topics_table import link_table, summary
 from arpd.model.errors import ArpdError, ConfigError, UsageError
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 _SECONDS = 5.0
 _MOST_SECONDS = 600.0
-_WITHOUT_END = 10_000
 _LINK_DOMAINS = (77, 78)  # the second where the nodes live in the first
 
 
@@ -87,7 +87,7 @@ def _list_topics(options: argparse.Namespace) -> int:
     elif options.suggest:
         _suggest(listed, _link(options, settings))
     else:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WITHOUT_END
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WITHOUT_END
         print("\n".join([*link_table(listed.topics, width=width), "", *summary(listed)]))
     if listed.cannot_tell_hosts and not options.json:
         _remark(listed.cannot_tell_hosts)

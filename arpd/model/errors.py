@@ -63,6 +63,10 @@ class LinkError(ArpdError):
     """Link interface that cannot be read (gone, renamed, or never there)."""
 
 
+#: What to do where Python finds no ROS 2.
+GET_ROS = "source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
+
+
 class RosUnavailableError(ArpdError):
     """ROS 2 that this Python cannot import, or that does not start."""
 

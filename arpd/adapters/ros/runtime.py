@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.errors import RosUnavailableError
+from arpd.model.errors import GET_ROS, RosUnavailableError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, MutableMapping
@@ -65,9 +65,7 @@ def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
         import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     except ImportError as error:
-        raise RosUnavailableError(
-            f"ROS 2 cannot be imported ({error}); source /opt/ros/jazzy/setup.bash or pip install 'arpd[ros]'"
-        ) from error
+        raise RosUnavailableError(f"ROS 2 cannot be imported ({error}); {GET_ROS}") from error
     context = rclpy.get_default_context() if link is None else rclpy.Context()
     try:
         with _discovery(link):
