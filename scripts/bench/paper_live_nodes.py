@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from scripts.bench.paper_nodes import Orders
 
 _OWN_DEPTH = 10  # of the application, until arpd sets another
+_COMMAND_DEPTH = 500  # the same; lost commands count from the start, where the link is still overfull
 _READER_DEPTH = 5000
 _SLICE_S = 0.25
 _EMPTY_S, _CALM_S = 5.0, 0.05
@@ -116,7 +117,7 @@ def plan(orders: Orders) -> None:
     order = next_order(orders)
     with spinning("planner") as (node, executor):
         arrivals = [Arrivals() for _ in range(SENSORS)]
-        commanded = AdaptivePublisher(node, String, actuation(order), _OWN_DEPTH)
+        commanded = AdaptivePublisher(node, String, actuation(order), _COMMAND_DEPTH)
         answered = array("q")
 
         def reader(index: int) -> Callable[[bytes, dict[str, int]], None]:

@@ -73,8 +73,7 @@ def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path)
     assert 0.7 < found["max_rate_hz"] / (link["rate_bytes_per_second"] / 1200) < 1.1
     assert found["rate_hz"] == pytest.approx(found["max_rate_hz"] / 12 - 1, rel=0.05)
     assert 400 <= found["depth"] <= 415
-    assert live["sensing"]["lost_ratio"] == 0.0 < live["withheld_ratio"]
-    assert live["lost"] < 0.005 * live["published"]  # commands count from before the first plan, when DEPTH is 10
+    assert live["lost"] == 0 < live["withheld_ratio"]
     for run in document["runs"]:
         assert (run["void"], run["reached_ratio"]) == ("", pytest.approx(1.0, abs=0.05))
         assert run["sensors_cpu"] > 0 < run["planner_cpu"]
@@ -113,7 +112,7 @@ def test_two_ends_explain_every_missing_sample(tmp_path):
     assert document["ended_themselves"] == []
     for one in document["topics"].values():
         for writer in one["writers"]:
-            assert writer["received"] > 0.1 * writer["sent"] > 0  # on a busy computer processes start slowly
+            assert writer["received"] > 0.3 * writer["sent"] > 0
             assert (writer["doubled"], writer["reordered"], writer["never_again"]) == (0, 0, 0)
             assert writer["writer"] in printed
     assert document["sets"]["received"] > 0
