@@ -59,7 +59,7 @@ def own_output(topic: str, *, prefix: str, output: str) -> RouteRefusal | None:
 def choose_route(
     sources: Iterable[TopicWriter],
     *,
-    carrier: str,
+    carriers: Collection[str],
     output: str,
     output_readers: Collection[str],
     in_force: Route | None,
@@ -68,7 +68,7 @@ def choose_route(
 
     Parameters
     ----------
-    carrier : the relay's node
+    carriers : the relay's nodes
     output : name under which the topic is republished
     output_readers : nodes that read the output
     in_force : its route until now
@@ -77,8 +77,8 @@ def choose_route(
     if not sources:
         return None
     nodes = {source.node for source in sources}
-    if carrier in nodes:
-        return RouteRefusal(reason=f"{carrier} publishes it itself, so its output would be its own input")
+    if own := ", ".join(sorted(nodes.intersection(carriers))):
+        return RouteRefusal(reason=f"{own} publishes it itself, so its output would be its own input")
     if loop := ", ".join(sorted(nodes.intersection(output_readers))):
         return RouteRefusal(reason=f"{loop} reads {output} and publishes it, so messages would loop")
     types = {source.type_name for source in sources}

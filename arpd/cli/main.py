@@ -108,8 +108,8 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "run",
         help="run the daemon on the robot computer",
         description="""\
-Run the daemon in the foreground: ten times a second it observes the link and the ROS graph, estimates what the link
-carries, solves for rate, DEADLINE and DEPTH of every topic, and applies changes to the live publishers.
+Run the daemon in the foreground: ten times a second it estimates what the link carries and sends the price that gives
+every topic its rate; twice a second it also solves for DEADLINE and DEPTH, and applies changes to the live publishers.
 It is never in the data path: when it stops, messages keep flowing. A clean stop (SIGTERM, Ctrl-C) gives the
 publishers their own QoS back (on_stop in the configuration); SIGHUP reloads the configuration.""",
         epilog="""\

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from arpd.daemon.reload import Configuration
     from arpd.daemon.world import World
     from arpd.govern.governor import Governor
+    from arpd.model.allocation import Allocation
     from arpd.report.events import Event
     from arpd.solve.program import Program
 
 log = logging.getLogger(__name__)
+_MOST_LATE = 1000  # beginnings of ticks that no whole turn has counted yet
 
 
 class Record:
@@ -36,11 +38,13 @@ class Record:
     Attributes
     ----------
     snapshot : the daemon after its last finished tick, None before the first
+    turns : whole turns so far
     history : the last ten minutes
     """
 
     def __init__(self, *, tell: Callable[[Event], None]) -> None:
         self.snapshot: Snapshot | None = None
+        self.turns = 0
         self.history = History()
         self._tell = tell
         self._totals = Totals()
@@ -50,6 +54,10 @@ class Record:
         self._disagreements = 0
         self._decision_log = DecisionLog()
         self._has_failed = False  # whether the decision log raised
+        self._followed: list[float] = []  # durations of the ticks since the last whole turn (s)
+        self._late: deque[tuple[float, bool]] = deque(maxlen=_MOST_LATE)  # how late ticks began (s), and if it counts
+        self._reports = 0
+        self._allocation: Allocation | None = None
 
     def note_failed_tick(self) -> None:
         """Count a tick that raised, and show it at once: no tick may finish for a while."""
@@ -59,12 +67,14 @@ class Record:
             self.snapshot = replace(self.snapshot, totals=totals)
 
     def note_lateness(self, late_s: float, *, is_late: bool) -> None:
-        """Count how late a tick begins (s)."""
-        self._totals = replace(
-            self._totals,
-            ticks_late=self._totals.ticks_late + is_late,
-            durations=self._totals.durations.with_lateness(late_s),
-        )
+        """Note how late a tick begins (s)."""
+        self._late.append((late_s, is_late))
+
+    def follow(self, picture: Snapshot) -> None:
+        """Publish the snapshot of a tick that was no whole turn: what the link is, and the price."""
+        self._followed.append(picture.tick_s)
+        self._reports += len(picture.observation.reports)
+        self.snapshot = picture
 
     def keep_counts_of(self, program: Program) -> None:
         """Keep the counts of a program that is about to be replaced."""
@@ -74,14 +84,16 @@ class Record:
     def add(
         self, picture: Snapshot, *, world: World, program: Program, governor: Governor, configuration: Configuration
     ) -> None:
-        """Count a finished tick, add its events to the decision log, and publish the snapshot.
+        """Count a whole turn and the ticks before it, add its events to the decision log, and publish the snapshot.
 
         Parameters
         ----------
         picture : the tick, without counts and events
         """
         self._totals = self._count(picture, world, program, governor, configuration)
-        other = self._other_traffic.update(picture.observation, probe_bytes=self._totals.probe_bytes)
+        other = self._other_traffic.update(
+            picture.observation, probe_bytes=self._totals.probe_bytes, reports=self._totals.reports
+        )
         picture = replace(picture, totals=self._totals, other_traffic=other)
         try:
             for event in self._decision_log.follow(picture):
@@ -93,16 +105,21 @@ class Record:
             self._has_failed = True
         totals = replace(picture.totals, events_by_kind=self._decision_log.counts_by_kind)
         self.snapshot = replace(picture, totals=totals, events=self._decision_log.events)
+        self.turns += 1
         self.history.note(self.snapshot)
 
     def _count(
         self, picture: Snapshot, world: World, program: Program, governor: Governor, configuration: Configuration
     ) -> Totals:
         probes, probe_bytes = world.probes_sent()
-        is_solved = self.snapshot is None or picture.allocation is not self.snapshot.allocation
+        is_solved, self._allocation = picture.allocation is not self._allocation, picture.allocation
+        followed, self._followed = self._followed, []
+        late = [self._late.popleft() for _ in range(len(self._late))]
+        reports, self._reports = self._reports + len(picture.observation.reports), 0
         return replace(
             self._totals,
-            ticks=self._totals.ticks + 1,
+            ticks=self._totals.ticks + len(followed) + 1,
+            ticks_late=self._totals.ticks_late + sum(is_late for _, is_late in late),
             solves_by_outcome=MappingProxyType(dict(self._solves + Counter(program.outcomes))),
             cross_check_disagreements=self._disagreements + program.disagreements,
             levels_by_cause=MappingProxyType(dict(governor.levels_by_cause)),
@@ -110,11 +127,12 @@ class Record:
             applies_by_result=MappingProxyType(dict(world.results())),
             probes=probes,
             probe_bytes=probe_bytes,
-            reports=self._totals.reports + len(picture.observation.reports),
+            reports=self._totals.reports + reports,
             reloads_by_result=MappingProxyType(dict(configuration.reloads_by_result)),
             changed_keys_by_effect=MappingProxyType(dict(configuration.changed_keys_by_effect)),
-            durations=self._totals.durations.with_tick(
-                picture.tick_s,
+            durations=self._totals.durations.with_ticks(
+                [*followed, picture.tick_s],
+                late_s=[late_s for late_s, _ in late],
                 solve_s=picture.allocation.solve_s if is_solved else None,
                 phases=self._swaps.look(picture.observation.publishers),
             ),

@@ -97,7 +97,8 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         )
         signals.is_looping = True
         garbage.take_over()
-        with web.up(), spinning_alone(node):
+        with web.up(), spinning_alone(node, hears_itself=link_domain is None) as turned_s:
+            supervisor.watch(turned_s)
             supervisor.run()
             if not signals.stop:
                 raise addresses.error()

@@ -76,8 +76,9 @@ def _reading(load: Callable[[], Settings]) -> Future[Settings]:
 class Supervisor:
     """Ticks a daemon until a signal stops it, reloads its configuration, and reports to systemd.
 
-    Only a finished tick feeds the watchdog. A tick that raises leaves the plan in force. When every tick raises,
-    publishers keep the last price, and systemd restarts the daemon after ten seconds.
+    Only a finished tick feeds the watchdog, while the thread that hears messages finishes its turns. A tick that raises
+    leaves the plan in force. When every tick raises, publishers keep the last price, and systemd restarts the daemon
+    after ten seconds.
 
     Parameters
     ----------
@@ -109,11 +110,17 @@ class Supervisor:
         self._resting = resting or threading.Event()
         self._resting.set()
         self._tidy = tidy
-        self._heartbeat = Watchdog(notifier)
+        self._parts: list[Callable[[], float]] = []
+        self._heartbeat = Watchdog(notifier, parts=self._parts)
         self._reading: Future[Settings] | None = None
         self._is_ready = False
         self._status = ""
         self._failure = ""
+        self._said_turns = 0  # whole turns when the status was last made
+
+    def watch(self, finished_s: Callable[[], float]) -> None:
+        """Feed the watchdog only while another thread finishes its rounds, too; the function tells when it last did."""
+        self._parts.append(finished_s)
 
     def run(self) -> None:
         """Tick when a report wakes the loop or a period has passed."""
@@ -133,9 +140,10 @@ class Supervisor:
             self._tidy()
             self._resting.set()
             next_s = now_s + self._daemon.pause_s
-            time.sleep(LEAST_PAUSE_S)
             self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))
             self._signals.wakeup.clear()
+            if (early_s := now_s + LEAST_PAUSE_S - time.monotonic()) > 0.0:
+                time.sleep(early_s)
 
     def _follow_reloads(self) -> None:
         """Begin or finish a reload; a request during a reload begins another one, so the last file wins."""
@@ -157,7 +165,7 @@ class Supervisor:
     def _note_failure(self, error: Exception) -> None:
         self._daemon.record.note_failed_tick()
         if (failure := type(error).__name__) != self._failure:
-            self._failure = failure
+            self._failure, self._said_turns = failure, -1
             log.error("a tick failed; the publishers keep their plan", exc_info=error)
             self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
 
@@ -169,7 +177,9 @@ class Supervisor:
             self._is_ready = True
             self._notifier.ready()  # units that wait for the start find a daemon that has observed its world
         self._heartbeat.beat()
-        self._say("; ".join(part for part in (self._daemon.status_line(), self._fault()) if part))
+        if (turns := self._daemon.record.turns) != self._said_turns:
+            self._said_turns = turns
+            self._say("; ".join(part for part in (self._daemon.status_line(), self._fault()) if part))
 
     def _say(self, status: str) -> None:
         if status != self._status:

@@ -17,6 +17,7 @@ from arpd.apply.readers import plan_readers
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
+from arpd.daemon.turns import Turns
 from arpd.estimate.estimator import Estimator
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
@@ -24,8 +25,9 @@ from arpd.model.price import Price
 from arpd.model.settings import Backend
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot, Totals
+from arpd.solve.division import Division
 from arpd.solve.program import Program
-from arpd.solve.topics import memory_budget_bytes, topics_to_plan
+from arpd.solve.topics import Demand, memory_budget_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,14 +46,14 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 BUSY_TICK_S = 0.03  # while the link is well used, when a fall fills its queue within a few of these
+RESTING_TICK_S = 0.25  # while next to nothing crosses it
+_LATE_S = 0.005  # a thread wakes up late
 _WELL_USED = 0.5
-_STEP = 0.005  # of the logarithm of a budget or capacity
-_LEAST_SHARE = 1e-6  # the program divides nothing less
-_HEAR_S = 2.5  # time until every endpoint with a plan, and any other daemon, has been heard
+_HEAR_S = 5.0  # time until every endpoint with a plan, and any other daemon, has been heard
 
 
 class Daemon:
-    """Runs the tick over a world.
+    """Runs the tick over a world; most ticks only follow the link, and two a second do everything (`Turns`).
 
     Parameters
     ----------
@@ -85,9 +87,14 @@ class Daemon:
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._program = self._program_of(settings)
         self._budget = Budget()
+        self._demand = Demand()
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._ordering = Ordering()
+        self._turns = Turns()
+        self._link: LinkEstimate | None = None
+        self._ticked_s = -math.inf  # the last tick that finished and was no glance
+        self._division = Division(self._program, (), memory_bytes=0.0, crossing=0)  # of the last whole turn
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
         self.record = Record(tell=tell)
 
@@ -109,9 +116,8 @@ class Daemon:
     @property
     def pause_s(self) -> float:
         """Most time until the next tick (s)."""
-        if (snapshot := self.record.snapshot) is None:
+        if (link := self._link) is None:
             return TICK_S
-        link = snapshot.link
         is_busy = link.delivery_rate_bytes_per_second > _WELL_USED * link.capacity_bytes_per_second
         return BUSY_TICK_S if is_busy else TICK_S
 
@@ -121,19 +127,31 @@ class Daemon:
         return self.record.history
 
     def tick(self, now_s: float) -> Decision:
-        """Observe → estimate → solve → govern → apply → report, once."""
+        """Observe → estimate → price; at a whole turn observe → estimate → solve → govern → apply → report.
+
+        Where the usual time has not passed a glance comes first, and a tick that would find nothing new ends there.
+        """
+        if (snapshot := self.record.snapshot) is not None and self._may_rest(now_s):
+            return replace(snapshot.decision, level_changed=False, reason="")
+        began_s, self._ticked_s = self._clock(), -math.inf
         observation = self._observe(now_s)
-        link = self._estimator.update(observation)
-        topics = topics_to_plan(observation.publishers, self.settings) if self._estimator.has_evidence else ()
-        memory = memory_budget_bytes(observation.memory, self.settings.program)
-        headroom = self.settings.link.headroom
-        budget = self._budget.update(now_s, link, headroom=headroom)
-        crossing = observation.sensing_topics + observation.actuation_topics
-        divide = partial(self._divide, link, topics, memory, crossing)
+        link = self._link = self._estimator.update(observation)
+        budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom)
+        facts = self._facts(observation, link)
+        if not self._turns.is_due(now_s, facts=facts, publishers=observation.publishers):
+            return self._follow(now_s, observation, link, budget)
+        topics = self._demand.topics(observation.publishers, self.settings) if self._estimator.has_evidence else ()
+        division = self._division = Division(
+            self._program,
+            topics,
+            memory_bytes=memory_budget_bytes(observation.memory, self.settings.program),
+            crossing=observation.sensing_topics + observation.actuation_topics,
+        )
+        divide = partial(division.allocation, packet_overhead_s=link.available_packet_overhead_s)
         rates = divide(capacity=link.available_bytes_per_second, budget=budget)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
         lasting_capacity = self._budget.lasting_bytes_per_second
-        lasting = divide(capacity=lasting_capacity, budget=headroom * lasting_capacity)
+        lasting = divide(capacity=lasting_capacity, budget=self.settings.link.headroom * lasting_capacity)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
         reader_plans = plan_readers(observation.readers, decision.plan)
         steps = self._ordering.steps(
@@ -146,7 +164,8 @@ class Daemon:
             lease_s=self.settings.lease_s,
         )
         if not observation.active_daemon:
-            self._act(now_s, link, decision, steps)
+            self._send(now_s, decision.price, link)
+            self._world.apply(steps.transitions, now_s=now_s)
         self._report(
             now_s,
             observation=observation,
@@ -156,29 +175,58 @@ class Daemon:
             steps=steps,
             reader_plans=reader_plans,
         )
+        self._turns.note(
+            now_s,
+            facts=facts,
+            publishers=observation.publishers,
+            took_s=self._clock() - began_s,
+            is_settled=not steps.transitions,
+        )
+        self._ticked_s = now_s
         return decision
 
-    def _divide(
-        self,
-        link: LinkEstimate,
-        topics: Sequence[Topic],
-        memory_bytes: float,
-        crossing: int,
-        *,
-        capacity: float,
-        budget: float,
-    ) -> Allocation:
-        """Divide a budget (bytes/s); it and the capacity come in steps, so most ticks ask the program nothing new."""
-        budget = _stepped(budget)
-        capacity = max(_stepped(capacity), budget)
-        return self._program.solve(
-            capacity,
-            topics,
-            memory_bytes,
-            packet_overhead_s=link.available_packet_overhead_s,
-            share=min(1.0, max(_LEAST_SHARE, round(budget / capacity, 6))) if capacity > 0 else 0.0,
-            crossing=crossing,
+    def _may_rest(self, now_s: float) -> bool:
+        """Return whether a glance shows nothing that is worth a tick before the usual time."""
+        is_resting = self._link is not None and self._link.is_resting
+        if now_s - self._ticked_s >= (RESTING_TICK_S if is_resting else TICK_S) - _LATE_S:
+            return False
+        glance = self._world.glance()
+        return not glance.has_reports and not self._estimator.needs_look(now_s, glance.backlog_bytes)
+
+    def _facts(self, observation: Observation, link: LinkEstimate) -> tuple[object, ...]:
+        """Return what calls for a whole turn when it changes."""
+        publishers, interface = len(observation.publishers), self._interface if self._has_interface else ""
+        return link.state, self._estimator.has_evidence, publishers, observation.active_daemon, interface
+
+    def _follow(self, now_s: float, observation: Observation, link: LinkEstimate, budget: float) -> Decision:
+        """Let the price follow the link until the next whole turn; the plan in force stays."""
+        snapshot = self.record.snapshot
+        assert snapshot is not None, "the first tick is a whole turn"
+        decision, allocation = snapshot.decision, snapshot.allocation
+        if not observation.active_daemon:
+            price, divided = self._division.price(
+                capacity=link.available_bytes_per_second,
+                budget=budget,
+                packet_overhead_s=link.available_packet_overhead_s,
+            )
+            decision = replace(decision, price=price, level_changed=False, reason="")
+            allocation = replace(allocation, price=price, capacity_bytes_per_second=divided)
+            self._send(now_s, price, link)
+        finished_s = self._clock()
+        self.record.follow(
+            replace(
+                snapshot,
+                finished_at_s=finished_s,
+                unix_time_s=self._wall_clock(),
+                tick_s=finished_s - now_s,
+                observation=observation,
+                link=link,
+                decision=decision,
+                allocation=allocation,
+            )
         )
+        self._ticked_s = now_s
+        return decision
 
     def _observe(self, now_s: float) -> Observation:
         observation = self._world.observe(now_s)
@@ -199,6 +247,8 @@ class Daemon:
         topics: Sequence[Topic],
     ) -> Decision:
         if observation.active_daemon:
+            self._ordering = Ordering()  # what the other daemon asks for is unknown
+            self._world.stand_by()
             return self._governor.stand_by()
         return self._governor.decide(
             now_s,
@@ -208,14 +258,15 @@ class Daemon:
             topics=topics,
             publishers=observation.publishers,
             newest=max((reader.generation for reader in observation.readers), default=0),
+            participants=max(1, observation.remote_participants),
         )
 
-    def _act(self, now_s: float, link: LinkEstimate, decision: Decision, steps: Steps) -> None:
+    def _send(self, now_s: float, price: Price | None, link: LinkEstimate) -> None:
+        """Send the price where it is due, and the probes that the estimator wants."""
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
-        price = replace(decision.price or free, loss_ratio=link.loss_ratio)
+        price = replace(price or free, loss_ratio=link.loss_ratio)
         if self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
-        self._world.apply(steps.transitions, now_s=now_s)
         for request in self._estimator.wanted_probes(now_s):
             self._world.probe(request)
 
@@ -259,6 +310,7 @@ class Daemon:
 
     def reload(self, load: Callable[[], Settings]) -> bool:
         """Take a new configuration whole, or keep the old one whole; see `Configuration.reload`."""
+        self._turns.ask()
         return self.configuration.reload(load, take=self._take)
 
     def _take(self, fresh: Settings) -> None:
@@ -306,8 +358,3 @@ class Daemon:
     def status_line(self) -> str:
         """Return one line for ``systemctl status``."""
         return status_line(self.snapshot)
-
-
-def _stepped(bytes_per_second: float) -> float:
-    """Return a rate rounded to steps of half a per cent, 0 below 1 byte/s."""
-    return math.exp(round(math.log(bytes_per_second) / _STEP) * _STEP) if bytes_per_second >= 1.0 else 0.0

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from arpd.model.link import LinkEstimate
-    from arpd.model.observation import Observation
+    from arpd.model.observation import Glance, Observation
     from arpd.model.plan import Transition
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
@@ -21,11 +21,17 @@ class World(Protocol):
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""
 
+    def glance(self) -> Glance:
+        """Return what shows whether a tick is worth its cost; costs little."""
+
     def set_price(self, price: Price) -> None:
         """Send the price of the link to every publisher."""
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Carry out the steps of a plan; called at every tick until the endpoints announce it."""
+        """Carry out the steps of a plan; called at every whole turn until the endpoints announce it."""
+
+    def stand_by(self) -> None:
+        """Take back the plans that were sent, because another daemon drives the robot; called at every whole turn."""
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
@@ -34,7 +40,7 @@ class World(Protocol):
         """Take new pinned topic counts."""
 
     def results(self) -> Mapping[str, int]:
-        """Count parameter calls by result."""
+        """Count the plans sent, by result."""
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
@@ -49,6 +55,9 @@ class CapacityEstimator(Protocol):
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Take in one observation and return the estimate."""
+
+    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
+        """Return whether an update now may say more than the last one, besides reports."""
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
         """Return the probes to send now."""

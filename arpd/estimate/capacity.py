@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 _LEAST, _MOST = 500.0, 12.5e9  # bytes/s
 _BIN = 0.04  # of the logarithm
 _LOGS = np.arange(math.log(_LEAST), math.log(_MOST) + _BIN, _BIN)
+_UPPER_EDGES = _LOGS + 0.5 * _BIN
 _NOTHING = 1e-12  # least probability of a bin: no evidence excludes a capacity for good
 
 # What a link does between two looks: it drifts, and sometimes it jumps. Sprout (Winstein et al., NSDI 2013, §3) filters
@@ -46,6 +47,8 @@ class CapacityBelief:
 
     def __init__(self, capacity: float) -> None:
         self._at_s = -math.inf
+        self._summed: NDArray[np.float64] | None = None
+        self._sums = _LOGS
         self._p = np.exp(-np.abs(_LOGS - math.log(capacity)))
         self._weigh(np.ones_like(_LOGS))
         self._usual = self._p  # where the link was lately
@@ -124,5 +127,6 @@ class CapacityBelief:
         self._p = np.maximum(_NOTHING, p / p.sum())
 
     def _quantile(self, part: float) -> float:
-        sums = np.cumsum(self._p)
-        return math.exp(np.interp(part * sums[-1], sums, _LOGS + 0.5 * _BIN))
+        if self._summed is not self._p:  # it is read more often than it changes
+            self._summed, self._sums = self._p, np.cumsum(self._p)
+        return math.exp(np.interp(part * self._sums[-1], self._sums, _UPPER_EDGES))

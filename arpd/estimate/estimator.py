@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
 from arpd.estimate.belief import Belief
+from arpd.estimate.bursts import Bursts
 from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.idle import IdleLink
 from arpd.estimate.local_queue import LocalQueue
 from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
+from arpd.estimate.queue_past import QueuePast
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
-from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
-from arpd.model.wire import probe_wire_bytes, wire_size
+from arpd.model.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,8 +37,7 @@ class Estimator:
 
     Throughput alone never shows capacity. So four kinds of evidence meet in one `CapacityBelief`: what arrives while a
     queue stands (two-sided), the dispersion of probe trains (biased low), what was carried at all (a lower bound), and
-    whether pings meet a queue (a link that carries R is idle for 1 − R/C of the time). Silence is an outage, not a
-    capacity.
+    whether pings meet a queue (a link that carries R is idle for 1 − R/C of the time). Silence is no capacity.
 
     The capacity is that of the whole link: a peer under a standing queue also receives cross traffic, and a train
     leaves faster than the link and gives others little room between its packets. So cross traffic is subtracted. This
@@ -70,13 +69,12 @@ class Estimator:
         self._local = LocalQueue()
         self._cross_traffic = CrossTraffic()
         self._silence = Silence()
-        self._burst_s = 0.0  # link time of the largest message; so much is no queue
-        self._burst_bytes = 0.0
+        self._bursts = Bursts()
+        self._empty_looks = 0  # at the queue of this host's interface, since the last update
         self._pinged: list[float] = []
-        self._train: tuple[float, float] = (-math.inf, 0.0)  # the last one: departure s, bytes on the link
         self._queue_delay_s = 0.0
         self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
-        self._queues: deque[tuple[float, float]] = deque()  # time s, queue s; as far back as makes a queue stand
+        self._queues = QueuePast(parameters.BUSY_AFTER_S)
         self._learns_from_s = self._queued_here_s = -math.inf
         self._idle = IdleLink()
 
@@ -102,14 +100,16 @@ class Estimator:
         """Digest one observation and return the estimate."""
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
-        self._expect_bursts(observation)
-        self._idle.note(observation, capacity=self._belief.capacity)
+        capacity, local = self._belief.capacity, self._local
+        self._bursts.update(observation.publishers, now_s, capacity=capacity)
+        moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
+        self._idle.note(observation, moved=moved - self._bursts.train_rate(now_s), capacity=capacity)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         cross_traffic = self._cross_traffic.update(observation)
-        self._local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=self._belief.capacity)
-        if self._local.busy_rate is not None:
+        local.update(observation.counters, now_s, burst_bytes=self._bursts.backlog_bytes, capacity=capacity)
+        if local.busy_rate is not None:
             self._queued_here_s = now_s
         for report in observation.reports:
             self._digest(report)
@@ -126,9 +126,28 @@ class Estimator:
         else:
             self._forget_queue()
             self._state = self._judge_alone(observation)
+        self._empty_looks = 0
         if self._state is LinkState.OUTAGE and not was_out:
             self._belief.events_by_kind[EstimatorEvent.OUTAGE] += 1
         return self._estimate(observation, cross_traffic)
+
+    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
+        """Return whether a backlog here, a late ping, or a probe that is due is worth an update, besides reports.
+
+        The backlog is that before the link interface, None where the kernel does not tell it (bytes).
+        """
+        # What leaves between two looks at waiting bytes is a reading of the capacity.
+        worth_bytes = min(self._bursts.backlog_bytes, parameters.WORTH_S * self._belief.capacity)
+        if (
+            self._state not in {LinkState.STEADY, LinkState.APP_LIMITED}
+            or self._queue_delay_s > self._queue_low_s
+            or max(backlog_bytes or 0, self._local.waiting_bytes) > worth_bytes
+            or self._schedule.is_due(now_s)
+            or self._peers.overdue_s(now_s) > parameters.OVERDUE_S
+        ):
+            return True
+        self._empty_looks += backlog_bytes == 0
+        return False
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
         """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable."""
@@ -146,31 +165,20 @@ class Estimator:
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
                 is_idle=self._idle.is_idle,
+                is_resting=self._idle.is_resting,
             )
         )
         for request in requests:
             self._cross_traffic.note_probe(request, now_s, peers=self._copies)
             if request.packets > 1:
-                self._train = now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes)
+                self._bursts.note_train(now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes))
             else:
-                ping = SentPing(number=request.number, sent_s=now_s, handed_bytes=self._local.handed_bytes)
-                self._peers.note_sent(ping)
+                handed_bytes = self._local.handed_bytes
+                self._peers.note_sent(SentPing(number=request.number, sent_s=now_s, handed_bytes=handed_bytes))
             self._loss.note_sent(request)
         return requests
 
     # -- evidence
-
-    def _expect_bursts(self, observation: Observation) -> None:
-        """Compute how much may stand before the link without being a queue."""
-        sizes = [
-            publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
-            for publisher in observation.publishers
-            if publisher.payload_bytes > 0 and publisher.direction is not Direction.LOCAL
-        ]
-        train_bytes = self._train[1] if observation.now_s - self._train[0] < parameters.TRAIN_IS_NEAR_S else 0.0
-        largest = max(sizes, default=0.0)
-        self._burst_bytes = max(parameters.BURST_BYTES, parameters.BURST_SHARE * largest) + train_bytes
-        self._burst_s = min(parameters.BURST_CAP_S, largest / self._belief.capacity)
 
     def _digest(self, report: PeerReport) -> None:
         now_s = report.received_at_s
@@ -187,22 +195,13 @@ class Estimator:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._belief.capacity)
+        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._bursts.backlog_bytes, capacity=self._belief.capacity)
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
         pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._belief.capacity)
         self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
-        self._queues.append((now_s, self._queue_delay_s))
-        while len(self._queues) > 1 and now_s - self._queues[1][0] >= parameters.BUSY_AFTER_S:
-            self._queues.popleft()
-
-    def _stays_s(self, span_s: float) -> float:
-        """Return the shortest queue of a span: bursts come and go, and a queue that stays means a busy link (s)."""
-        if not self._queues or self._queues[-1][0] - self._queues[0][0] < 0.8 * span_s:
-            return 0.0
-        since_s = self._queues[-1][0] - span_s
-        return min(queue_s for at_s, queue_s in self._queues if at_s >= since_s)
+        self._queues.note(now_s, self._queue_delay_s)
 
     def _forget_queue(self) -> None:
         """Forget a queue that no peer measures now; its last length must not hold the budget."""
@@ -237,7 +236,8 @@ class Estimator:
         pinged, self._pinged = self._pinged, []
         if now_s <= self._learns_from_s:
             return
-        stays = self._stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + 1.5 * (self._peers.return_delay_s or 0.0)
+        late_s = 1.5 * (self._peers.return_delay_s or 0.0)
+        stays = self._queues.stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + late_s
         # Bytes from other senders are no evidence.
         received, most = self._peers.delivery(-math.inf)[0], self._most_delivered
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
@@ -248,7 +248,7 @@ class Estimator:
             has_arrived = has_reports and (not hears_others or self._queue_delay_s < parameters.IDLE_S)
             self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports, has_arrived=has_arrived)
         elif not busy and has_reports and delivered > 0 and hears_others:
-            if (growth := self._queue_growth) < -0.5:
+            if (growth := self._queues.growth) < -0.5:
                 return  # the queue drains, because less is sent than the link carries
             believed.wait(now_s)
             believed.filled_by(delivered / (1.0 + growth))
@@ -269,19 +269,22 @@ class Estimator:
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
         if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
+        # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
+        shows_queue = self._bursts.largest_s > 2.0 * parameters.IDLE_S
+        pinged = pinged if shows_queue and self._alarm_s == 0.0 else ()
+        is_look = shows_queue and not has_reports and self._local.is_empty and self._is_queued_here
+        if not (has_arrived or pinged or is_look):
+            return
         believed.wait(now_s)
         if has_arrived:
             believed.carried(parameters.CAUTION * delivered, overhead=overhead)
-        # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
-        if self._burst_s <= 2.0 * parameters.IDLE_S:
-            return
-        shown = 1.0 - parameters.IDLE_S / self._burst_s
-        for delay_s in pinged if self._alarm_s == 0.0 else ():
+        shown = 1.0 - parameters.IDLE_S / self._bursts.largest_s if shows_queue else 0.0
+        for delay_s in pinged:
             is_idle = delay_s < parameters.IDLE_S
             weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
-        if not has_reports and self._local.is_empty and self._is_queued_here:
-            believed.ping(delivered, was_idle=True, weight=parameters.LOOK_WEIGHT, overhead=overhead)
+        if is_look:
+            believed.ping(delivered, was_idle=True, weight=self._look_weight, overhead=overhead)
 
     def _state_capacity(self, now_s: float, why: str) -> None:
         """State what is believed now, if that is news."""
@@ -302,6 +305,11 @@ class Estimator:
         return self._last_s - self._queued_here_s < parameters.QUEUED_HERE_S
 
     @property
+    def _look_weight(self) -> float:
+        """Weight of the looks at an empty queue since the last update."""
+        return (1 + self._empty_looks) * parameters.LOOK_WEIGHT
+
+    @property
     def _most_delivered(self) -> float:
         """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
         window_s = parameters.DELIVERY_WINDOW_S
@@ -310,12 +318,6 @@ class Estimator:
             return math.inf
         return self._local.sent_bytes_per_second(span_s) * span_s / window_s
 
-    @property
-    def _queue_growth(self) -> float:
-        """How fast the queue grew lately (s/s)."""
-        (before_s, before), (now_s, now) = self._queues[0], self._queues[-1]
-        return (now - before) / (now_s - before_s) if now_s > before_s else 0.0
-
     def _overhead_of(self, rate: float) -> float:
         """Return the part of the time that packets of the recent size cost beyond their bytes at this rate."""
         received, packet_rate = self._peers.delivery(-math.inf)
@@ -323,7 +325,7 @@ class Estimator:
 
     def _judge(self, now_s: float) -> LinkState:
         """Return the state while a peer reports."""
-        if self._stays_s(parameters.STANDING_S) > self._queue_low_s:
+        if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
             is_draining = now_s - self._fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
         busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._belief.capacity
@@ -342,7 +344,7 @@ class Estimator:
             self._belief.kind = CapacityKind.LOCAL
         elif self._local.is_empty and self._is_queued_here and sent > parameters.USED * self._belief.capacity:
             believed.wait(now_s)
-            believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
+            believed.ping(sent, was_idle=True, weight=self._look_weight)
         if self._belief.kind is CapacityKind.LOCAL:
             capacity = believed.stated(self._belief.capacity)
             if abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
@@ -356,7 +358,7 @@ class Estimator:
 
     @property
     def _queue_low_s(self) -> float:
-        return parameters.QUEUE_LOW_S + self._burst_s
+        return parameters.QUEUE_LOW_S + self._bursts.largest_s
 
     # -- results
 
@@ -382,9 +384,10 @@ class Estimator:
             state=self._state,
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
-            standing_delay_s=self._stays_s(parameters.STANDING_S),
+            standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
             cautious_ratio=self._capacities.cautious_ratio(capacity) if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
+            is_resting=self._idle.is_resting,
             age_s=age_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,

@@ -39,6 +39,7 @@ class LocalQueue:
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0  # more when the queue stood at every recent look, so the interface was never idle
         self.is_empty = False
+        self.waiting_bytes = 0  # at the last look
 
     @property
     def busy_rate(self) -> float | None:
@@ -50,12 +51,17 @@ class LocalQueue:
         if not self._sent:
             return 0.0
         now_s, sent = self._sent[-1]
-        since_s, before = next(each for each in self._sent if now_s - each[0] <= span_s)
-        return (sent - before) / (now_s - since_s) if now_s - since_s > 0.5 * span_s else 0.0
+        later_s, later = now_s, sent
+        for at_s, before in reversed(self._sent):
+            if now_s - at_s >= span_s:  # looks come at uneven times, so the beginning of the span lies between two
+                part = (now_s - span_s - at_s) / (later_s - at_s)
+                return (sent - before - part * (later - before)) / span_s
+            later_s, later = at_s, before
+        return (sent - later) / (now_s - later_s) if now_s - later_s > 0.5 * span_s else 0.0
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
         """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
-        self.handed_bytes, self.backlog_s, self.is_empty = None, 0.0, False
+        self.handed_bytes, self.backlog_s, self.is_empty, self.waiting_bytes = None, 0.0, False, 0
         if counters is None or not counters.is_up:
             self._backlog.clear()
             self._sent.clear()
@@ -67,7 +73,7 @@ class LocalQueue:
         self._sent.append((now_s, counters.tx_bytes))
         while now_s - self._sent[0][0] > _SENT_MEMORY_S:
             self._sent.popleft()
-        backlog = counters.backlog_bytes or 0
+        backlog = self.waiting_bytes = counters.backlog_bytes or 0
         self.is_empty = counters.backlog_bytes == 0
         self.handed_bytes = counters.tx_bytes + backlog
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
@@ -81,23 +87,24 @@ class LocalQueue:
         if observation.counters is None:
             self._since = None
             return None
-        # Publishers on other hosts wait for their own interfaces.
-        blocked_s = {
-            (publisher.node, publisher.topic): publisher.blocked_s
-            for publisher in observation.publishers
-            if publisher.direction is Direction.SENSING
-        }
-        look = _Look(at_s=observation.now_s, sent_bytes=observation.counters.tx_bytes, blocked_s=blocked_s)
-        since = self._since
+        now_s, sent_bytes, since = observation.now_s, observation.counters.tx_bytes, self._since
+        span_s = math.inf if since is None else now_s - since.at_s
+        if span_s < LOCAL_WINDOW_S and since is not None and sent_bytes >= since.sent_bytes:
+            return None
+        look = self._since = _Look(
+            at_s=now_s,
+            sent_bytes=sent_bytes,
+            # Publishers on other hosts wait for their own interfaces.
+            blocked_s={
+                (publisher.node, publisher.topic): publisher.blocked_s
+                for publisher in observation.publishers
+                if publisher.direction is Direction.SENSING
+            },
+        )
         # Longer than two windows ago a peer measured, or the interface was down, so the look does not count.
-        if since is None or look.sent_bytes < since.sent_bytes or look.at_s - since.at_s > 2.0 * LOCAL_WINDOW_S:
-            self._since = look
+        if since is None or sent_bytes < since.sent_bytes or span_s > 2.0 * LOCAL_WINDOW_S:
             return None
-        span_s = look.at_s - since.at_s
-        if span_s < LOCAL_WINDOW_S:
-            return None
-        self._since = look
-        sent = look.sent_bytes - since.sent_bytes
+        sent = sent_bytes - since.sent_bytes
         return sent / span_s if sent > 0 and _waited_s(since, look) > _BLOCKED_SHARE * span_s else None
 
 

@@ -9,9 +9,14 @@ STANDING_S = 0.2  # a queue that stays for so long stands
 BUSY_S, BUSY_AFTER_S = 0.012, 0.5  # by the pings, the link is never idle while a longer queue stays for so long
 IDLE_S = 0.003  # a ping that is delayed by less met no queue
 BURST_BYTES, BURST_SHARE = 15_000.0, 0.5  # backlog that is no queue: so many bytes, or this part of the largest message
+OVERDUE_S = 0.02  # a ping that is later than this is worth a look
+WORTH_S = 0.01  # and so are bytes before the link, for so long
 TRAIN_IS_NEAR_S = 0.4  # age up to which a train of ours may be part of a backlog
+TRAIN_SHOWS_S = 0.8  # and part of a rate, with the report of a link that rests
 DELIVERY_WINDOW_S, DELAY_WINDOW_S = 0.300, 10.0  # span of the mean delivery, and of the least delay
 LOCAL_WINDOW_S = 1.0  # span over which sending is averaged without a peer
+
+RESTING, RESTING_S = 0.02, 2.0  # part of the capacity below which the link rests, after so long
 
 # The capacity.
 USED = 0.5  # part of the capacity from which on the absence of a queue shows that there is more

@@ -251,6 +251,10 @@ class PeerGauges:
             default=0.0,
         )
 
+    def overdue_s(self, now_s: float) -> float:
+        """Return how much longer than usual a ping is on its way (s)."""
+        return max((gauge.overdue_s(now_s) for gauge in self._gauges.values()), default=0.0)
+
     @property
     def busy_rate(self) -> float | None:
         """Capacity over the last report of the only peer, None where the link may have idled (bytes/s)."""

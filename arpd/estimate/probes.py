@@ -19,6 +19,7 @@ SHARE = 0.008  # part of the capacity for probes and the reports they cause
 PINGS_SHARE = 0.0035  # part of it for pings and their reports alone
 REPORT_BYTES = 230  # a report on the wire
 PING_S, PING_MOST_S = 0.09, 0.55  # least and most time between pings
+RESTING_PING_S = 0.25  # least while next to nothing crosses: an outage harms nobody then
 PING_BYTES = 16  # payload of a ping
 OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # time between pings, and their payload, while the link is out
 PACKET_BYTES = 1_200  # payload in a train; with 16 bytes of layout one datagram, `arpd.model.wire.FRAGMENT_BYTES`
@@ -65,6 +66,7 @@ class ProbeSchedule:
         needs_pair: bool,
         copies: int,
         is_idle: bool = False,
+        is_resting: bool = False,
     ) -> Iterator[ProbeRequest]:
         """Yield the probes to send now.
 
@@ -78,10 +80,13 @@ class ProbeSchedule:
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
         is_idle : True while no topic crosses; nobody needs the capacity then
+        is_resting : True while topics cross that send next to nothing
         """
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
         ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity_bytes_per_second)))
+        if is_resting:
+            ping_s = max(ping_s, RESTING_PING_S)
         if is_idle:
             ping_s = PING_MOST_S
         self.quiet_s = _QUIET_PINGS * ping_s
@@ -115,6 +120,10 @@ class ProbeSchedule:
             if needs_pair or self._trains % SMALL_EVERY == 0:
                 self._small_at_s = now_s + PAIR_S
             yield self._request(packets, PACKET_BYTES)
+
+    def is_due(self, now_s: float) -> bool:
+        """Return whether a ping, or the small train of a pair, is due."""
+        return now_s >= min(self._ping_at_s, self._small_at_s)
 
     def _spend(self, cost: float, *, is_measured: bool) -> None:
         # The first trains may exceed the budget, and this debt is not paid back.

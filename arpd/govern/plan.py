@@ -6,12 +6,13 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import NANOSECONDS_PER_SECOND, QosPlan, TopicPlan, is_kept, keeps_its_readers
+from arpd.govern.classes import CLASSES, EXACT, LONGEST_DEADLINE_NS, Fit, Ladder, Move
+from arpd.model.plan import QosPlan, TopicPlan, keeps_its_readers
 from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.uniform import alike
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from arpd.model.allocation import Allocation, Topic, TopicAllocation
     from arpd.model.endpoints import PublisherState
@@ -36,26 +37,28 @@ def make_plan(
     generation: int,
     settings: Settings,
 ) -> QosPlan:
-    """Plan for all topics; a row whose depth and deadline change less than the deadband keeps them, and its writer.
+    """Plan for all topics; depth and deadline come in classes, and a row whose class still fits keeps its writer.
 
-    A silent source keeps its ceiling and its QoS: it costs nothing now, and finds them when it returns.
+    The uniform policy has no classes: its rows have the exact optimum. A silent source keeps its ceiling and its QoS:
+    it costs nothing now, and finds them when it returns.
 
     Parameters
     ----------
     allocation : answer of the program for the budget that lasts
     previous : rows of the plan before
     """
-    requests, silent = tightest_requests(publishers), silent_topics(publishers)
+    requests, silent, ladder = tightest_requests(publishers), silent_topics(publishers), _ladder(allocation)
     large = {publisher.topic for publisher in publishers if publisher.payload_bytes > FRAGMENT_BYTES}
     rows: dict[str, TopicPlan] = {}
     for row, topic in zip(allocation.topics, topics, strict=True):
         request_ns, kept = requests.get(topic.name, 0), previous.get(topic.name)
-        fresh = _row(row, topic, request_ns, settings)
+        fit = _fit(row, topic, request_ns, slack=settings.program.deadline_slack)
+        fresh = _row(fit, topic, ladder)
         if topic.name in silent:
             fresh = _silent(fresh, kept, request_ns, is_large=topic.name in large)
         elif kept is not None:
             fresh = _without_noise(fresh, kept)
-            if _within(kept, fresh, settings.governor.deadband):
+            if fit.move(kept, ladder) is Move.NONE:
                 fresh = with_qos_of(fresh, kept, request_ns)
         if (most_hz := settings.topic(topic.name).max_rate_hz) is not None:
             fresh = replace(fresh, rate_hz=min(fresh.rate_hz, most_hz))
@@ -63,9 +66,45 @@ def make_plan(
     return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
 
 
-def silent_topics(publishers: Sequence[PublisherState]) -> set[str]:
+def moves(
+    allocation: Allocation,
+    topics: Sequence[Topic],
+    rows: Mapping[str, TopicPlan],
+    *,
+    requests: Mapping[str, int],
+    silent: Collection[str],
+    settings: Settings,
+    may_deepen: bool,
+) -> dict[str, Move]:
+    """Return where the QoS of rows in force should go, only for the topics that have a row and publish.
+
+    Parameters
+    ----------
+    may_deepen : whether more room for history is a reason to move
+    """
+    slack, ladder = settings.program.deadline_slack, _ladder(allocation)
+    found: dict[str, Move] = {}
+    for row, topic in zip(allocation.topics, topics, strict=True):
+        if topic.name not in silent and (kept := rows.get(topic.name)) is not None:
+            fit = _fit(row, topic, requests.get(topic.name, 0), slack=slack)
+            if not may_deepen:
+                fit = fit._replace(depth=min(fit.depth, kept.depth))
+            found[topic.name] = fit.move(kept, ladder)
+    return found
+
+
+def depths(allocation: Allocation, topics: Sequence[Topic]) -> dict[str, int]:
+    """Return the depths that an allocation gives, in their classes (samples)."""
+    ladder = _ladder(allocation)
+    return {
+        topic.name: _fit(row, topic, 0, slack=1.0).qos(ladder)[0]
+        for row, topic in zip(allocation.topics, topics, strict=True)
+    }
+
+
+def silent_topics(publishers: Sequence[PublisherState]) -> frozenset[str]:
     """Return the topics that nobody publishes on now."""
-    return {p.topic for p in publishers} - {p.topic for p in publishers if p.source_rate_hz > 0}
+    return frozenset(p.topic for p in publishers) - {p.topic for p in publishers if p.source_rate_hz > 0}
 
 
 def with_qos_of(row: TopicPlan, kept: TopicPlan, requested_deadline_ns: int) -> TopicPlan:
@@ -98,27 +137,36 @@ def _without_noise(row: TopicPlan, kept: TopicPlan) -> TopicPlan:
     return row
 
 
-def _row(row: TopicAllocation, topic: Topic, requested_deadline_ns: int, settings: Settings) -> TopicPlan:
+def _ladder(allocation: Allocation) -> Ladder:
+    return CLASSES if allocation.uniform is None else EXACT
+
+
+def _row(fit: Fit, topic: Topic, ladder: Ladder) -> TopicPlan:
     """Return the row of one topic under an allocation."""
+    depth, deadline_ns = fit.qos(ladder)
     return TopicPlan(
         rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
         min_rate_hz=topic.min_rate_hz,
-        deadline_ns=_offered_ns(row.deadline_ns, requested_deadline_ns, slack=settings.program.deadline_slack),
-        depth=row.depth_applied,
+        deadline_ns=deadline_ns,
+        depth=depth,
         weight=topic.weight,
         wire_bytes=topic.wire_bytes,
         packets=topic.packets,
     )
 
 
-def _offered_ns(period_ns: int, requested_ns: int, *, slack: float) -> int:
-    """Return the period of the rate with a slack, so jitter is not a missed deadline; 0 for a paused topic.
-
-    It is never longer than a reader requests: such a reader would disconnect silently (docs/design.md, DDS facts).
-    """
+def _fit(row: TopicAllocation, topic: Topic, request_ns: int, *, slack: float) -> Fit:
+    """Return what an allocation gives a topic: the period of its rate has a slack, so jitter misses no deadline."""
+    period_ns = row.deadline_ns
     offered_ns = max(math.ceil(period_ns * slack), period_ns + _LEAST_SLACK_NS) if period_ns else 0
-    offered_ns = min(offered_ns, (2**31 - 1) * NANOSECONDS_PER_SECOND)
-    return offered_ns if is_kept(offered_ns, requested_ns) else requested_ns
+    return Fit(
+        period_ns=period_ns,
+        offered_ns=min(offered_ns, LONGEST_DEADLINE_NS),
+        request_ns=request_ns,
+        depth=row.depth_applied,
+        least_depth=topic.min_depth,
+        most_depth=topic.max_depth,
+    )
 
 
 def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:
@@ -128,9 +176,3 @@ def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:
         if requested_ns := publisher.requested_deadline_ns:
             tightest[publisher.topic] = min(requested_ns, tightest.get(publisher.topic, requested_ns))
     return tightest
-
-
-def _within(kept: TopicPlan, fresh: TopicPlan, deadband: float) -> bool:
-    # For a small depth one sample more or less is inside the band.
-    same_depth = math.isclose(kept.depth, fresh.depth, rel_tol=deadband, abs_tol=1)
-    return same_depth and math.isclose(kept.deadline_ns, fresh.deadline_ns, rel_tol=deadband)

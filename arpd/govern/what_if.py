@@ -78,7 +78,7 @@ class OfflinePlan:
     @property
     def memory_bytes(self) -> float:
         """Memory that all full histories take together (bytes)."""
-        return sum(row.topic.slot_bytes * row.allocation.depth_applied for row in self.topics)
+        return sum(row.topic.slot_bytes * row.qos.depth for row in self.topics)
 
 
 class OfflinePlanner:

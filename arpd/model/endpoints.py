@@ -220,7 +220,7 @@ class PublisherState(FlowState):
     lacks_profile : True when it says that its process runs without arpd's Fast DDS profile
     remote_readers : participants on other hosts that read the topic
     requested_deadline_ns : tightest deadline that a reader not driven by arpd requests, 0 when none does
-    age_s : time since the announcement (s)
+    announced_at_s : when the announcement arrived, by the monotonic clock; ``inf`` before one did (s)
     """
 
     node: str
@@ -237,7 +237,11 @@ class PublisherState(FlowState):
     lacks_profile: bool = False
     remote_readers: int = 0
     requested_deadline_ns: int = 0
-    age_s: float = 0.0
+    announced_at_s: float = math.inf
+
+    def age_s(self, now_s: float) -> float:
+        """Return the time since the announcement (s)."""
+        return max(0.0, now_s - self.announced_at_s)
 
     @property
     def copies(self) -> int:
@@ -262,7 +266,7 @@ class ReaderState:
     requests_ns : periods that its node's readers of the topic request in the graph; two during a reader swap
     offers_ns : periods that the topic's writers offer in the graph, 0 = infinite
     deadlines_missed : requested deadlines that the middleware counted as missed, over all readers so far
-    age_s : time since the announcement (s)
+    announced_at_s : when the announcement arrived, by the monotonic clock; ``inf`` before one did (s)
     """
 
     node: str
@@ -280,7 +284,11 @@ class ReaderState:
     requests_ns: tuple[int, ...] = ()
     offers_ns: tuple[int, ...] = ()
     deadlines_missed: int = 0
-    age_s: float = 0.0
+    announced_at_s: float = math.inf
+
+    def age_s(self, now_s: float) -> float:
+        """Return the time since the announcement (s)."""
+        return max(0.0, now_s - self.announced_at_s)
 
     @property
     def is_driven(self) -> bool:

@@ -47,6 +47,7 @@ class LinkEstimate:
     standing_delay_s : shortest queue of the last moments; bursts come and go, and leave it at 0 (s)
     cautious_ratio : part of the capacity that the link most likely exceeds; 1 while the evidence is sharp
     delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms (bytes/s)
+    is_resting : True while next to nothing crosses the link
     age_s : time since the newest evidence for the capacity (s)
     evidence : the last change, in words
     packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
@@ -71,6 +72,7 @@ class LinkEstimate:
     packet_overhead_s: float = 0.0
     loss_ratio: float | None = None
     return_delay_s: float | None = None
+    is_resting: bool = False
     events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     @property

@@ -84,6 +84,7 @@ class Observation:
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 3.5 s
     domain : ROS domain in which publishers and peers are looked for, None without ROS
+    remote_participants : processes across the link, each of which hears of every writer that comes or goes
     """
 
     now_s: float
@@ -106,3 +107,18 @@ class Observation:
     relay: RelaySummary | None = None
     is_relay_silent: bool = False
     domain: int | None = None
+    remote_participants: int = 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Glance:
+    """What shows whether a tick is worth its cost.
+
+    Parameters
+    ----------
+    has_reports : whether reports of peers wait
+    backlog_bytes : bytes that wait before the link interface, None where the kernel does not tell (bytes)
+    """
+
+    has_reports: bool
+    backlog_bytes: int | None

@@ -66,7 +66,7 @@ class TopicPlan:
 class QosPlan:
     """Whole plan for the managed publishers; ``topics`` maps a topic name to its row.
 
-    ``level_bytes_per_second`` is the lasting budget that its deadlines were made for.
+    ``level_bytes_per_second`` is the last lasting budget that all of its deadlines fitted.
     """
 
     generation: int
@@ -76,7 +76,7 @@ class QosPlan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Transition:
-    """One atomic step towards a plan: all publishers of one node at once, or all of its readers.
+    """One atomic step of a node towards a plan, with all that is now asked of its publishers, or of its readers.
 
     Parameters
     ----------

@@ -117,20 +117,13 @@ class GovernorSettings:
 
     Parameters
     ----------
-    down_ratio, up_ratio : a change counts when the lasting budget is below or above this multiple of the plan's
     hold_s : time that a change must last (s)
     dwell_s : least time between a plan and the next one for a change of the link (s)
-    deadband : relative change of depth and deadline below which a topic keeps its QoS
-    swaps_per_minute : most QoS swaps planned per minute
     debounce_s : quiet time after topics come or go, before a new plan (s)
     """
 
-    down_ratio: float = 0.8
-    up_ratio: float = 1.2
     hold_s: float = 2.0
     dwell_s: float = 10.0
-    deadband: float = 0.1
-    swaps_per_minute: int = 240
     debounce_s: float = 1.0
 
 

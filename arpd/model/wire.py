@@ -24,6 +24,10 @@ PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
 #: Heartbeat period of arpd's writers (arpd/adapters/ros/fastdds.xml) while something is unacknowledged.
 HEARTBEAT_S = 0.05
 
+# What Fast DDS 2.14 tells each participant of a writer that comes or goes; and rmw_dds_common's
+# ParticipantEntitiesInfo: a GUID per endpoint, beside the names of the nodes.
+_ENDPOINT_DATA_BYTES, _GUID_BYTES, _NODE_NAMES_BYTES = 1000, 16, 200
+
 
 def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     """Return bytes and packets that one reliable sample puts on the link, for one reader.
@@ -51,6 +55,19 @@ def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
 def acknowledgements_per_sample(rate_hz: float) -> float:
     """Return how many heartbeats, and so acknowledgements, a sample of a topic with this rate causes."""
     return 1.0 if rate_hz * HEARTBEAT_S <= 1.0 else 1.0 / (rate_hz * HEARTBEAT_S)
+
+
+def swap_bytes(endpoints: int) -> float:
+    """Return what a writer swap costs in discovery: its process tells each participant of the new and the old writer.
+
+    100 swaps in a process of 100 relayed topics took 10.4 kB each and participant; this says 10.9.
+
+    Parameters
+    ----------
+    endpoints : of the process of the writer
+    """
+    all_endpoints, _ = wire_size(_NODE_NAMES_BYTES + _GUID_BYTES * endpoints, rate_hz=math.inf)
+    return 2.0 * (_ENDPOINT_DATA_BYTES + all_endpoints)
 
 
 def probe_wire_bytes(data_bytes: int) -> int:

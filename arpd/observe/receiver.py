@@ -10,8 +10,8 @@ from arpd.model.wire import probe_wire_bytes
 
 # A report answers a ping; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
 PROMPT_S = 0.02  # least time between two reports; bytes that arrive before a ping's report blur those after the ping
-BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth a report
-WORTH_BYTES = 10_000  # received since the last report are worth one; more while the daemon asks for rare reports
+BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth one when a ping is late
+WORTH_BYTES = 10_000  # received since the last report are worth one
 QUIET_S = 0.25  # between reports while no probe arrives; longer silence is an outage (`arpd.estimate.estimator`)
 LONGEST_QUIET_S = 2.0  # even if a ping asks for more
 
@@ -37,6 +37,7 @@ class ReportSchedule:
     sent_at_s: float
     _quiet_s: float = QUIET_S
     _wait_s: float = QUIET_S
+    _late_s: float = BUSY_S  # after a report, when the next ping is late
 
     @property
     def due_s(self) -> float:
@@ -52,18 +53,19 @@ class ReportSchedule:
         quiet_s : most time between two reports that the daemon asks for; longer on a slow link (s)
         """
         self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
+        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
         # A ping's delay is the first sign of a queue, so its report does not wait for further probes.
         self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
 
     @property
     def look_s(self) -> float:
         """Time to read the interface and call `note_traffic` (s)."""
-        return self.sent_at_s + BUSY_S
+        return self.sent_at_s + self._late_s
 
     def note_traffic(self, size_bytes: float) -> None:
         """Note what the interface received since the last report: while a queue stands, pings are late."""
-        if size_bytes >= WORTH_BYTES * (self._quiet_s / QUIET_S) ** 2:
-            self._wait_s = min(self._wait_s, BUSY_S)
+        if size_bytes >= WORTH_BYTES:
+            self._wait_s = min(self._wait_s, self._late_s)
 
     def note_sent(self, now_s: float) -> None:
         """Note that a report leaves now."""

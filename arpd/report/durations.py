@@ -77,14 +77,21 @@ class Durations:
         default_factory=lambda: MappingProxyType(dict.fromkeys(SwapPhase, _PHASE))
     )
 
-    def with_tick(self, tick_s: float, *, solve_s: float | None, phases: Mapping[str, list[float]]) -> Durations:
-        """Return these and those of one more tick.
+    def with_ticks(
+        self,
+        ticks_s: Iterable[float],
+        *,
+        late_s: Iterable[float],
+        solve_s: float | None,
+        phases: Mapping[str, list[float]],
+    ) -> Durations:
+        """Return these and those of some more ticks.
 
         Parameters
         ----------
-        tick_s : its duration (s)
-        solve_s : duration of its solve (s); None = it needed none
-        phases : time that swaps which finished since the last tick spent in each phase (s)
+        ticks_s, late_s : durations of the ticks, and how late they began (s)
+        solve_s : duration of their solve (s); None = they needed none
+        phases : time that swaps which finished meanwhile spent in each phase (s)
         """
         swap_phases = self.swap_phases
         if phases:
@@ -92,14 +99,11 @@ class Durations:
             swap_phases = MappingProxyType({**swap_phases, **more})
         return replace(
             self,
-            ticks=self.ticks.including((tick_s,)),
+            ticks=self.ticks.including(ticks_s),
+            lateness=self.lateness.including(late_s),
             solves=self.solves if solve_s is None else self.solves.including((solve_s,)),
             swap_phases=swap_phases,
         )
-
-    def with_lateness(self, late_s: float) -> Durations:
-        """Return these and one more beginning of a tick (s)."""
-        return replace(self, lateness=self.lateness.including((late_s,)))
 
 
 class SwapWatch:

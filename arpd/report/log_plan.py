@@ -24,7 +24,7 @@ _FITS_S = 10.0  # while a queue drains, the budget may be less than the floors f
 # How long a refusal lasts before it is an event (s), and its words.
 _REFUSED = {
     "dwell": (2.0, "a new plan has to wait: the last one is only {age} old (dwell)"),
-    "budget": (0.0, "topics keep depth and deadline for now: the swaps allowed in a minute are spent (budget)"),
+    "budget": (0.0, "topics keep depth and deadline for now: swaps have used up their part of the link (budget)"),
 }
 
 
@@ -47,7 +47,7 @@ class PlanLog:
         plan, before = snapshot.decision.plan, self._plan
         if plan is not before:
             self._plan = plan
-            if plan.generation > 0 and plan != before:
+            if plan.generation > 0 and not _is_same(plan, before):
                 yield _new_plan(snapshot, before, self._link)
                 self._made_s, self._link, self._is_awaited = snapshot.finished_at_s, snapshot.link, True
             elif plan.generation == 0:
@@ -62,6 +62,11 @@ class PlanLog:
                 + (f", {format_duration(took_s)} after it was made" if took_s > 0 else " already"),
                 details={"generation": str(plan.generation), "seconds": f"{took_s:.3f}"},
             )
+
+
+def _is_same(plan: QosPlan, before: QosPlan | None) -> bool:
+    """Return whether two plans ask for the same; the level may differ."""
+    return before is not None and (plan.generation, plan.topics) == (before.generation, before.topics)
 
 
 def _is_in_force(snapshot: Snapshot) -> bool:

@@ -32,7 +32,7 @@ class _Moment(NamedTuple):
 
 
 class OtherTraffic:
-    """Measures the other traffic of the last second; one `update` per tick.
+    """Measures the other traffic of the last second; one `update` per whole turn.
 
     It is DDS discovery, acknowledgements, resends, calls across the link, and all other programs. Samples count with
     the rates that their publishers announced last, so a rate that has just changed is off for a second. `CrossTraffic`
@@ -41,20 +41,19 @@ class OtherTraffic:
 
     def __init__(self) -> None:
         self._moments: deque[_Moment] = deque()
-        self._reports = 0
 
-    def update(self, observation: Observation, *, probe_bytes: int) -> OtherRates | None:
+    def update(self, observation: Observation, *, probe_bytes: int, reports: int) -> OtherRates | None:
         """Return the rates, None until the interface has been read for a second.
 
         Parameters
         ----------
         probe_bytes : wire bytes of all probes so far, in one copy
+        reports : received so far
         """
-        self._reports += len(observation.reports)
         if (counters := observation.counters) is None:
             self._moments.clear()
             return None
-        now = _Moment(observation.now_s, counters.tx_bytes, counters.rx_bytes, probe_bytes, self._reports)
+        now = _Moment(observation.now_s, counters.tx_bytes, counters.rx_bytes, probe_bytes, reports)
         self._moments.append(now)
         while len(self._moments) > 1 and now.now_s - self._moments[1].now_s >= _WINDOW_S:
             self._moments.popleft()

@@ -368,7 +368,7 @@ def status_line(snapshot: Snapshot | None) -> str:
         f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
     )
     _, fault = interface_fault(snapshot) or (None, "")
-    # Judged at each tick only while nothing is planned: a judgement reads every topic.
+    # Judged at each turn only while nothing is planned: a judgement reads every topic.
     unplanned = None if snapshot.managed else judge(snapshot)
     if unplanned is not None and unplanned.verdict.condition in _WAITS:
         line = unplanned.verdict.phrase

@@ -31,7 +31,7 @@ class Totals:
     cross_check_disagreements : answers of the back end that ``exact`` contradicted
     levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``budget``)
-    applies_by_result : parameter calls by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
+    applies_by_result : plans sent to nodes, by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
     reports : peer reports received
     reloads_by_result : configuration reloads (``ok``, ``failed``)

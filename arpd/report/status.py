@@ -107,9 +107,9 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "uniform": allocation.uniform and asdict(allocation.uniform),
         },
         "lease": _lease(snapshot),
-        "topics": [_topic(row) for row in rows],
+        "topics": [_topic(row, snapshot.observation.now_s) for row in rows],
         "readers": [
-            _reader(reader, snapshot.reader_plans.get((reader.node, reader.topic)))
+            _reader(reader, snapshot.reader_plans.get((reader.node, reader.topic)), now_s=snapshot.observation.now_s)
             for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
         ],
         "totals": _totals(snapshot.totals),
@@ -224,7 +224,7 @@ def _lease(snapshot: Snapshot) -> dict[str, Any]:
     return {"on_lost": str(on_lost), "after_seconds": snapshot.lease_s or None}
 
 
-def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
+def _reader(reader: ReaderState, planned: ReaderPlan | None, *, now_s: float) -> dict[str, Any]:
     return {
         "topic": reader.topic,
         "node": reader.node,
@@ -240,11 +240,11 @@ def _reader(reader: ReaderState, planned: ReaderPlan | None) -> dict[str, Any]:
         "refusal": reader.refusal,
         "refusal_reason": str(reader.refusal_reason),
         "refusal_lasts": reader.refusal_reason.is_lasting,
-        "age_seconds": _finite(reader.age_s),
+        "age_seconds": _finite(reader.age_s(now_s)),
     }
 
 
-def _topic(row: TopicRow) -> dict[str, Any]:
+def _topic(row: TopicRow, now_s: float) -> dict[str, Any]:
     publisher, planned, allocation = row.publisher, row.planned, row.allocation
     return {
         "topic": publisher.topic,
@@ -296,7 +296,7 @@ def _topic(row: TopicRow) -> dict[str, Any]:
         "refusal": publisher.refusal,
         "refusal_reason": str(publisher.refusal_reason),
         "refusal_lasts": publisher.refusal_reason.is_lasting,
-        "age_seconds": _finite(publisher.age_s),
+        "age_seconds": _finite(publisher.age_s(now_s)),
     }
 
 

@@ -105,7 +105,8 @@ class Program:
         ):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
-        self._is_uniform = settings.policy is Policy.UNIFORM
+        #: Whether all topics get one rate and one depth.
+        self.is_uniform = settings.policy is Policy.UNIFORM
         self._headroom = headroom
         self._deep = deep
         self._packet_overhead_s = packet_overhead_s
@@ -180,7 +181,7 @@ class Program:
                 raise ValueError(f"{name} {value!r} must be a number of at least 0")
         if share > 1.0:
             raise ValueError(f"share {share!r} must be at most 1")
-        divide = partial(divide_evenly, crossing=crossing, solver=self._solver) if self._is_uniform else self._allocate
+        divide = partial(divide_evenly, crossing=crossing, solver=self._solver) if self.is_uniform else self._allocate
         if topics:
             memory_budget = decimal(memory_budget_bytes)
             allocation = divide(capacity_bytes_per_second, topics, memory_budget, decimal(overhead_s), decimal(share))

@@ -20,19 +20,18 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.adapters.ros.announcement import from_status
 from arpd.adapters.ros.graph import deadline_ns_of
-from arpd.adapters.ros.names import PUBLISHERS_TOPIC, parameter_name
+from arpd.adapters.ros.names import parameter_name
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from scripts.bench.child import number_of, sample_of
 from tests.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
+from tests.ros.announced import Announced
 
 REPO = Path(__file__).resolve().parents[2]
 START_S = 90.0  # long, because the machine is shared and noisy, and parameter calls are repeated every 12 s at last
@@ -138,7 +137,7 @@ class World:
 
     def __enter__(self):
         self._node = self.node("observer")
-        self._node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_announcement, 100)
+        Announced(self._node, self._on_news)
         return self
 
     def __exit__(self, *failure):
@@ -277,9 +276,8 @@ class World:
         insist(answer.done, f"{service} answers")
         return answer.result()
 
-    def _on_announcement(self, message):
-        for status in message.status:
-            state = from_status(status)
+    def _on_news(self, states):
+        for state in states:
             self._announcements[state.topic].append(state)
 
 

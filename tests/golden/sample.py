@@ -52,7 +52,7 @@ _IMAGE = publisher(
     ),
     remote_readers=1,
     requested_deadline_ns=200_000_000,
-    age_s=0.5,
+    announced_at_s=999.25,
 )
 _IMU = publisher(
     "/imu_driver",
@@ -68,7 +68,7 @@ _IMU = publisher(
     baseline_depth=100,
     generation=3,
     remote_readers=2,
-    age_s=0.75,
+    announced_at_s=999,
 )
 _COMMAND = publisher(
     "/planner",
@@ -86,7 +86,7 @@ _COMMAND = publisher(
     refusal="depth 16: /robot/base did not match the new writer in 5 s",
     refusal_reason=RefusalReason.UNMATCHED,
     remote_readers=1,
-    age_s=0.125,
+    announced_at_s=999.625,
 )
 _DIAGNOSTICS = publisher(
     "/camera",
@@ -97,7 +97,7 @@ _DIAGNOSTICS = publisher(
     source_rate_hz=1.0,
     offered=100,
     published=100,
-    age_s=0.25,
+    announced_at_s=999.5,
 )
 _PLANNER = reader(
     "/planner",
@@ -107,7 +107,7 @@ _PLANNER = reader(
     generation=3,
     swaps_by_result=MappingProxyType({"ok": 1}),
     deadlines_missed=6,
-    age_s=0.25,
+    announced_at_s=999.5,
 )
 _LOGGER = reader(
     "/logger",
@@ -115,7 +115,7 @@ _LOGGER = reader(
     depth=5,
     refusal="/map is TRANSIENT_LOCAL",
     refusal_reason=RefusalReason.TRANSIENT_LOCAL,
-    age_s=0.5,
+    announced_at_s=999.25,
 )
 
 _ALLOCATION = Allocation(
@@ -273,11 +273,12 @@ def make_snapshot() -> Snapshot:
             reports=8900,
             reloads_by_result=MappingProxyType({"ok": 2, "failed": 1}),
             events_by_kind=MappingProxyType({"started": 1, "plan": 3}),
-            durations=Durations()
-            .with_lateness(0.0)
-            .with_lateness(0.0625)
-            .with_tick(0.0078125, solve_s=0.000125, phases={"matching": [3.0625], "proving": [0.0625]})
-            .with_tick(3.0, solve_s=None, phases={}),
+            durations=Durations().with_ticks(
+                [0.0078125, 3.0],
+                late_s=[0.0, 0.0625],
+                solve_s=0.000125,
+                phases={"matching": [3.0625], "proving": [0.0625]},
+            ),
         ),
         config_path="/etc/arpd/arpd.yaml",
         config_error="",

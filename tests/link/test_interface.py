@@ -87,7 +87,7 @@ with (control_node if sys.argv[2] == "never waits" else ros_node)("arpd") as nod
             world.set_price(Price(share_per_weight=0.5, capacity_bytes_per_second=1e6))
             number += 1
             world.probe(ProbeRequest(packets=8, packet_bytes=1300, number=number))
-            ages = [one.age_s for one in seen.publishers]
+            ages = [one.age_s(seen.now_s) for one in seen.publishers]
             print(json.dumps({"count": number, "publishers": len(ages), "reports": heard}), flush=True)
             time.sleep(0.1)
 """

@@ -18,7 +18,7 @@ rclpy.init()
 node = rclpy.create_node("listener")
 heard, incompatible = [], []
 events = SubscriptionEventCallbacks(incompatible_qos=lambda event: incompatible.append(event.total_count))
-qos = QoSProfile(depth=10, deadline=Duration(nanoseconds=int(sys.argv[2])))
+qos = QoSProfile(depth=int(sys.argv[2]), deadline=Duration(nanoseconds=int(sys.argv[3])))
 subscription = AdaptiveSubscription(
     node, String, sys.argv[1], lambda message: heard.append(int(message.data)), qos, event_callbacks=events
 )

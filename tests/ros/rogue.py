@@ -11,8 +11,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.announcement import reader_to_status, to_status
+from arpd.adapters.ros.counters import encode_counters, row_of
 from arpd.adapters.ros.daemons import to_status as heartbeat_to_status
-from arpd.adapters.ros.names import DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.names import COUNTERS_TOPIC, DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.plan_message import PlanAnswer
 from arpd.adapters.ros.probe_messages import encode_report
 from arpd.model.probing import PeerReport, Train
 from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
@@ -26,6 +28,11 @@ HUGE = {"payload_bytes": 2.0**30, "source_rate_hz": 1e5, "generation": 2**53}
 
 def announcement(*statuses):
     return serialize_message(DiagnosticArray(status=list(statuses)))
+
+
+def counters(node, rows):
+    data = encode_counters(node, rows, incarnation=1, answer=PlanAnswer(generation=2**53), lease_s=0.0)
+    return serialize_message(UInt8MultiArray(data=data))
 
 
 def report(name, number):
@@ -58,6 +65,11 @@ own += [spoilt(own[0]) for _ in range(20)]
 long = announcement(DiagnosticStatus(name="/rogue: /t", message="x" * 600_000))
 reports = [report("ceddp", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
+# Numbers of nodes that are not there, of too many publishers, and of publishers that nobody announced.
+nothing = row_of(1, 0, told=publisher("/n", "/t"), now=publisher("/n", "/t", offered=9))
+numbers = [counters(f"/rogue{k}", [nothing]) for k in range(300)]
+numbers += [counters("/rogue", [nothing] * 300), counters("/rogue", [nothing] * 3), counters("no name", [])]
+numbers += [spoilt(numbers[-2]) for _ in range(20)] + [serialize_message(UInt8MultiArray(data=bytes(40_000)))]
 heartbeat = announcement(heartbeat_to_status(DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="liar")))
 heartbeats = [heartbeat, spoilt(heartbeat), announcement(DiagnosticStatus(name="arpd on " + "x" * 4000))]
 reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))
@@ -65,8 +77,10 @@ reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))
 rclpy.init()
 node = rclpy.create_node("rogue")
 qos = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-to_publishers, to_readers = (node.create_publisher(DiagnosticArray, t, qos) for t in (PUBLISHERS_TOPIC, READERS_TOPIC))
+to_publishers = node.create_publisher(DiagnosticArray, PUBLISHERS_TOPIC, 1000)
+to_readers = node.create_publisher(DiagnosticArray, READERS_TOPIC, qos)
 to_reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, qos)
+to_counters = node.create_publisher(UInt8MultiArray, COUNTERS_TOPIC, qos)
 to_daemons = node.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
 sys.stdin.readline()
 due_s = time.monotonic()
@@ -77,6 +91,8 @@ while True:
         to_publishers.publish(data)
     to_publishers.publish(draw.choice(own))
     to_readers.publish(draw.choice(readers))
+    for data in draw.choices(numbers, k=10):
+        to_counters.publish(data)
     for data in draw.choices(reports, k=5):
         to_reports.publish(data)
     if batch % 5 == 0:

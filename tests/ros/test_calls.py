@@ -29,6 +29,7 @@ from arpd.adapters.ros.ends import calls as calls_module
 from arpd.adapters.ros.ends import served_calls as served_calls_module
 from arpd.adapters.ros.ends.calls import Calls
 from arpd.adapters.ros.ends.ghost_service import GhostService, failed_response
+from arpd.adapters.ros.ends.served_calls import ServedCalls
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
 from arpd.adapters.ros.runtime import prepare_environment, spinning
 from arpd.apply.relay.call_records import Answer, FailureReason, Record, Request, encode_record
@@ -55,6 +56,7 @@ class End:
         self.is_reachable = True
         self.loss = 0.0
         self.turns = 0
+        self.ahead_s = 0.0  # of the monotonic clock
         self._random = random.Random(1)
         self._nodes = {}
         self._executor = executor(context=self.context)
@@ -68,8 +70,12 @@ class End:
             timeout_s=timeout_s,
             session=self.session,
             namespace=namespace,
+            clock=self.now_s,
         )
         self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def now_s(self):
+        return time.monotonic() + self.ahead_s
 
     def start(self, other):
         self.other = other
@@ -107,7 +113,7 @@ class End:
     def _work(self):
         next_state_s = 0.0
         while not self._stopping.is_set():
-            now_s = time.monotonic()
+            now_s = self.now_s()
             if now_s >= next_state_s:
                 next_state_s = now_s + STATE_S
                 self.offered = self.calls.offers()
@@ -175,6 +181,11 @@ class World:
 
     def lose(self, share):
         self.robot.loss = self.ceddp.loss = share
+
+    def pass_time(self, seconds):
+        """Let both ends' clocks jump ahead."""
+        for end in (self.robot, self.ceddp):
+            end.ahead_s += seconds
 
     def cut(self):
         self.robot.is_reachable = self.ceddp.is_reachable = False
@@ -344,11 +355,14 @@ def test_an_action_crosses_a_bad_link(world, eventually, executor):
 def test_an_action_is_cancelled_across_the_link(world, eventually):
     """Cancelling a goal reaches the server, and the result says so; it comes long after the time-out of calls."""
     serve_fibonacci(world.robot_nodes, step_s=0.2)
-    world.relay(timeout_s=3.0)
+    world.relay(timeout_s=20.0)
     client = action_client(world, eventually)
     handle = finished(eventually, client.send_goal_async(Fibonacci.Goal(order=1000)))
     result = handle.get_result_async()
-    time.sleep(4.0)
+    eventually(lambda: world.ceddp.calls.under_way == (1, 0) and world.robot.calls.under_way == (0, 1))
+    world.pass_time(30.0)
+    turns = world.ceddp.turns
+    eventually(lambda: world.ceddp.turns > turns + 10)
     assert not result.done()
     cancelled = finished(eventually, handle.cancel_goal_async())
     assert cancelled.return_code == CancelGoal.Response.ERROR_NONE
@@ -401,22 +415,27 @@ def test_a_call_without_an_answer_times_out(world, eventually, caplog):
     """A call fails after its time, with a response where the type can say so, and the serving end forgets it."""
     requests, _ = silent_server(world.robot_nodes.node("camera"), SetCameraInfo, "/set_camera_info")
     others, _ = silent_server(world.robot_nodes.node("other"), BasicTypes, "/other")
-    world.relay(timeout_s=1.0)
+    world.relay(timeout_s=20.0)
     client, mute = (
         world.ceddp_nodes.client(SetCameraInfo, "/set_camera_info"),
         world.ceddp_nodes.client(BasicTypes, "/other"),
     )
     eventually(lambda: client.service_is_ready() and mute.service_is_ready())
-    silent = mute.call_async(BasicTypes.Request())
-    response = finished(eventually, client.call_async(SetCameraInfo.Request()))
+    silent, asked = mute.call_async(BasicTypes.Request()), client.call_async(SetCameraInfo.Request())
+    eventually(lambda: len(requests) == len(others) == 1)
+    world.pass_time(25.0)
+    response = finished(eventually, asked)
     assert not response.success
-    assert "no answer within 1 s" in response.status_message
+    assert "no answer within 20 s" in response.status_message
     eventually(lambda: world.ceddp.calls.failures == {"timeout": 2})
-    assert (len(requests), len(others)) == (1, 1)
     eventually(lambda: world.robot.calls.under_way == (0, 0))  # the robot's end does not wait for ever
     assert not silent.done()
-    finished(eventually, client.call_async(SetCameraInfo.Request()))
+    again = client.call_async(SetCameraInfo.Request())
+    eventually(lambda: len(requests) == 2)
+    world.pass_time(25.0)
+    finished(eventually, again)
     assert world.ceddp.calls.failures == {"timeout": 3}
+    assert (len(requests), len(others)) == (2, 1)
     assert sum("/set_camera_info failed" in line for line in caplog.messages) == 1  # once a minute
 
 
@@ -674,3 +693,58 @@ def test_a_type_without_its_libraries_is_refused(monkeypatch):
     monkeypatch.setattr(type(BasicTypes), "__import_type_support__", classmethod(fails))
     with pytest.raises(UnknownTypeError, match="libraries of test_msgs/srv/BasicTypes"):
         service_class("test_msgs/srv/BasicTypes")
+
+
+class LateServer:
+    """Stands for a node, its client and the future of the client: its server is there when a test says so."""
+
+    def __init__(self):
+        self.is_there, self.requests = True, []
+
+    def create_client(self, *_args, **_options):
+        return self
+
+    def service_is_ready(self):
+        return self.is_there
+
+    def call_async(self, request):
+        self.requests.append(request)
+        return self
+
+    def add_done_callback(self, _callback):
+        """Never call it: nothing answers."""
+
+
+def test_no_request_leaves_before_its_server_can_know_the_client():
+    """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
+    node, now_s = LateServer(), 100.0
+    served = ServedCalls(
+        node,
+        send=lambda _data: None,
+        session="robot",
+        offered=lambda name: (name, "test_msgs/srv/Empty"),
+        clock=lambda: now_s,
+    )
+    served.follow("ceddp")
+    body = bytes(serialize_message(Empty.Request()))
+
+    def ask(number):
+        request = Request(service="/empty", type_name="test_msgs/srv/Empty", body=body)
+        served.receive(Record(caller="ceddp", callee="robot", number=number, oldest=1, content=request))
+
+    def pass_time(seconds):
+        nonlocal now_s
+        now_s += seconds
+        served.step(now_s)
+        return len(node.requests)
+
+    ask(1)
+    assert (pass_time(0.2), pass_time(0.2)) == (0, 1)
+    ask(2)
+    assert len(node.requests) == 2
+    node.is_there = False
+    pass_time(0.1)
+    node.is_there = True
+    pass_time(0.1)
+    ask(3)
+    assert (pass_time(0.1), pass_time(0.3)) == (2, 3)

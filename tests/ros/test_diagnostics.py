@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64MultiArray
 
 from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
-from arpd.adapters.ros.graph import read_crossings
+from arpd.adapters.ros.graph import GraphReader
 from arpd.adapters.ros.names import PRICE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
@@ -159,9 +159,9 @@ def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventu
     node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)  # by which the daemon knows its host
     Diagnostics(node, lambda: daemon.snapshot)
     Monitor(ros.node("monitor"))
-    rmw = current_rmw()
-    eventually(lambda: read_crossings(node, rmw).get(DIAGNOSTICS_TOPIC))
-    assert read_crossings(node, rmw)[DIAGNOSTICS_TOPIC].writers == frozenset()
+    graph = GraphReader(node, current_rmw())
+    eventually(lambda: graph.read().crossings.get(DIAGNOSTICS_TOPIC))
+    assert graph.read().crossings[DIAGNOSTICS_TOPIC].writers == frozenset()
     battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
-    eventually(lambda: read_crossings(node, rmw)[DIAGNOSTICS_TOPIC].writers == {"/battery"})
+    eventually(lambda: graph.read().crossings[DIAGNOSTICS_TOPIC].writers == {"/battery"})
     battery.destroy()

@@ -143,6 +143,9 @@ def test_every_refusal_is_counted_and_few_are_logged(outcome):
     for kind, reason in [
         ("publishers", "source"),
         ("publishers", "rate"),
+        ("publishers", "size"),
+        ("publishers", "malformed"),
+        ("publishers", "quota"),
         ("readers", "source"),
         ("reports", "unanswered"),
         ("reports", "size"),

@@ -8,14 +8,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.announcement import from_status
-from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.adapters.ros.plan_message import PlanAnswer
+from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.model.plan import TopicPlan, Transition
+from tests.ros.announced import Announced
 from tests.ros.price import TERMS, PriceSender, costing
 from tests.ros.setter import Setter
 
@@ -26,26 +26,15 @@ ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TER
 PRICE = costing(2.5)
 
 
-class Announced:
-    """The last announcement of the node."""
-
-    def __init__(self, node):
-        self.last = None
-        node.create_subscription(DiagnosticArray, "/arpd/publishers", self._on_announcement, 10)
-
-    def _on_announcement(self, message):
-        if message.status:
-            self.last = from_status(message.status[0])
-
-    def shows(self, **values):
-        return self.last is not None and all(getattr(self.last, key) == value for key, value in values.items())
-
-
 class FakeDaemon:
     """Applies one plan as `arpd run` does, and sends the price until `fall_silent`."""
 
-    def __init__(self, node, stopping):
-        self._applier = ParameterApplier(node)
+    def __init__(self, node, announced, stopping):
+        self._sender = PlanSender(
+            node,
+            publishers_answer=lambda name: announced.answers.get(name, PlanAnswer()),
+            readers_answer=lambda _name: PlanAnswer(),
+        )
         self._send_price = PriceSender(node)
         self._is_talking = threading.Event()
         self._thread = threading.Thread(target=self._talk, args=(stopping,), daemon=True)
@@ -65,7 +54,7 @@ class FakeDaemon:
         while not stopping.wait(0.1):
             if self._is_talking.is_set():
                 self._send_price(PRICE)
-                self._applier.apply([self._transition], now_s=time.monotonic())
+                self._sender.apply([self._transition], now_s=time.monotonic())
 
 
 @pytest.fixture
@@ -84,9 +73,9 @@ def announced(ros, publisher):
 
 
 @pytest.fixture
-def daemon(ros):
+def daemon(ros, announced):
     stopping = threading.Event()
-    fake = FakeDaemon(ros.node("planner"), stopping)
+    fake = FakeDaemon(ros.node("planner"), announced, stopping)
     yield fake
     stopping.set()
     fake._thread.join(timeout=5)

@@ -9,7 +9,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.graph import read_crossings
+from arpd.adapters.ros.graph import GraphReader
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 
 pytestmark = pytest.mark.ros
@@ -39,4 +39,4 @@ def test_the_graph_is_read_without_hosts(ros, eventually):
     node.create_publisher(String, "/x", 10)
     ros.node("listener").create_subscription(String, "/x", lambda _m: None, 10)
     eventually(lambda: node.count_subscribers("/x") == 1)
-    assert read_crossings(node, OTHER)["/x"] == read_crossings(node, current_rmw())["/x"]
+    assert GraphReader(node, OTHER).read().crossings["/x"] == GraphReader(node, current_rmw()).read().crossings["/x"]

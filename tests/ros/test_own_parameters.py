@@ -1,11 +1,11 @@
-"""ParameterEvents and parameter services of a node with arpd's parameters, with real rclpy."""
+"""ParameterEvents, plans and parameter services of a node with arpd's parameters, with real rclpy."""
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.exceptions import ParameterAlreadyDeclaredException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterAlreadyDeclaredException
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import qos_profile_parameter_events
@@ -13,7 +13,8 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.ros.own_parameters import OwnParameters
-from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.adapters.ros.plan_message import PlanAnswer
+from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.model.plan import ReaderPlan, TopicPlan, Transition
 from tests.ros.price import TERMS
 
@@ -60,6 +61,10 @@ def mark(node, events, eventually, name):
     eventually(is_heard)
 
 
+def no_answer(_node):
+    return PlanAnswer()
+
+
 def steps():
     row = TopicPlan(rate_hz=50.0, min_rate_hz=1.0, deadline_ns=10**8, depth=40, **TERMS)
     read = ReaderPlan(depth=9, deadline_ns=0)
@@ -69,35 +74,62 @@ def steps():
     ]
 
 
-def test_a_plan_is_no_event_and_the_applications_parameters_are(ros, node, events, eventually):
-    """Neither arpd's parameters nor a plan for them cause an event; a parameter of the application does."""
+def get(node, name):
+    return node.get_parameter(name).value
+
+
+def test_a_plan_is_shown_and_is_no_event(ros, node, events, eventually):
+    """A plan comes into force at once, the parameters show it, and nobody receives an event."""
     publishers = [AdaptivePublisher(node, String, topic, 10) for topic in TOPICS]
     AdaptiveSubscription(node, String, "/read", lambda _message: None, 10)
     mark(node, events, eventually, "declared")
-    applier = ParameterApplier(ros.node("daemon"))
-    eventually(lambda: applier.apply(steps(), now_s=0.0) or applier.results.get("ok") == 2)
+    sender = PlanSender(ros.node("daemon"), publishers_answer=no_answer, readers_answer=no_answer)
+    sender.apply(steps(), now_s=0.0)
+    eventually(lambda: get(node, "qos_overrides./read.subscription.depth") == 9)
     assert all(publisher.plan.depth == 40 for publisher in publishers)
+    assert [get(node, name) for name in (DEPTH, "arpd./topic0.publisher.rate", "arpd./topic0.publisher.packets")] == [
+        40,
+        50.0,
+        TERMS["packets"],
+    ]
+    assert [get(node, f"arpd.{half}") for half in ("generation", "lease", "readers.generation", "readers.lease")] == [
+        *(3, 30.0),
+        *(3, 30.0),
+    ]
     mark(node, events, eventually, "planned")
     assert set(events.names) <= {"begin", "declared", "planned"}, events.names
 
 
-def test_of_a_call_for_both_only_the_applications_part_is_an_event(node, events, eventually):
-    """An atomic call with parameters of both sets all, and its event has those of the application."""
+def test_what_is_set_by_hand_is_an_event(node, events, eventually):
+    """A change by hand is an event, as of any parameter."""
     publisher = AdaptivePublisher(node, String, TOPICS[0], 10)
-    node.declare_parameter("speed", 1.0)
-    assert node.set_parameters_atomically([Parameter(DEPTH, value=33), Parameter("speed", value=2.0)]).successful
-    eventually(lambda: events.names.count("speed") == 2)
+    assert node.set_parameters([Parameter(DEPTH, value=33)])[0].successful
+    eventually(lambda: DEPTH in events.names)
     assert publisher.plan.depth == 33
-    assert DEPTH not in events.names
 
 
-def test_a_parameter_that_the_application_declared_keeps_its_events(node, events, eventually):
+def test_a_wrong_type_is_refused_as_ever(node):
+    """A declared parameter keeps its type."""
+    AdaptivePublisher(node, String, TOPICS[0], 10)
+    assert not node.set_parameters([Parameter(DEPTH, value=3.5)])[0].successful
+    assert get(node, DEPTH) == 10
+
+
+def test_an_override_given_at_the_start_is_in_force(ros):
+    """A value on the command line is read by rclpy, and one of another type is refused by it."""
+    node = ros.node("started", parameter_overrides=[Parameter(DEPTH, value=33)])
+    assert AdaptivePublisher(node, String, TOPICS[0], 10).plan.depth == 33
+    node = ros.node("spoilt", parameter_overrides=[Parameter(DEPTH, value="many")])
+    with pytest.raises(InvalidParameterTypeException):
+        AdaptivePublisher(node, String, TOPICS[0], 10)
+
+
+def test_a_parameter_of_the_application_is_not_taken(node):
     """A name that arpd cannot declare stays the application's."""
     node.declare_parameter("speed", 1.0)
     with pytest.raises(ParameterAlreadyDeclaredException):
-        OwnParameters.of(node).declare("speed", 2.0, "")
-    node.set_parameters([Parameter("speed", value=3.0)])
-    eventually(lambda: events.names.count("speed") == 2)
+        OwnParameters(node).declare("speed", 2.0, "")
+    assert get(node, "speed") == 1.0
 
 
 def test_the_parameter_services_know_them_as_ever(ros, node, eventually):

@@ -1,6 +1,7 @@
 """Messages from the network: read without decoding, and refused without harm."""
 
 from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -16,12 +17,15 @@ from std_msgs.msg import Float64, UInt8MultiArray
 
 from arpd.adapters.ros.announcement import from_status, to_status
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
-from arpd.adapters.ros.graph import Crossing, Graph, read_crossings
-from arpd.adapters.ros.listeners import Announcements
+from arpd.adapters.ros.counters import encode_counters, row_of
+from arpd.adapters.ros.crossing import Crossing
+from arpd.adapters.ros.graph import Graph, GraphReader
+from arpd.adapters.ros.listeners import Announcements, CounterMessages
+from arpd.adapters.ros.plan_message import PlanAnswer
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets, peek
 from arpd.adapters.ros.rmw import rmw_of
 from arpd.model.observation import MessageKind, MessageRefusal
-from arpd.observe.registry import MOST_OF_NODE
+from arpd.observe.registry import MOST_OF_NODE, Tag
 from tests.sample_publishers import publisher
 
 pytestmark = pytest.mark.ros
@@ -68,6 +72,7 @@ class World:
             "/t",
             MessageKind.PUBLISHERS,
             from_status,
+            is_reliable=True,
             stale_s=3.5,
             refused=self.refused,
             clock=lambda: self.now_s,
@@ -129,6 +134,96 @@ def test_a_node_waits_for_the_graph_and_is_heard_then():
     assert world.refused.counts == {(MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 1}
 
 
+def test_all_messages_of_a_node_wait_for_the_graph():
+    """What a node says in several messages before the graph shows it is heard, up to a bound."""
+    world = World()
+    for number in range(8):
+        world.node.callback(serialized(to_status(publisher("/n", f"/t{number}"))))
+    long = to_status(publisher("/n", "/long", refusal="x" * 100_000))
+    for _ in range(2):
+        world.node.callback(serialized(long))
+    world.see("/n")
+    assert world.topics() == ["/long", *(f"/t{number}" for number in range(8))]
+    assert world.refused.counts == {(MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 1}
+
+
+class Counting(World):
+    """The same, with the numbers of publishers."""
+
+    def __init__(self):
+        super().__init__()
+        self.numbers = Node()
+        self.counters = CounterMessages(
+            self.numbers, self.heard, refused=self.refused, pause=Pause(), clock=lambda: self.now_s
+        )
+        self.announced = publisher("/n", "/a", published=100)
+
+    def see(self, *nodes):
+        super().see(*nodes)
+        self.counters.see(frozenset(nodes))
+
+    def announce(self):
+        self.node.callback(serialized(to_status(self.announced, Tag(7, 1, 0))))
+
+    def count(self, published, *, node="/n", life=7, rows=1):
+        row = row_of(1, 0, told=self.announced, now=replace(self.announced, published=published))
+        data = encode_counters(node, [row] * rows, incarnation=life, answer=PlanAnswer(4, 9), lease_s=30.0)
+        self.numbers.callback(serialize_message(UInt8MultiArray(data=data)))
+
+
+def test_numbers_follow_an_announcement():
+    """Numbers change the state of an announced publisher, and bring its node's answer to a plan."""
+    world = Counting()
+    world.see("/n")
+    world.count(150)
+    assert world.topics() == []
+    world.announce()
+    world.count(160)
+    world.count(170, life=8)
+    (state,) = world.heard.live(world.now_s)
+    assert (state.published, state.generation, state.lease_s) == (160, 4, 30.0)
+    assert world.heard.answer_of("/n") == (4, 9, "")
+    world.see()
+    assert world.heard.answer_of("/n") == (0, 0, ""), "the graph shows the node no more"
+
+
+def test_numbers_are_believed_as_announcements_are():
+    """Numbers of unknown nodes, too often, of too many publishers, or malformed are refused and counted."""
+    world = Counting()
+    world.count(150, node="/invented")
+    world.count(150)
+    world.see("/n")
+    world.announce()
+    for published in range(200, 300):
+        world.count(published)
+    (state,) = world.heard.live(world.now_s)
+    assert state.published < 250
+    world.now_s = 5.0
+    world.count(150, rows=MOST_OF_NODE + 1)
+    world.numbers.callback(serialize_message(UInt8MultiArray(data=b"\1" * 60)))
+    world.numbers.callback(b"\0" * 30_000)
+    counts = {reason: count for (_, reason), count in world.refused.counts.items()}
+    assert counts.pop(MessageRefusal.RATE) > 80
+    assert counts == dict.fromkeys(
+        (MessageRefusal.SOURCE, MessageRefusal.QUOTA, MessageRefusal.MALFORMED, MessageRefusal.SIZE), 1
+    )
+
+
+def test_a_repeated_announcement_is_not_decoded_again():
+    """The same statuses under another stamp are a sign of life, and new ones are read."""
+    world = World()
+    world.see("/n")
+    decoded = []
+    world.heard._decode = lambda status: decoded.append(status) or from_status(status)
+    for world.now_s in (0.0, 3.0, 6.0):
+        message = DiagnosticArray(status=[to_status(publisher("/n", "/a"))])
+        message.header.stamp.sec = int(world.now_s)
+        world.node.callback(serialize_message(message))
+    assert (len(decoded), world.topics()) == (1, ["/a"])
+    world.node.callback(serialized(to_status(publisher("/n", "/a", depth=11))))
+    assert [state.depth for state in world.heard.live(6.0)] == [11]
+
+
 def test_endpoints_whose_nodes_are_not_told_may_be_anybodys():
     """While a participant's nodes are unknown, any node is believed, at one rate for all."""
     world = World()
@@ -181,6 +276,18 @@ def test_waiting_messages_are_taken_together_and_many_are_a_flood():
     assert (len(taken), node.waiting) == (504, [])
 
 
+class Handle:
+    """A handle of a node that counts one of everything."""
+
+    get_count_publishers = get_count_subscribers = staticmethod(lambda _topic: 1)
+
+    def __enter__(self):
+        return None
+
+    def __exit__(self, *_):
+        return None
+
+
 def test_one_impossible_topic_hides_no_other():
     """A name or QoS of another DDS that ROS cannot express leaves the rest of the graph readable."""
 
@@ -196,10 +303,13 @@ def test_one_impossible_topic_hides_no_other():
         get_name=lambda: "arpd",
         get_fully_qualified_name=lambda: "/arpd",
         get_topic_names_and_types=lambda: [(name, []) for name in names],
+        get_node_names_and_namespaces=list,
+        count_publishers=lambda _topic: 1,
+        handle=Handle(),
         get_publishers_info_by_topic=info,
         get_subscriptions_info_by_topic=info,
     )
-    assert set(read_crossings(node, rmw_of("rmw_fastrtps_cpp"))) == {"/good"}
+    assert set(GraphReader(node, rmw_of("rmw_fastrtps_cpp")).read().crossings) == {"/good"}
 
 
 def test_the_graph_confirms_the_nodes_it_shows():

@@ -43,11 +43,17 @@ def lines():
     return []
 
 
+def shown(lines):
+    """Return a function that appends the line of a status."""
+    return lambda status: lines.append(status.line)
+
+
 def test_it_carries_what_an_unmodified_node_publishes(ros, lines, background, eventually):
     """Messages of a plain publisher on /chatter arrive unchanged on /link/chatter."""
-    talker = Numbers(ros.node("plain").create_publisher(String, "/chatter", 10), "plain")
+    talker = Numbers(ros.node("plain").create_publisher(String, "/chatter", 1000), "plain")
     received = listen(ros.node("far"), "/link/chatter")
-    Relay(ros.node("relay"), RelaySettings(topics=("/chatter", "/never")), on_change=lines.append)
+    settings = RelaySettings(topics=("/chatter", "/never"), depths={"/chatter": 1000})
+    Relay(ros.node("relay"), settings, on_change=shown(lines))
     background(talker.talk)
     eventually(lambda: len(received) > 20)
     assert is_gapless(of(received, "plain"))
@@ -58,7 +64,7 @@ def test_it_matches_a_best_effort_source(ros, lines, eventually):
     """A best-effort sensor is relayed too: a reliable reader would not match it."""
     sensor = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     talker = ros.node("sensor").create_publisher(String, "/chatter", sensor)
-    Relay(ros.node("relay"), RelaySettings(topics=("/chatter",)), on_change=lines.append)
+    Relay(ros.node("relay"), RelaySettings(topics=("/chatter",)), on_change=shown(lines))
     eventually(lambda: talker.get_subscription_count() == 1)
 
 
@@ -87,7 +93,7 @@ def test_a_latched_topic_stays_latched(ros, lines, eventually):
     """A late reader of the relayed topic receives the map published before it joined."""
     talker = ros.node("map_server").create_publisher(String, "/map", LATCHED)
     talker.publish(String(data="the map"))
-    Relay(ros.node("relay"), RelaySettings(topics=("/map",)), on_change=lines.append)
+    Relay(ros.node("relay"), RelaySettings(topics=("/map",)), on_change=shown(lines))
     eventually(lambda: lines[-1] == "relaying 1 of 1 topics")
     time.sleep(0.5)
     received = []
@@ -140,7 +146,7 @@ def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, lines, bac
     """A best-effort publisher that joins is carried too, and the first one's messages are not lost or doubled."""
     reliable = Numbers(elsewhere("first").create_publisher(String, "/chatter", 1000), "first")
     received = listen(elsewhere("far"), "/link/chatter")
-    Relay(elsewhere("relay", executor), SETTINGS, on_change=lines.append)
+    Relay(elsewhere("relay", executor), SETTINGS, on_change=shown(lines))
     background(reliable.talk)
     eventually(lambda: len(of(received, "first")) > 20)
     weak = Numbers(elsewhere("second").create_publisher(String, "/chatter", BEST_EFFORT), "second")
@@ -155,7 +161,7 @@ def test_a_volatile_publisher_that_joins_a_latched_topic_is_heard(elsewhere, lin
     """A volatile publisher that joins a latched topic is carried, and the latched one goes on."""
     latched = Numbers(elsewhere("first").create_publisher(String, "/chatter", LATCHED), "first")
     received = listen(elsewhere("far"), "/link/chatter")
-    Relay(elsewhere("relay"), SETTINGS, on_change=lines.append)
+    Relay(elsewhere("relay"), SETTINGS, on_change=shown(lines))
     background(latched.talk)
     eventually(lambda: len(of(received, "first")) > 20)
     volatile = Numbers(elsewhere("second").create_publisher(String, "/chatter", 10), "second")
@@ -172,7 +178,7 @@ def test_two_types_on_one_topic_are_refused_and_named(elsewhere, lines, backgrou
     stray = figures.create_publisher(Float64, "/chatter", 10)
     relay = elsewhere("relay")
     eventually(lambda: len(relay.get_publishers_info_by_topic("/chatter")) == 2)
-    Relay(relay, SETTINGS, on_change=lines.append)
+    Relay(relay, SETTINGS, on_change=shown(lines))
     eventually(lambda: "refused /chatter" in lines[-1])
     assert "std_msgs/msg/Float64 from /figures, std_msgs/msg/String from /words" in lines[-1]
     figures.destroy_publisher(stray)
@@ -186,7 +192,7 @@ def test_a_stray_publisher_of_another_type_takes_nothing_away(elsewhere, lines, 
     """A carried topic goes on when a publisher of another type joins, and that publisher is named."""
     words = Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words")
     received = listen(elsewhere("far"), "/link/chatter")
-    Relay(elsewhere("relay"), SETTINGS, on_change=lines.append)
+    Relay(elsewhere("relay"), SETTINGS, on_change=shown(lines))
     background(words.talk)
     eventually(lambda: len(received) > 5)
     figures = elsewhere("figures")
@@ -204,7 +210,7 @@ def test_a_topic_that_returns_with_another_type_is_carried(elsewhere, lines, bac
     node = elsewhere("talker")
     old = node.create_publisher(Float64, "/chatter", 10)
     relay = elsewhere("relay")
-    Relay(relay, SETTINGS, on_change=lines.append)
+    Relay(relay, SETTINGS, on_change=shown(lines))
     eventually(lambda: lines[-1] == "relaying 1 of 1 topics")
     node.destroy_publisher(old)
     eventually(lambda: lines[-1] == "relaying 0 of 1 topics; no longer published: /chatter")
@@ -228,7 +234,7 @@ def test_a_type_that_is_not_installed_stops_no_other_topic(elsewhere, lines, bac
     node = elsewhere("talker")
     alien = node.create_publisher(Float64, "/alien", 10)
     received, later = listen(elsewhere("far"), "/link/chatter"), listen(elsewhere("later"), "/link/alien")
-    Relay(elsewhere("relay"), RelaySettings(topics=("/alien", "/chatter")), on_change=lines.append)
+    Relay(elsewhere("relay"), RelaySettings(topics=("/alien", "/chatter")), on_change=shown(lines))
     background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
     eventually(lambda: len(received) > 5)
     assert lines[-1] == "relaying 1 of 2 topics; refused /alien: std_msgs/msg/Float64 is not installed here"
@@ -242,7 +248,7 @@ def test_its_own_output_is_no_input(elsewhere, lines):
     """A topic under the prefix, and one that remapping makes its own output, are refused and named."""
     remapped = ["--ros-args", "-r", "/link/chatter:=/chatter"]
     topics = ("/link/scan", "/chatter")
-    Relay(elsewhere("relay", cli_args=remapped), RelaySettings(topics=topics), on_change=lines.append)
+    Relay(elsewhere("relay", cli_args=remapped), RelaySettings(topics=topics), on_change=shown(lines))
     assert lines[-1] == (
         "relaying 0 of 2 topics; refused /chatter: a remapping rule gives its output the same name; remove the rule; "
         "refused /link/scan: it already carries the prefix /link; name the topic without it"
@@ -257,7 +263,7 @@ def test_a_node_that_sends_the_output_back_is_named(elsewhere, lines, background
     background(Numbers(elsewhere("words").create_publisher(String, "/chatter", 10), "words").talk)
     relay = elsewhere("relay")
     eventually(lambda: len(relay.get_publishers_info_by_topic("/chatter")) == 2)
-    Relay(relay, SETTINGS, on_change=lines.append)
+    Relay(relay, SETTINGS, on_change=shown(lines))
     eventually(lambda: "refused /chatter: /far reads /link/chatter and publishes it" in lines[-1])
     far.destroy_subscription(echo)
     far.destroy_publisher(back)
@@ -274,7 +280,7 @@ def test_of_two_relays_in_a_circle_one_steps_back(elsewhere, lines, background, 
     Relay(elsewhere("one"), RelaySettings(topics=("/chatter",), prefix="/a"), on_change=lambda _line: None)
     eventually(lambda: len(received) > 5)
     back = elsewhere("two", cli_args=["--ros-args", "-r", "/b/a/chatter:=/chatter"])
-    Relay(back, RelaySettings(topics=("/a/chatter",), prefix="/b"), on_change=lines.append)
+    Relay(back, RelaySettings(topics=("/a/chatter",), prefix="/b"), on_change=shown(lines))
     # Discovery decides which of the two sees the loop first.
     eventually(lambda: "refused /a/chatter: /one reads /chatter and publishes it" in lines[-1], timeout_s=60)
     before = len(received) + 50
@@ -289,7 +295,7 @@ def test_a_source_that_never_returns_frees_what_carried_it(elsewhere, lines, eve
     node = elsewhere("talker")
     talker = node.create_publisher(String, "/chatter", 10)
     relay = elsewhere("relay")
-    Relay(relay, SETTINGS, on_change=lines.append)
+    Relay(relay, SETTINGS, on_change=shown(lines))
     eventually(lambda: relay.get_publishers_info_by_topic("/link/chatter"))
     node.destroy_publisher(talker)
     eventually(lambda: not relay.get_publishers_info_by_topic("/link/chatter"))
@@ -314,8 +320,14 @@ def is_settled(relay):
     return relay._is_settled("/a")
 
 
+def look_again(relay):
+    """Let the relay look at every topic: it counts the endpoints of a settled one at every second look."""
+    for _ in range(2):
+        relay._discover()
+
+
 def test_a_settled_topic_is_only_counted(elsewhere, looks, eventually):
-    """Endpoints of a settled topic are read when their number changes, and at every tenth look."""
+    """Endpoints of a settled topic are read when their numbers change, and at every 60th look."""
     relay, whole = looks
     talker = elsewhere("talker")
     talker.create_publisher(String, "/a", 10)
@@ -328,12 +340,12 @@ def test_a_settled_topic_is_only_counted(elsewhere, looks, eventually):
     assert whole.count("/b") == 2 * relay_module._EVERY_LOOK
     talker.create_publisher(String, "/a", BEST_EFFORT)
     eventually(lambda: not relay._is_settled("/a"))
-    relay._discover()
+    look_again(relay)
     assert relay._carried["/a"].route.is_reliable is False
 
 
 def test_a_source_replaced_between_two_looks_is_heard(elsewhere, looks, eventually):
-    """A weaker publisher that replaces another between two looks is noticed within ten looks."""
+    """A weaker publisher that replaces another between two looks is heard after two looks."""
     relay, _whole = looks
     talker = elsewhere("talker")
     first = talker.create_publisher(String, "/a", 10)
@@ -342,7 +354,22 @@ def test_a_source_replaced_between_two_looks_is_heard(elsewhere, looks, eventual
     talker.create_publisher(String, "/a", BEST_EFFORT)
     eventually(lambda: not relay._is_settled("/a"))
     talker.destroy_publisher(first)
+    eventually(lambda: relay._endpoints("/a", relay._carried["/a"])[:2] == (1, 0))
+    look_again(relay)
+    assert relay._carried["/a"].route.is_reliable is False
+
+
+def test_a_stronger_source_is_followed_in_the_end(elsewhere, looks, eventually):
+    """A stronger publisher that replaces another between two looks is heard, and followed within 60 looks."""
+    relay, _whole = looks
+    talker = elsewhere("talker")
+    first = talker.create_publisher(String, "/a", BEST_EFFORT)
+
+    eventually(lambda: is_settled(relay))
+    talker.create_publisher(String, "/a", 10)
+    eventually(lambda: not relay._is_settled("/a"))
+    talker.destroy_publisher(first)
     eventually(lambda: relay._is_settled("/a"))
     for _ in range(relay_module._EVERY_LOOK):
         relay._discover()
-    assert relay._carried["/a"].route.is_reliable is False
+    assert relay._carried["/a"].route.is_reliable is True

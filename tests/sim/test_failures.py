@@ -11,8 +11,10 @@ from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon import scenario
+from arpd.govern.classes import class_of_deadline
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
+from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.model.settings import OnLost, ProgramSettings, Settings, TopicSettings
 from tests.sim.watched import watch
 
@@ -43,7 +45,7 @@ def reload(settings):
     return lambda daemon: daemon.reload(lambda: settings)
 
 
-SLACK = Settings(program=ProgramSettings(deadline_slack=2.0))  # changes QoS of every topic
+SLACK = Settings(program=ProgramSettings(deadline_slack=3.0))  # changes QoS of every topic
 
 
 # -- reload
@@ -55,7 +57,9 @@ def test_a_reload_during_a_swap_wins():
     assert played.plans(14.0, LASTS_S) == ["reload", "reload", "reload"]
     assert settled(played)
     assert lost(played) == 0
-    assert played.ticks[-1].decision.plan.topics["/odom"].deadline_ns == pytest.approx(2.0e9 / 20.0, rel=0.05)
+    assert played.ticks[-1].decision.plan.topics["/odom"].deadline_ns == class_of_deadline(
+        3 * NANOSECONDS_PER_SECOND // 20
+    )
 
 
 def test_a_reload_in_an_outage_is_planned_for_when_the_link_is_back():
@@ -244,7 +248,7 @@ def announced_bytes(publishers):
 
 
 def test_depths_fall_as_soon_as_memory_does():
-    """The plan asks for less memory within a tick after the fall, and a writer swap brings it into force."""
+    """The plan asks for less memory at the next turn, and a writer swap brings it into force."""
     fall_s = 14.0
     played = play(
         settings=DEEP, see=memory(lambda t_s: 512 * MIB if t_s < fall_s else RESERVE + MIB / 2), duration_s=22.0
@@ -254,7 +258,7 @@ def test_depths_fall_as_soon_as_memory_does():
     asked = next(tick for tick in played.ticks if tick.decision.reason == "memory")
     assert planned_bytes(before, publishers) > 1.5 * MIB
     assert planned_bytes(asked.decision, publishers) <= MIB
-    assert asked.t_s - fall_s < 0.2
+    assert asked.t_s - fall_s < 0.6
     assert settled(played)
     assert announced_bytes(publishers) <= MIB
     assert played.plans(fall_s, 22.0) == ["memory"]

@@ -18,7 +18,7 @@ from arpd.govern.plan import _SOURCE_MARGIN
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
-from arpd.solve.topics import topics_to_plan
+from arpd.solve.topics import Demand
 from tests.sim.watched import Tick, watch
 
 MBIT = 125_000.0
@@ -140,7 +140,7 @@ def test_no_rate_is_above_what_its_source_wanted(seed):
     """No planned rate exceeds the source's rate by more than the margin for jitter."""
     desired: dict[str, float] = {}
     for tick in anywhere(seed):
-        for topic in topics_to_plan(tick.snapshot.observation.publishers, SETTINGS):
+        for topic in Demand().topics(tick.snapshot.observation.publishers, SETTINGS):
             desired[topic.name] = max(topic.desired_rate_hz, desired.get(topic.name, 0.0))
         for name, row in tick.decision.plan.topics.items():
             assert row.rate_hz <= _SOURCE_MARGIN * desired[name] * (1 + 1e-9), (tick.t_s, name)

@@ -54,9 +54,9 @@ class Watched:
 
     def sent_hz(self, topic: str, start_s: float, end_s: float) -> float:
         """Return the rate at which samples left in a span, by the first and the last announcement in it (Hz)."""
-        seen = [(tick.t_s - p.age_s, p) for tick in self.between(start_s, end_s) if (p := _of(tick, topic)) is not None]
-        (first_s, first), (last_s, last) = seen[0], seen[-1]
-        return (last.published - first.published) / (last_s - first_s)
+        seen = [p for tick in self.between(start_s, end_s) if (p := _of(tick, topic)) is not None]
+        first, last = seen[0], seen[-1]
+        return (last.published - first.published) / (last.announced_at_s - first.announced_at_s)
 
 
 def watch(

@@ -3,7 +3,8 @@
 Usage: python -m numbered source|sink
 
 The source publishes /numbered as a plain rclpy node, and /own with an AdaptivePublisher. The sink reads the relayed
-/numbered and /own, and prints its counts as one JSON line several times a second.
+/numbered and /own, and prints its counts as one JSON line several times a second. It reads /numbered itself, too:
+what stalls there is the machine or the link.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 
-RELAYED, OWN = "/link/numbered", "/own"
+PLAIN, RELAYED, OWN = "/numbered", "/link/numbered", "/own"
 RATE_HZ = 25.0
 QOS = QoSProfile(depth=200)  # RELIABLE, KEEP_LAST, eight seconds
 REPORT_S = 0.25
@@ -33,7 +34,7 @@ class Source(Node):
     def __init__(self) -> None:
         super().__init__("numbered_source")
         self._newest: dict[Any, int] = {
-            self.create_publisher(String, "/numbered", QOS): 0,
+            self.create_publisher(String, PLAIN, QOS): 0,
             AdaptivePublisher(self, String, OWN, QOS, overflow="queue"): 0,
         }
         self.create_timer(1.0 / RATE_HZ, self._publish)
@@ -46,11 +47,11 @@ class Source(Node):
 
 
 class Sink(Node):
-    """Reads both topics."""
+    """Reads the three topics."""
 
     def __init__(self) -> None:
         super().__init__("numbered_sink")
-        self._seen = {topic: _Seen() for topic in (RELAYED, OWN)}
+        self._seen = {topic: _Seen() for topic in (PLAIN, RELAYED, OWN)}
         for topic, seen in self._seen.items():
             self.create_subscription(String, topic, seen.on_sample, QOS)
         self.create_timer(REPORT_S, self._report)

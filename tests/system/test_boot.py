@@ -45,7 +45,7 @@ topics:
 BROKEN = "\nlink:\n  headrom: 0.5\n"
 HTTP_PORT = 9464
 CONFIRMED = "2 of 2 publishers confirmed"
-LONGEST_SILENCE_S = 4.0  # at 25 samples a second; long, because two shared cores stall
+LONGEST_SILENCE_S = 4.0  # beyond that of a plain topic, at 25 samples a second
 
 
 def installed_files(domain_id):
@@ -195,7 +195,9 @@ def deployment(tmp_path_factory):
             enabled = host.call("systemctl", "enable", "--now", *units)
             assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
         url = stack.enter_context(window(link.robot, HTTP_PORT))
-        yield Deployment(robot, ceddp, reader, url)
+        started = Deployment(robot, ceddp, reader, url)
+        eventually(lambda: all_up(started), timeout_s=60.0)  # until then there is no relay that could carry samples
+        yield started
 
 
 @pytest.fixture
@@ -216,14 +218,15 @@ def no_sample_is_lost(request, deployment):
     yield
     since = deployment.reader.since(before)
     print(since)
-    for topic, counts in since.items():
+    for topic, ending in ended.items():
+        counts = since[topic]
         assert counts["doubled"] == 0
-        if ended[topic] not in request.fixturenames:
+        if ending not in request.fixturenames:
             if counts["lost"]:  # two overloaded cores look like a congested link, for which pacing withholds and counts
                 deployment.robot.call("systemctl", "start", "arpd")
                 eventually(deployment.is_confirmed)
                 assert counts["lost"] <= deployment.withheld(topic)
-            assert counts["silence_s"] < LONGEST_SILENCE_S
+            assert counts["silence_s"] < LONGEST_SILENCE_S + since[numbered.PLAIN]["silence_s"]
 
 
 @pytest.fixture
@@ -258,7 +261,7 @@ def come_back(unit, host, *, restarts):
 
 def test_enabled_units_run_as_a_user_of_their_own(deployment):
     """After `systemctl enable --now` all three units work, as the user that systemd-sysusers has made."""
-    eventually(lambda: all_up(deployment), timeout_s=60.0)
+    eventually(lambda: all_up(deployment))
     for unit, host in deployment.hosts():
         main = host.root / "proc" / host.show(unit, "MainPID")["MainPID"]
         assert main.stat().st_uid == int(host.call("id", "--user", "arpd").stdout) != 0
@@ -416,7 +419,10 @@ def test_a_killed_relay_and_a_killed_peer_come_back(running):
         come_back(unit, host, restarts=1)
     eventually(lambda: all_up(running))
     relayed = running.reader.since(before)[numbered.RELAYED]
-    assert relayed["lost"] <= numbered.RATE_HZ * (relayed["silence_s"] + 1.0)
+    eventually(  # lost while there was no relay, or withheld by the new one; it counts once a second
+        lambda: relayed["lost"] <= numbered.RATE_HZ * (relayed["silence_s"] + 1.0) + running.withheld(numbered.RELAYED),
+        5.0,
+    )
     eventually(lambda: running.lost_uncounted_since(before, withheld) <= 0, 5.0)  # it counts once a second
 
 

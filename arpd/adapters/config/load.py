@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 
 _RESTART_ONLY = ("link.interface", "http.", "relay.")
 _ABSENT = "absent"
+# Keys of older versions.
+_REMOVED = dict.fromkeys(
+    ("governor.down_ratio", "governor.up_ratio", "governor.deadband", "governor.swaps_per_minute"),
+    "was removed: DEPTH and DEADLINE now move in classes, within 1 % of the link; delete this line",
+)
 
 
 def load_settings(
@@ -87,8 +92,9 @@ def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
     location: Location = details["loc"]
     match details["type"]:
         case "extra_forbidden":
-            text = f"is not a key arpd knows; {_nearest(location)}"
-            return Fault(place=source.keys[location], key=dotted(location), text=text)
+            unknown = f"is not a key arpd knows; {_nearest(location)}"
+            key = dotted(location)
+            return Fault(place=source.keys[location], key=key, text=_REMOVED.get(key, unknown))
         case "missing":
             text = "is missing; give every item one"
         case "model_type":

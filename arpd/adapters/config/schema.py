@@ -108,12 +108,8 @@ class ProgramSection(Section):
 class Governor(Section):
     """``governor``."""
 
-    down_ratio: Annotated[float, Number(low=0.05, high=1)] = _DEFAULT.governor.down_ratio
-    up_ratio: Annotated[float, Number(low=1, high=10)] = _DEFAULT.governor.up_ratio
     hold: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.hold_s
     dwell: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.dwell_s
-    deadband: Annotated[float, Number(low=0, high=1)] = _DEFAULT.governor.deadband
-    swaps_per_minute: Annotated[int, Count(low=1, high=100_000)] = _DEFAULT.governor.swaps_per_minute
     debounce: Annotated[float, Quantity(unit=DURATION, low="0s", high="1h")] = _DEFAULT.governor.debounce_s
 
 

@@ -48,17 +48,17 @@ def likeliest_interface(
     return others[0] if len(others) == 1 else None
 
 
-def read_counters(name: str) -> LinkCounters | None:
-    """Return the kernel's counters of an interface, None if there is none of that name.
+def read_counters(index: int) -> LinkCounters | None:
+    """Return the kernel's counters of an interface, by its number; None if there is none.
 
     They include the drops of the queue, which drivers do not count.
     """
-    if (index := index_of(name)) is None or (device := read_device(index)) is None:
+    if (device := read_device(index)) is None:
         return None
     queue = read_backlog(index)
     without_carrier = InterfaceState.NO_CARRIER if device.is_up else InterfaceState.DOWN
     return LinkCounters(
-        interface=name,
+        interface=device.name,
         rx_bytes=device.rx_bytes,
         tx_bytes=device.tx_bytes,
         rx_packets=device.rx_packets,
@@ -101,14 +101,6 @@ def index_of(name: str) -> int | None:
         return None
 
 
-def name_of(index: int) -> str | None:
-    """Return the name of an interface, None if there is none of that number."""
-    try:
-        return socket.if_indextoname(index)
-    except OSError:
-        return None
-
-
 class InterfaceReader:
     """Reads one interface repeatedly and logs each change of its state once.
 
@@ -119,7 +111,7 @@ class InterfaceReader:
     Parameters
     ----------
     name : the interface, as configured
-    read, index_of, name_of : the kernel's answers
+    read, index_of : the kernel's answers, by number and by name
     choose : returns the interface that ``auto`` means now, None = none yet
     note : called with a logging level and a text at every change of state or name
     """
@@ -128,16 +120,14 @@ class InterfaceReader:
         self,
         name: str,
         *,
-        read: Callable[[str], LinkCounters | None] = read_counters,
+        read: Callable[[int], LinkCounters | None] = read_counters,
         index_of: Callable[[str], int | None] = index_of,
-        name_of: Callable[[int], str | None] = name_of,
         choose: Callable[[], str | None] = likeliest_interface,
         note: Callable[[int, str], None] = log.log,
     ) -> None:
         self._configured = self._name = name
         self._read = read
         self._index_of = index_of
-        self._name_of = name_of
         self._choose = choose
         self._note = note
         self._may_choose = name == AUTO
@@ -160,9 +150,7 @@ class InterfaceReader:
         """Return counters, which never fall, and state; None while the interface is gone."""
         if self._may_choose:
             self._take_choice()
-        name = self._find()
-        raw = None if name is None else self._read(name)
-        if raw is not None:
+        if (raw := self._find()) is not None:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = continue_counters(self._total or raw, self._raw or raw, raw)
             self._raw = raw
@@ -176,16 +164,18 @@ class InterfaceReader:
             self._configured = self._name = chosen
             self._index = self._raw = self._total = self._state = None
 
-    def _find(self) -> str | None:
-        name = None if self._index is None else self._name_of(self._index)
-        if name is None:
-            found = ((candidate, self._index_of(candidate)) for candidate in (self._configured, self._name))
-            name, self._index = next(((name, index) for name, index in found if index is not None), (None, None))
+    def _find(self) -> LinkCounters | None:
+        raw = None if self._index is None else self._read(self._index)
+        if raw is None:
+            found = (self._index_of(name) for name in (self._configured, self._name))
+            self._index = next((index for index in found if index is not None), None)
             self._raw = None
-        elif name != self._name:
-            self._note(logging.WARNING, f"the link interface {self._name} is now called {name}; arpd follows it")
-        self._name = name or self._name
-        return name
+            raw = None if self._index is None else self._read(self._index)
+        elif raw.interface != self._name:
+            text = f"the link interface {self._name} is now called {raw.interface}; arpd follows it"
+            self._note(logging.WARNING, text)
+        self._name = raw.interface if raw is not None else self._name
+        return raw
 
     def _note_state(self, state: InterfaceState) -> None:
         before, self._state = self._state, state

@@ -189,7 +189,7 @@ class SnapshotCollector(Collector):
         yield from total_metrics(snapshot.totals)
         yield from link_metrics(snapshot)
         yield from relay_metrics(snapshot.observation)
-        yield from topic_metrics(topic_rows(snapshot))
+        yield from topic_metrics(topic_rows(snapshot), now_s=snapshot.observation.now_s)
         yield from reader_metrics(snapshot)
         yield from refusal_metrics(snapshot)
 

@@ -77,7 +77,6 @@ _PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...
     ("arpd_topic_queued_messages", "Messages waiting in the pacing queue.", lambda p: p.queued),
     ("arpd_topic_remote_readers", "Off-host participants that read the topic.", lambda p: p.remote_readers),
     ("arpd_topic_refused", "1 while the publisher refuses the last request.", lambda p: bool(p.refusal)),
-    ("arpd_topic_announcement_age_seconds", "Time since the publisher's announcement.", lambda p: p.age_s),
 )
 
 _PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
@@ -139,12 +138,11 @@ _READER_GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (
         "1 while the reader refuses the last request or would refuse any.",
         lambda r: bool(r.refusal),
     ),
-    ("arpd_reader_announcement_age_seconds", "Time since the reader's announcement.", lambda r: r.age_s),
 )
 
 
-def topic_metrics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
-    """Yield the families in a fixed order, their series in the order of the rows."""
+def topic_metrics(rows: tuple[TopicRow, ...], *, now_s: float) -> Iterator[Metric]:
+    """Yield the families in a fixed order, their series in the order of the rows, with ages at ``now_s``."""
     publishers = [(_labels(row), row.publisher) for row in rows]
     planned = [(_labels(row), row.planned) for row in rows if row.planned is not None]
     allocated = [(_labels(row), row.allocation) for row in rows if row.allocation is not None]
@@ -154,6 +152,11 @@ def topic_metrics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
         yield gauge_of(name, text, ((labels, read_plan(p)) for labels, p in planned))
     for name, text, read_state in _PUBLISHER_GAUGES:
         yield gauge_of(name, text, ((labels, read_state(p)) for labels, p in publishers))
+    yield gauge_of(
+        "arpd_topic_announcement_age_seconds",
+        "Time since the publisher's announcement.",
+        ((labels, p.age_s(now_s)) for labels, p in publishers),
+    )
     for name, text, read_total in _PUBLISHER_COUNTERS:
         yield counter_of(name, text, ((labels, read_total(p)) for labels, p in publishers))
     for name, text, binding_of in _BINDINGS:
@@ -173,6 +176,11 @@ def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
         yield gauge(name, text, value)
     for name, text, read in _READER_GAUGES:
         yield gauge_of(name, text, ((labels, float(read(reader))) for labels, reader in readers))
+    yield gauge_of(
+        "arpd_reader_announcement_age_seconds",
+        "Time since the reader's announcement.",
+        ((labels, reader.age_s(snapshot.observation.now_s)) for labels, reader in readers),
+    )
     yield counter_of(
         "arpd_reader_deadlines_missed",
         "Requested DEADLINE periods that passed without a message.",

@@ -29,7 +29,11 @@ _OUTCOMES = ("failed", "infeasible", "solved")
 _EFFECTS = ("awaiting_restart", "in_force")
 
 _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
-    ("arpd_ticks", "Ticks: each observes, estimates, solves, governs and applies.", lambda t: t.ticks + t.ticks_failed),
+    (
+        "arpd_ticks",
+        "Ticks: each observes, estimates and sends the price; two a second also plan.",
+        lambda t: t.ticks + t.ticks_failed,
+    ),
     (
         "arpd_tick_failures",
         "Ticks that raised an error; the plan in force stays and the journal has the error.",
@@ -44,7 +48,7 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
     ("arpd_probes", "Probe trains and pings sent over the link.", lambda t: t.probes),
     ("arpd_probe_bytes", "Wire bytes of the probes.", lambda t: t.probe_bytes),
     ("arpd_peer_reports", "Reports of peers that arrived.", lambda t: t.reports),
-    ("arpd_applies", "Parameter calls that asked a node to take a plan.", lambda t: sum(t.applies_by_result.values())),
+    ("arpd_applies", "Plans sent to nodes, repeats included.", lambda t: sum(t.applies_by_result.values())),
     ("arpd_config_reloads", "Attempts to reload the configuration.", lambda t: sum(t.reloads_by_result.values())),
     (
         "arpd_config_reload_failures",
@@ -65,7 +69,7 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
     ),
     (
         "arpd_apply_failures",
-        "Parameter calls that set no plan; arpd repeats them.",
+        "Plans that a node refused or did not answer; arpd repeats them.",
         "reason",
         _NOT_APPLIED,
         lambda t: _failed(t.applies_by_result),

@@ -6,15 +6,19 @@ A daemon ignores unknown keys, and keys added after the first version may be mis
 from __future__ import annotations
 
 import math
+import re
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
+from arpd.adapters.ros.counters import MOST_WORDS
 from arpd.adapters.ros.names import is_full_name
+from arpd.adapters.ros.plan_message import PlanAnswer
 from arpd.model.endpoints import Direction, DropCause, PublisherState, ReaderState, RefusalReason, SwapPhase, SwapRecord
 from arpd.model.plan import MOST_GENERATION
+from arpd.observe.registry import Tag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -30,6 +34,9 @@ _MISSED = "deadlines_missed"
 _PUBLISHED_RATE = "published_rate_hz"
 _PACED_RATE = "paced_rate_hz"
 _KEEP_ALL = "keep_all"
+_TAG = "announcer"
+_ANSWER = "answer"
+_TAG_WORDS = re.compile(r"([0-9a-f]{1,16}) ([0-9]{1,10}) ([0-9]{1,3})", re.ASCII)
 _PROFILE, _MISSING = "profile", "missing"
 _FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
 _INTEGERS = (
@@ -64,9 +71,15 @@ MOST_VALUES = 128  # pairs in one status
 N = TypeVar("N", int, float)
 
 
-def to_status(state: PublisherState) -> Any:
-    """Encode one publisher as a DiagnosticStatus; diagnostics viewers show a refusal as WARN."""
-    values = [("node", state.node), ("topic", state.topic), ("type", state.type_name), ("refusal", state.refusal)]
+def to_status(state: PublisherState, tag: Tag | None = None) -> Any:
+    """Encode one publisher as a DiagnosticStatus; diagnostics viewers show a refusal as WARN.
+
+    Parameters
+    ----------
+    tag : by which later messages of numbers name this status
+    """
+    values = [] if tag is None else [(_TAG, f"{tag.incarnation:x} {tag.number} {tag.serial}")]
+    values += [("node", state.node), ("topic", state.topic), ("type", state.type_name), ("refusal", state.refusal)]
     values += _remarks(state)
     values += [(key, f"{getattr(state, key):.6g}") for key in _FLOATS]
     values += [(key, str(getattr(state, key))) for key in _INTEGERS]
@@ -75,9 +88,50 @@ def to_status(state: PublisherState) -> Any:
     return _status(state, values, warning=state.refusal, summary=f"{state.rate_hz:.3g} Hz, depth {state.depth}")
 
 
-def reader_to_status(state: ReaderState) -> Any:
-    """Encode one reader; small, because most readers live across the link."""
-    values = [("node", state.node), ("topic", state.topic), ("lease_s", f"{state.lease_s:.6g}")]
+def tag_of(status: Any) -> Tag | None:
+    """Return the tag of a publisher's announcement, None if it has none.
+
+    Raises
+    ------
+    ValueError
+        If it is malformed.
+    """
+    words = _value(status, _TAG)
+    if words is None:
+        return None
+    found = _TAG_WORDS.fullmatch(words)
+    if found is None:
+        raise ValueError(f"announcement with {_TAG} = {words[:40]!r}")
+    return Tag(int(found[1], 16), int(found[2]), int(found[3]))
+
+
+def answer_of(status: Any) -> PlanAnswer | None:
+    """Return the node's answer to a plan for its readers, None if the announcement has none.
+
+    Raises
+    ------
+    ValueError
+        If it is malformed.
+    """
+    words = _value(status, _ANSWER)
+    if words is None:
+        return None
+    generation, _, rest = words[: _MAX_NAME + MOST_WORDS].partition(" ")
+    crc, _, refusal = rest.partition(" ")
+    return PlanAnswer(
+        generation=_bounded(_ANSWER, generation), crc=_bounded(_ANSWER, crc), refusal=_plain(refusal, MOST_WORDS)
+    )
+
+
+def reader_to_status(state: ReaderState, answer: PlanAnswer | None = None) -> Any:
+    """Encode one reader; small, because most readers live across the link.
+
+    Parameters
+    ----------
+    answer : of the node to its last plan for readers; one status of a message has it
+    """
+    values = [] if answer is None else [(_ANSWER, f"{answer.generation} {answer.crc} {answer.refusal[:MOST_WORDS]}")]
+    values += [("node", state.node), ("topic", state.topic), ("lease_s", f"{state.lease_s:.6g}")]
     values += [("refusal", state.refusal)] if state.refusal else []
     values += _remarks(state)
     values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
@@ -124,6 +178,10 @@ def reader_from_status(status: Any) -> ReaderState:
     if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
         raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
     return ReaderState(swaps_by_result=_counts(values, _READER_RESULTS), **fields)
+
+
+def _value(status: Any, key: str) -> str | None:
+    return next((str(pair.value) for pair in status.values if pair.key == key), None)
 
 
 def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
@@ -215,9 +273,9 @@ def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
     }
 
 
-def _plain(text: str) -> str:
+def _plain(text: str, most: int = _MAX_NAME) -> str:
     """Cut a text short, and replace characters that would act on a terminal or a log."""
-    return "".join(character if character.isprintable() else "?" for character in text[:_MAX_NAME])
+    return "".join(character if character.isprintable() else "?" for character in text[:most])
 
 
 def _check(fields: Mapping[str, Any]) -> None:

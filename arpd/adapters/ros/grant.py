@@ -1,4 +1,4 @@
-"""Generation and lease of a node's plan, as parameters that the daemon sets."""
+"""Generation and lease of a node's plan, and the node's answers to plans."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.bounds import checked_lease_s
 from arpd.adapters.ros.own_parameters import OwnParameters
+from arpd.adapters.ros.plan_message import PlanAnswer, Setting
 from arpd.apply.endpoint.lease import Lease
 from arpd.model.plan import MOST_GENERATION
 
@@ -14,9 +15,11 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from arpd.adapters.ros.plan_message import NodePlan
+
 
 class Grant:
-    """Generation and lease of the plan of a node's publishers, or of its readers, as two parameters.
+    """Generation and lease of the plan of a node's publishers, or of its readers, shown as two parameters.
 
     Parameters
     ----------
@@ -31,11 +34,19 @@ class Grant:
     ) -> None:
         self._generation_name, self._lease_name = generation_name, lease_name
         self._clock = clock
+        self._answered = 0, ""  # hash and refusal of the last plan; one object, because two threads use it
         self.generation = 0
         self.lease = Lease()
-        own = OwnParameters.of(node)
-        own.declare(generation_name, 0, f"generation of the {plan}; 0 = none, or its lease is over")
-        own.declare(lease_name, 0.0, f"silence of arpd in s after which the {whose} return to their own QoS, 0 = never")
+        self._own = OwnParameters(node)
+        self._own.declare(generation_name, 0, f"generation of the {plan}; 0 = none, or its lease is over")
+        self._own.declare(
+            lease_name, 0.0, f"silence of arpd in s after which the {whose} return to their own QoS, 0 = never"
+        )
+
+    @property
+    def answer(self) -> PlanAnswer:
+        """Answer to the last plan."""
+        return PlanAnswer(self.generation, *self._answered)
 
     def check(self, parameters: Sequence[Any]) -> None:
         """Refuse a generation below the one in force or above the greatest, and a lease out of bounds.
@@ -63,3 +74,28 @@ class Grant:
                 self.lease.renew(self._clock())  # a plan is a sign of the daemon
             elif parameter.name == self._lease_name:
                 self.lease.granted_s = float(parameter.value)
+
+    def check_plan(self, plan: NodePlan) -> None:
+        """Refuse a plan as `check` refuses parameters."""
+        self.check(self._settings(plan))
+
+    def take_plan(self, plan: NodePlan, crc: int) -> bool:
+        """Take a checked plan; return whether it repeats the last one."""
+        is_repeated = (plan.generation, crc, "") == self.answer
+        settings = self._settings(plan)
+        self.take(settings)
+        self._own.show(dict(settings))
+        self._answered = crc, ""
+        return is_repeated
+
+    def refuse_plan(self, crc: int, words: str) -> None:
+        """Answer a plan by a refusal."""
+        self._answered = crc, words
+
+    def end(self) -> None:
+        """Forget the plan: the next daemon may begin with any generation."""
+        self.generation = 0
+        self._own.show({self._generation_name: 0})
+
+    def _settings(self, plan: NodePlan) -> list[Setting]:
+        return [Setting(self._generation_name, plan.generation), Setting(self._lease_name, plan.lease_s)]

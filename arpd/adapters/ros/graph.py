@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 from rclpy.exceptions import NameValidationException
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
-from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
+from arpd.adapters.ros.crossing import Crossing, Endpoint, crossing, crossing_without_hosts
 from arpd.adapters.ros.names import (
     INFINITE_NS,
     PRICE_TOPIC,
@@ -19,12 +21,11 @@ from arpd.adapters.ros.names import (
     REPORT_TOPIC,
     is_full_name,
 )
-from arpd.model.endpoints import Direction
 from arpd.model.names import is_internal
 from arpd.model.plan import is_kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from rclpy.node import Node
 
@@ -35,53 +36,13 @@ log = logging.getLogger(__name__)
 NOT_NAMED_YET = "_NODE_NAME_UNKNOWN_"
 _UNNAMED = frozenset({NOT_NAMED_YET, "_CREATED_BY_BARE_DDS_APP_"})
 _PARTICIPANT_BYTES = 12  # of a GUID (OMG DDSI-RTPS 2.3, 9.3.1)
-_MOST_TOPICS = 3000  # read each second, so that a graph full of topics does not take the processor
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Endpoint:
-    """One writer or reader: its host, its participant, its deadline (ns, 0 = infinite), its node (empty = unknown)."""
-
-    host: bytes
-    participant: bytes
-    deadline_ns: int
-    node: str = ""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Crossing:
-    """Direction, readers and writers of one topic.
-
-    Parameters
-    ----------
-    direction : a topic with writers on both sides counts as sensing
-    remote_readers : participants across the link from a writer that read it; each receives a unicast copy
-    requests : node and requested deadline of every reader (ns, 0 = infinite)
-    offers_ns : deadlines its writers offer, each once (ns, 0 = infinite)
-    writers : nodes that write it; the empty name is a node whose name is unknown
-    """
-
-    direction: Direction
-    remote_readers: int
-    requests: tuple[tuple[str, int], ...] = ()
-    offers_ns: tuple[int, ...] = ()
-    writers: frozenset[str] = frozenset()
-
-    def tightest_request_ns(self, *, besides: Collection[str] = ()) -> int:
-        """Return the tightest deadline requested by a reader of other nodes than these, 0 = none (ns).
-
-        Requests that no writer can keep do not count.
-        """
-        return min((ns for node, ns in self.requests if ns >= LEAST_DEADLINE_NS and node not in besides), default=0)
-
-    def requests_of(self, node: str) -> tuple[int, ...]:
-        """Return the deadlines that readers of a node request, without those that no writer can keep (ns)."""
-        return tuple(ns for name, ns in self.requests if name == node and not 0 < ns < LEAST_DEADLINE_NS)
-
-    @property
-    def readers(self) -> frozenset[str]:
-        """Nodes that read it; the empty name is a node whose name is unknown."""
-        return frozenset(node for node, _ in self.requests)
+_MOST_TOPICS = 3000  # looked at each second, so that a graph full of topics does not take the processor
+# With 1,000 topics all nodes take 3 ms at each look, and a topic 30 µs to count or 200 µs to read.
+_MOST_COUNTED = 150  # topics at a look
+_LOOKS_PER_READ = 10
+_MOST_READ_AGAIN = 20  # topics at a look
+_MOST_NODES = 500
+_EVERY_NODE_WRITES = ("/parameter_events", "/rosout")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,12 +54,14 @@ class Graph:
     crossings : every topic of the robot
     announcers, reader_announcers : nodes that may announce publishers, and readers; the empty name is an unknown node
     peers : writers of receiver reports
+    remote_participants : processes with ROS nodes on other hosts than the robot
     """
 
     crossings: Mapping[str, Crossing]
     announcers: frozenset[str]
     reader_announcers: frozenset[str]
     peers: int
+    remote_participants: int = 1
 
     def shows_writer(self, node: str, topic: str) -> bool:
         """Return whether a node may announce a publisher of the topic, and writes it."""
@@ -116,95 +79,156 @@ def is_among(node: str, nodes: Collection[str]) -> bool:
     return node in nodes or "" in nodes
 
 
-def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Return the crossing of a topic from the hosts of its endpoints: pure."""
-    writers, readers = tuple(writers), tuple(readers)
-    writer_hosts = {writer.host for writer in writers}
-    remote = {reader.participant for reader in readers if writer_hosts - {reader.host}}
-    if not remote or not writer_hosts:
-        direction = Direction.LOCAL
-    elif robot_host in writer_hosts:
-        direction = Direction.SENSING
-    elif any(reader.host == robot_host for reader in readers):
-        direction = Direction.ACTUATION
-    else:
-        direction = Direction.LOCAL  # between two other hosts
-    return Crossing(
-        direction=direction,
-        remote_readers=_copies(writer_hosts, readers) if direction is not Direction.LOCAL else 0,
-        requests=_requests(readers),
-        offers_ns=_offers_ns(writers),
-        writers=_nodes(writers),
-    )
-
-
-def _copies(writer_hosts: Collection[bytes], readers: Collection[Endpoint]) -> int:
-    """Count the copies of a sample that cross the link: with writers on both sides, those of the side with more."""
-    return max(len({reader.participant for reader in readers if reader.host != host}) for host in writer_hosts)
-
-
-def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Return the crossing of a topic where the middleware does not name the hosts of endpoints: pure.
-
-    A reader in another process than any writer may be across the link. Such a topic counts as sensing, with one copy.
-    To plan a local topic only gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies
-    that do not exist would take rate from every topic.
-    """
-    writers, readers = tuple(writers), tuple(readers)
-    processes = {writer.participant for writer in writers}
-    is_crossing = bool(processes) and any(reader.participant not in processes for reader in readers)
-    return Crossing(
-        direction=Direction.SENSING if is_crossing else Direction.LOCAL,
-        remote_readers=int(is_crossing),
-        requests=_requests(readers),
-        offers_ns=_offers_ns(writers),
-        writers=_nodes(writers),
-    )
-
-
-def read_crossings(node: Any, rmw: Rmw, *, first: Collection[str] = ()) -> Mapping[str, Crossing]:
-    """Return the crossing of every topic of the graph, without those of ROS and of arpd itself.
-
-    Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's price writer.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Known:
+    """What the last reading of a topic found.
 
     Parameters
     ----------
-    first : topics to read first, in case there are too many
+    nodes : with a writer or a reader
+    numbers : of writers and of readers
+    is_named : True when the nodes of all of them are known
+    participants : processes that write it
     """
-    own = [info for info in node.get_publishers_info_by_topic(PRICE_TOPIC) if info.node_name == node.get_name()]
-    robot_host = _endpoint(own[0]).host if own else b""
-    cross = partial(crossing, robot_host=robot_host) if rmw.tells_hosts else crossing_without_hosts
-    topics = [topic for topic, _ in node.get_topic_names_and_types() if not is_internal(topic) and is_full_name(topic)]
-    topics.sort(key=lambda topic: topic not in first)
-    own_name = node.get_fully_qualified_name()
-    found = {topic: _read(node, topic, cross, own_name) for topic in topics[:_MOST_TOPICS]}
-    return {topic: crossed for topic, crossed in found.items() if crossed is not None}
+
+    nodes: Sequence[str]
+    numbers: tuple[int, int]
+    is_named: bool
+    crossing: Crossing
+    participants: frozenset[bytes]
 
 
-def read_graph(node: Any, rmw: Rmw, *, first: Collection[str]) -> Graph:
-    """Return the graph as it is now: the crossings, and the nodes that may announce them."""
-    return Graph(
-        crossings=read_crossings(node, rmw, first=first),
-        announcers=_nodes(map(_endpoint, node.get_publishers_info_by_topic(PUBLISHERS_TOPIC))),
-        reader_announcers=_nodes(map(_endpoint, node.get_publishers_info_by_topic(READERS_TOPIC))),
-        peers=node.count_publishers(REPORT_TOPIC),
-    )
+class GraphReader:
+    """Reads the graph as it is now, and of that only what has changed.
 
+    To find all endpoints of one topic, the middleware goes through those of all topics. What each node writes and reads
+    costs a hundredth of that. So a topic is read again when its nodes or the numbers of its endpoints have changed,
+    while the name of a node is unknown, and otherwise at every tenth look. Where there are many topics, each look
+    counts and reads again only some of them: with 1,000 it may take a minute until a second writer in one node is seen,
+    or a writer or reader that another one of its node replaced.
 
-def _read(node: Any, topic: str, cross: Callable[..., Crossing], own_name: str) -> Crossing | None:
-    """Return the crossing of one topic, None where the graph has a name or QoS that ROS cannot express.
-
-    The daemon's own writer of /diagnostics does not count: it is no traffic of the robot.
+    Parameters
+    ----------
+    node : any node; it sees the whole graph
     """
-    try:
-        written = node.get_publishers_info_by_topic(topic)
-        return cross(
-            writers=[_endpoint(info) for info in written if node_name_of(info) != own_name],
-            readers=map(_endpoint, node.get_subscriptions_info_by_topic(topic)),
+
+    def __init__(self, node: Any, rmw: Rmw) -> None:
+        self._node = node
+        self._rmw = rmw
+        self._robot_host = b""
+        self._known: dict[str, _Known] = {}
+        self._looks = 0
+
+    def read(self, *, first: Collection[str] = (), always: Collection[str] = ()) -> Graph:
+        """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
+
+        Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's price writer.
+
+        Parameters
+        ----------
+        first : topics to read first, in case there are too many
+        always : topics to read again even when their numbers are the same
+        """
+        self._looks += 1
+        self._find_host()
+        found = [name for name, _ in self._node.get_topic_names_and_types() if not is_internal(name)]
+        topics = sorted(filter(is_full_name, found), key=lambda topic: topic not in first)[:_MOST_TOPICS]
+        nodes = self._nodes_by_topic()
+        self._known = {
+            topic: known
+            for topic in (*topics, *_EVERY_NODE_WRITES, PUBLISHERS_TOPIC, READERS_TOPIC)
+            if (known := self._look(topic, nodes.get(topic, ()), is_due=topic in always)) is not None
+        }
+        crossed = {topic: self._known[topic].crossing for topic in topics if topic in self._known}
+        return Graph(
+            crossings=crossed,
+            announcers=self._writers(PUBLISHERS_TOPIC),
+            reader_announcers=self._writers(READERS_TOPIC),
+            peers=self._node.count_publishers(REPORT_TOPIC),
+            remote_participants=self._remote_participants(),
         )
-    except (ValueError, NameValidationException) as fault:
-        log.debug("%s left out: %s", topic, fault)
-        return None
+
+    def _find_host(self) -> None:
+        """Find the robot's host; all crossings depend on it."""
+        if not self._robot_host:
+            prices = self._node.get_publishers_info_by_topic(PRICE_TOPIC)
+            own = [_endpoint(info) for info in prices if info.node_name == self._node.get_name()]
+            self._robot_host = own[0].host if own else b""
+            self._known.clear()
+
+    def _remote_participants(self) -> int:
+        """Count the processes on other hosts; 1 where hosts are unknown."""
+        if not (self._robot_host and self._rmw.tells_hosts):
+            return 1
+        named = (self._known[topic].participants for topic in _EVERY_NODE_WRITES if topic in self._known)
+        return sum(host_of(participant) != self._robot_host for participant in frozenset[bytes]().union(*named))
+
+    def _writers(self, topic: str) -> frozenset[str]:
+        return self._known[topic].crossing.writers if topic in self._known else frozenset()
+
+    def _nodes_by_topic(self) -> dict[str, list[str]]:
+        """Return the nodes that the graph shows with a writer or a reader, of every topic, in the graph's order."""
+        nodes = defaultdict[str, list[str]](list)
+        for name, namespace in self._node_names():
+            try:
+                written = self._node.get_publisher_names_and_types_by_node(name, namespace)
+                read = self._node.get_subscriber_names_and_types_by_node(name, namespace)
+            except (RuntimeError, ValueError) as fault:  # it is gone, or has what ROS cannot express
+                log.debug("%s left out: %s", name, fault)
+                continue
+            for kind, topics in (("writes", written), ("reads", read)):
+                for topic, _types in topics:
+                    nodes[topic].append(f"{namespace}/{name} {kind}")
+        return nodes
+
+    def _node_names(self) -> list[tuple[str, str]]:
+        """Return names and namespaces; none where one of them is no text, and topics are only counted then."""
+        try:
+            return [*dict.fromkeys(self._node.get_node_names_and_namespaces())][:_MOST_NODES]
+        except ValueError as fault:
+            log.debug("no nodes: %s", fault)
+            return []
+
+    def _look(self, topic: str, nodes: Sequence[str], *, is_due: bool) -> _Known | None:
+        """Return what is known of a topic, None where the graph has a name or QoS that ROS cannot express."""
+        known, turn = self._known.get(topic), self._looks + crc32(topic.encode())
+        is_due = is_due or turn % max(_LOOKS_PER_READ, len(self._known) // _MOST_READ_AGAIN) == 0
+        is_counted = turn % (1 + len(self._known) // _MOST_COUNTED) == 0
+        try:
+            if (
+                known is None
+                or not known.is_named
+                or known.nodes != nodes
+                or is_due
+                or (is_counted and known.numbers != self._count(topic))
+            ):
+                return self._read(topic, nodes)
+        except (ValueError, NameValidationException) as fault:
+            log.debug("%s left out: %s", topic, fault)
+            return None
+        return known
+
+    def _count(self, topic: str) -> tuple[int, int]:
+        """Count its writers and its readers."""
+        handle = self._node.handle
+        with handle:  # Node.count_publishers would check the name again, at four times the cost
+            return handle.get_count_publishers(topic), handle.get_count_subscribers(topic)
+
+    def _read(self, topic: str, nodes: Sequence[str]) -> _Known:
+        """Read the endpoints of a topic; the daemon's own writer of /diagnostics does not count as traffic."""
+        numbers = self._count(topic)
+        own_name = self._node.get_fully_qualified_name()
+        written = self._node.get_publishers_info_by_topic(topic)
+        writers = [_endpoint(info) for info in written if node_name_of(info) != own_name]
+        readers = [_endpoint(info) for info in self._node.get_subscriptions_info_by_topic(topic)]
+        cross = partial(crossing, robot_host=self._robot_host) if self._rmw.tells_hosts else crossing_without_hosts
+        return _Known(
+            nodes=nodes,
+            numbers=numbers,
+            is_named=all(endpoint.node for endpoint in (*writers, *readers)),
+            crossing=cross(writers=writers, readers=readers),
+            participants=frozenset(writer.participant for writer in writers),
+        )
 
 
 def deadline_ns_of(qos: Any) -> int:
@@ -260,18 +284,6 @@ def _endpoint(info: Any) -> Endpoint:
         deadline_ns=deadline_ns_of(info.qos_profile),
         node=known_node_of(info),
     )
-
-
-def _requests(readers: Iterable[Endpoint]) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted((reader.node, reader.deadline_ns) for reader in readers))
-
-
-def _offers_ns(writers: Iterable[Endpoint]) -> tuple[int, ...]:
-    return tuple(sorted({writer.deadline_ns for writer in writers}))
-
-
-def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:
-    return frozenset(endpoint.node for endpoint in endpoints)
 
 
 class Requests:

@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.names import is_full_name
-from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, peek
+from arpd.adapters.ros.announcement import answer_of, tag_of
+from arpd.adapters.ros.counters import MOST_COUNTERS_BYTES, Counters, decode_counters, sender_of
+from arpd.adapters.ros.names import COUNTERS_TOPIC, is_full_name
+from arpd.adapters.ros.plan_message import PlanAnswer
+from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, octets, peek
 from arpd.model.endpoints import PublisherState, ReaderState
-from arpd.model.observation import MessageRefusal
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.rate_limits import SourceRateLimiter
 from arpd.observe.registry import MOST_OF_NODE, Endpoints
 
@@ -20,13 +24,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
     from arpd.adapters.ros.raw_subscription import RefusedMessages
-    from arpd.model.observation import MessageKind
 
 _DEPTH = 1000  # messages that may wait while the executor is busy
-_MOST_BYTES = 512 * 1024  # of a message: twice the size of MOST_OF_NODE publishers
-_HZ, _BURST = 4.0, 8.0  # messages of one node; arpd sends one a second
-_MOST_STRANGERS = 64  # nodes whose message waits until the graph shows them
-_MOST_STRANGE_BYTES = 32 * 1024
+_MOST_BYTES = 512 * 1024  # of a message: twice the size of MOST_OF_NODE endpoints
+_HZ, _BURST = 8.0, 16.0  # messages of one node and kind; arpd sends five a second at most
+_MOST_NODES = 500  # whose answers are kept
+_STAMP_END = 12  # of the serialized message: all before it changes with every message
+_MOST_STRANGERS = 64  # nodes whose messages wait until the graph shows them
+_MOST_STRANGE_BYTES = 4 * 1024 * 1024  # of all of them
+_MOST_OF_STRANGER = 256 * 1024  # bytes: MOST_OF_NODE publishers
 
 S = TypeVar("S", PublisherState, ReaderState)
 
@@ -43,6 +49,7 @@ class Announcements(Generic[S]):
     topic : topic of the announcements
     kind : kind of the endpoints
     decode : decodes one status
+    is_reliable : True when a lost message is not soon followed by the same
     stale_s : silence after which an endpoint is gone (s)
     refused : counts refused messages
     pause : taken by the executor in a flood
@@ -56,6 +63,7 @@ class Announcements(Generic[S]):
         kind: MessageKind,
         decode: Callable[[Any], S],
         *,
+        is_reliable: bool,
         stale_s: float,
         refused: RefusedMessages,
         pause: Pause,
@@ -69,12 +77,18 @@ class Announcements(Generic[S]):
         self._endpoints: Endpoints[S] = Endpoints(stale_s)
         self._limiter = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
         self._has_unnamed = False
-        self._strangers: dict[str, bytes] = {}  # last message by node
+        self._strangers: dict[str, list[bytes]] = {}  # messages by node
+        self._strange_bytes = 0
+        self._repeated: dict[str, tuple[int, tuple[tuple[str, str], ...]]] = {}  # hash and endpoints of the last one
+        self._answers: dict[str, PlanAnswer] = {}
         self._subscription = RawSubscription(
             node,
             DiagnosticArray,
             topic,
-            QoSProfile(depth=_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT),
+            QoSProfile(
+                depth=_DEPTH,
+                reliability=QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+            ),
             most_bytes=_MOST_BYTES,
             take=self._on_message,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any announcement"),
@@ -93,16 +107,41 @@ class Announcements(Generic[S]):
         with self._lock:
             return self._endpoints.topics
 
-    def live(self, now_s: float, known_of: Callable[[S], Mapping[str, Any]] = lambda _state: {}) -> list[S]:
-        """Return the live endpoints with the age of their announcement (s), sorted by node and topic.
+    def live(
+        self, now_s: float, known_of: Callable[[str, str], Mapping[str, Any]] = lambda _node, _topic: {}
+    ) -> tuple[S, ...]:
+        """Return the live endpoints, sorted by node and topic: the same tuple until one of them changes.
 
         Parameters
         ----------
-        known_of : returns the fields of a state that the graph shows
+        known_of : returns the fields of a node's endpoint on a topic that the graph shows
         """
         is_flooded = self._subscription.is_flooded
         with self._lock:
             return self._endpoints.live(now_s, is_flooded=is_flooded, known_of=known_of)
+
+    def answer_of(self, node: str) -> PlanAnswer:
+        """Return a node's last answer to a plan."""
+        with self._lock:
+            return self._answers.get(node, PlanAnswer())
+
+    def hears(self, node: str) -> bool:
+        """Return whether the graph shows that a node may announce endpoints."""
+        with self._lock:
+            return self._limiter.knows(node) or self._has_unnamed
+
+    def take_numbers(self, counters: Counters, now_s: float) -> None:
+        """Take the numbers of a node's endpoints, and its answer to a plan."""
+        common = {"generation": counters.answer.generation, "lease_s": counters.lease_s}
+        with self._lock:
+            self._note_answer(counters.node, counters.answer)
+            self._endpoints.note_rows(counters.node, counters.incarnation, counters.rows, common=common, now_s=now_s)
+
+    def _note_answer(self, node: str, answer: PlanAnswer) -> None:
+        self._answers.pop(node, None)
+        self._answers[node] = answer
+        while len(self._answers) > _MOST_NODES:  # names that anybody may invent while the graph has unnamed nodes
+            del self._answers[next(iter(self._answers))]
 
     def see(self, announcers: Collection[str], is_shown: Callable[[str, str], bool]) -> None:
         """Take in what the graph shows now.
@@ -117,11 +156,14 @@ class Announcements(Generic[S]):
             self._limiter.know(node for node in announcers if node)
             self._has_unnamed = "" in announcers
             self._endpoints.see(is_shown, now_s)
-            strangers, self._strangers = self._strangers, {}
-        for node, data in strangers.items():
-            if node in announcers:
+            strangers, self._strangers, self._strange_bytes = self._strangers, {}, 0
+            if not self._has_unnamed:
+                self._answers = {node: answer for node, answer in self._answers.items() if node in announcers}
+                self._repeated = {node: last for node, last in self._repeated.items() if node in announcers}
+        for node, messages in strangers.items():
+            for data in messages if node in announcers else ():
                 self._take(node, data, now_s)
-            else:
+            if node not in announcers:
                 self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
 
     def _on_message(self, data: bytes, _info: Any) -> None:
@@ -147,31 +189,134 @@ class Announcements(Generic[S]):
 
     def _keep(self, node: str, data: bytes) -> None:
         with self._lock:
-            has_room = node in self._strangers or len(self._strangers) < _MOST_STRANGERS
-            if is_kept := has_room and len(data) <= _MOST_STRANGE_BYTES:
-                self._strangers[node] = data
+            kept: list[bytes] = self._strangers.get(node, [])
+            is_kept = (
+                (node in self._strangers or len(self._strangers) < _MOST_STRANGERS)
+                and sum(map(len, kept)) + len(data) <= _MOST_OF_STRANGER
+                and self._strange_bytes + len(data) <= _MOST_STRANGE_BYTES
+            )
+            if is_kept:
+                self._strangers[node] = [*kept, data]
+                self._strange_bytes += len(data)
         if not is_kept:
             self._refuse(MessageRefusal.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
 
     def _take(self, node: str, data: bytes, now_s: float) -> None:
+        content = hash(data[_STAMP_END:])
+        with self._lock:
+            last, keys = self._repeated.get(node, (None, ()))
+            if last == content and self._endpoints.renew(keys, now_s):
+                return  # nothing changed, so nothing is decoded
         try:
             statuses = deserialize_message(data, DiagnosticArray).status
         except (RuntimeError, ValueError):  # rclpy documents neither; the second means bytes that are no text
             self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
             return
-        for status in statuses:
-            try:
-                state = self._decode(status)
-            except ValueError as fault:
-                self._refuse(MessageRefusal.MALFORMED, node, str(fault))
-                continue
-            if state.node != node:
-                self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces an endpoint of {state.node}")
-                continue
-            with self._lock:
-                has_room = self._endpoints.note(state, now_s)
-            if not has_room:
-                self._refuse(MessageRefusal.QUOTA, node, f"too many {self._kind}; {state.topic} of {node} is left out")
+        noted = [state for status in statuses if (state := self._note(node, status, now_s)) is not None]
+        with self._lock:
+            if len(noted) == len(statuses) and len(self._repeated) < _MOST_NODES:
+                self._repeated[node] = content, tuple((state.node, state.topic) for state in noted)
+
+    def _note(self, node: str, status: Any, now_s: float) -> S | None:
+        """Note one status, and return its state, None if it is refused."""
+        try:
+            state, tag, answer = self._decode(status), tag_of(status), answer_of(status)
+        except ValueError as fault:
+            self._refuse(MessageRefusal.MALFORMED, node, str(fault))
+            return None
+        if state.node != node:
+            self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces an endpoint of {state.node}")
+            return None
+        with self._lock:
+            has_room = self._endpoints.note(state, now_s, tag)
+            if answer is not None:
+                self._note_answer(node, answer)
+        if not has_room:
+            self._refuse(MessageRefusal.QUOTA, node, f"too many {self._kind}; {state.topic} of {node} is left out")
+            return None
+        return state
 
     def _refuse(self, reason: MessageRefusal, source: str, words: str) -> None:
         self._refused.note(self._kind, reason, words, source=source)
+
+
+class CounterMessages:
+    """Receives the numbers of live publishers between their announcements.
+
+    Parameters
+    ----------
+    node : rclpy node; its owner spins it
+    publishers : announcements that the numbers belong to
+    refused : counts refused messages
+    pause : taken by the executor in a flood
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        publishers: Announcements[PublisherState],
+        *,
+        refused: RefusedMessages,
+        pause: Pause,
+        clock: Callable[[], float],
+    ) -> None:
+        self._publishers = publishers
+        self._refused = refused
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._limiter = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
+        self._strangers: set[str] = set()
+        self._subscription = RawSubscription(
+            node,
+            UInt8MultiArray,
+            COUNTERS_TOPIC,
+            QoSProfile(depth=_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT),
+            most_bytes=MOST_COUNTERS_BYTES,
+            take=self._on_message,
+            refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any numbers of a node"),
+            pause=pause,
+        )
+
+    def see(self, announcers: Collection[str]) -> None:
+        """Take in which nodes the graph shows as announcers of publishers."""
+        with self._lock:
+            self._limiter.know(node for node in announcers if node)
+            strangers, self._strangers = self._strangers, set()
+        for node in strangers.difference(announcers):
+            self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces publishers")
+
+    def _on_message(self, data: bytes, _info: Any) -> None:
+        try:
+            content = octets(data)
+            node = sender_of(content)
+        except ValueError as fault:
+            self._refuse(MessageRefusal.MALFORMED, "", str(fault))
+            return
+        if not self._publishers.hears(node):
+            self._note_stranger(node)  # the graph may show it soon, and a second later come new numbers
+            return
+        with self._lock:
+            passes = self._limiter.lets_pass(node, self._clock())
+        if not passes:
+            self._refuse(MessageRefusal.RATE, node, f"{node} tells numbers more than {_HZ:g} times a second")
+            return
+        try:
+            counters = decode_counters(content)
+        except ValueError as fault:
+            self._refuse(MessageRefusal.MALFORMED, node, str(fault))
+            return
+        if (rows := len(counters.rows)) > MOST_OF_NODE:
+            self._refuse(MessageRefusal.QUOTA, node, f"{node} tells of {rows} publishers, above {MOST_OF_NODE}")
+            return
+        self._publishers.take_numbers(counters, self._clock())
+
+    def _note_stranger(self, node: str) -> None:
+        with self._lock:
+            if has_room := len(self._strangers) < _MOST_STRANGERS:
+                self._strangers.add(node)
+        if not has_room:
+            self._refuse(MessageRefusal.SOURCE, "", "many nodes that the graph does not show tell numbers")
+
+    def _refuse(self, reason: MessageRefusal, source: str, words: str) -> None:
+        self._refused.note(MessageKind.PUBLISHERS, reason, words, source=source)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 
 PUBLISHERS_TOPIC = "/arpd/publishers"
+COUNTERS_TOPIC = "/arpd/counters"
 READERS_TOPIC = "/arpd/subscriptions"
 DAEMONS_TOPIC = "/arpd/daemons"
 PRICE_TOPIC = "/arpd/price"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 RELAY_SUMMARY_TOPIC = "/arpd/relay/summary"  # in the link domain, from the robot's end
+PLAN_TOPICS = "/arpd/plan"  # followed by the node's full name
 GENERATION_PARAMETER = "arpd.generation"
 LEASE_PARAMETER = "arpd.lease"
 READERS_GENERATION_PARAMETER = "arpd.readers.generation"
@@ -28,6 +30,11 @@ PACKETS = "packets"
 
 _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _MOST_NAME = 256  # characters; ROS itself ends at 255
+
+
+def plan_topic(node: str) -> str:
+    """Return the topic of a node's plans, from its full name."""
+    return PLAN_TOPICS + node
 
 
 def parameter_name(topic: str, setting: str) -> str:

@@ -5,68 +5,44 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
-from arpd.adapters.ros.announcement import to_status
+from arpd.adapters.ros.announcer import Announcer
 from arpd.adapters.ros.attached import attached
-from arpd.adapters.ros.bounds import (
-    MOST_DEPTH,
-    checked_deadline_ns,
-    checked_depth,
-    checked_floor_hz,
-    checked_packets,
-    checked_rate_hz,
-    checked_weight,
-    checked_wire_bytes,
-)
-from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
+from arpd.adapters.ros.events import no_subscription_events
 from arpd.adapters.ros.grant import Grant
-from arpd.adapters.ros.names import (
-    DEADLINE,
-    DEPTH,
-    GENERATION_PARAMETER,
-    LEASE_PARAMETER,
-    MIN_RATE,
-    PACKETS,
-    PRICE_TOPIC,
-    PUBLISHERS_TOPIC,
-    RATE,
-    WEIGHT,
-    WIRE_BYTES,
-    parameter_name,
-)
+from arpd.adapters.ros.names import GENERATION_PARAMETER, LEASE_PARAMETER, PRICE_TOPIC, parameter_name
 from arpd.adapters.ros.own_parameters import OwnParameters
+from arpd.adapters.ros.plan_listener import PlanListener
 from arpd.adapters.ros.price_message import decode_price
 from arpd.adapters.ros.profile import missing_here, warn_once
+from arpd.adapters.ros.publisher_settings import SETTINGS, checked, checked_row, parameters_of
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.wakeups import Wakeups
 from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from rclpy.node import Node
 
+    from arpd.adapters.ros.plan_message import NodePlan
     from arpd.model.endpoints import PublisherState, WriterQos
     from arpd.model.price import Price
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
-_ANNOUNCE_S = 1.0
-_EARLY_S = 0.4  # least time between two announcements of finished swaps: the daemon takes four a second, of any kind
+_CHECK_S = 1.0
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
 _RETRY_S = 0.1
 QUICK_S = 0.005  # longest write that nothing blocks; 20 MB took 5 to 9 ms on loopback
@@ -74,15 +50,6 @@ _LOOK_S = 0.001  # a write that nothing blocks mostly takes less
 _BLOCKED_S = 0.05  # a scheduler takes less; the history of a reader at 200 Hz does not bridge two such waits
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
 _WARN_EVERY_S = 5.0
-_SETTINGS = {
-    DEPTH: ("depth", "KEEP_LAST depth, 1..5000 samples"),
-    DEADLINE: ("deadline_ns", "offered deadline period in ns, 0 = infinite"),
-    RATE: ("rate_hz", "ceiling of the publish rate in Hz, .inf = unpaced, 0 = paused"),
-    MIN_RATE: ("min_rate_hz", "floor in Hz, which the price keeps while the link carries all floors"),
-    WEIGHT: ("weight", "share of link time relative to other topics, 0 = the price does not apply"),
-    WIRE_BYTES: ("wire_bytes", "bytes of a sample on the link, over all copies"),
-    PACKETS: ("packets", "packets of a sample on the link, over all copies"),
-}
 
 
 class Paced(Protocol):
@@ -120,8 +87,8 @@ class Paced(Protocol):
 class NodePublishers:
     """Paces, tunes and announces all AdaptivePublishers of one node; the first of them makes it.
 
-    One thread paces and drives swaps, so that neither depends on the node's executor nor blocks it. Parameters and the
-    price arrive through the executor. The lease ends there too, so no parameter call can interfere.
+    One thread paces, drives swaps and announces, so that none of these depends on the node's executor or blocks it.
+    Plans, parameters and the price arrive through the executor. The lease ends there too, so no plan can interfere.
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -129,10 +96,11 @@ class NodePublishers:
         self._clock = clock
         self.link = attached(node.context, LinkClock, LinkClock)  # all nodes of a process share the link
         self._publishers: dict[str, Paced] = {}
+        self._own = OwnParameters(node)
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
+        self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
         self._wakeups: Wakeups[Paced] = Wakeups(attrgetter("payload_bytes"))
-        self._swapped: deque[Paced] = deque()  # publishers whose end of a swap is not announced yet
         self._suspect_until_s = -math.inf
         self.finished_s = clock()  # when the pacing thread last finished a turn
         self.quick_from_s = -math.inf  # from then on a thread that offers a sample may write it
@@ -155,10 +123,9 @@ class NodePublishers:
         node.create_subscription(
             Float64MultiArray, PRICE_TOPIC, self._on_price, newest, event_callbacks=no_subscription_events()
         )
-        node.create_timer(_ANNOUNCE_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._announcer = node.create_publisher(
-            DiagnosticArray, PUBLISHERS_TOPIC, QoSProfile(depth=5), event_callbacks=no_publisher_events()
-        )
+        node.create_timer(_CHECK_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._announcer: Announcer[Paced] = Announcer(node, self._state_of)
+        PlanListener.of(node).serve(self)
         self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
         self._thread.start()
         node.context.on_shutdown(self.stop)
@@ -176,26 +143,27 @@ class NodePublishers:
                 f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
                 "their parameters would share one name"
             )
-        for setting, (field, description) in _SETTINGS.items():
+        for setting, (field, description) in SETTINGS.items():
             name = parameter_name(topic, setting)
             self._parameters[name] = (topic, field)
-            OwnParameters.of(self._node).declare(name, getattr(publisher.plan, field), description)
+            self._own.declare(name, getattr(publisher.plan, field), description)
         self._publishers = {**self._publishers, topic: publisher}
         # Overrides given at the start (--ros-args -p qos_overrides…) are in force from the beginning.
-        plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in _SETTINGS])[topic]
+        plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in SETTINGS])[topic]
         if plan != publisher.plan:
             publisher.retune(plan)
         self._show_price(publisher)
+        self._give_row(publisher)
         self.wake(publisher)
 
     def release(self, publisher: Paced) -> None:
         """Forget a publisher and its parameters."""
         topic = publisher.topic_name
         self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
-        for setting in _SETTINGS:
+        for setting in SETTINGS:
             name = parameter_name(topic, setting)
             if self._parameters.pop(name, None):
-                OwnParameters.of(self._node).undeclare(name)
+                self._own.undeclare(name)
 
     def wake(self, publisher: Paced) -> None:
         """Let the pacing thread serve a publisher at once."""
@@ -203,7 +171,7 @@ class NodePublishers:
 
     def note_swap(self, publisher: Paced) -> None:
         """Announce a publisher soon, because a swap of it has ended; for any thread."""
-        self._swapped.append(publisher)
+        self._announcer.hurry(publisher)
         self._wakeups.end()
 
     def shun_writing(self, took_s: float) -> None:
@@ -222,25 +190,26 @@ class NodePublishers:
             self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
-        announce_s = early_s = self._clock()
+        check_s = self._clock()
         while not self._stopping and self._node.context.ok():
             try:
-                self._service(self._clock(), until_s=announce_s)
+                self._service(self._clock(), until_s=self._announcer.due_s)
                 now_s = self.finished_s = self._clock()
-                if now_s >= announce_s:
-                    announce_s = now_s + _ANNOUNCE_S
-                    self._swapped.clear()
+                if now_s >= check_s:
+                    check_s = now_s + _CHECK_S
                     self._note_silence(now_s)
-                    self._announce(self._publishers.values())
-                elif self._swapped and now_s >= early_s:
-                    early_s = now_s + _EARLY_S
-                    swapped = {self._swapped.popleft() for _ in range(len(self._swapped))}
-                    self._announce(one for one in self._publishers.values() if one in swapped)
+                if now_s >= self._announcer.due_s:
+                    answer, lease_s = self._grant.answer, self._grant.lease.granted_s
+                    self._announcer.turn(now_s, self._publishers.values(), answer=answer, lease_s=lease_s)
             except InvalidHandle:
                 if not self._has_node:
                     return
                 continue  # only a publisher was destroyed, between two looks
-            next_s = min(announce_s, self._wakeups.next_s(), early_s if self._swapped else math.inf)
+            except Exception as error:  # noqa: BLE001 - a message that cannot be made must not stop the pacing
+                self._node.get_logger().error(
+                    f"announcements failed: {error}; arpd tries again", throttle_duration_sec=_WARN_EVERY_S
+                )
+            next_s = min(check_s, self._announcer.due_s, self._wakeups.next_s())
             self._wakeups.wait(next_s - self._clock())
 
     @property
@@ -278,17 +247,11 @@ class NodePublishers:
             )
             return now_s + _RETRY_S
 
-    def _announce(self, publishers: Iterable[Paced]) -> None:
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        generation, lease_s = self._grant.generation, self._grant.lease.granted_s
-        lacks_profile = self._lacks_profile
-        message.status = [
-            to_status(one.state(generation=generation, lease_s=lease_s, lacks_profile=lacks_profile))
-            for one in publishers
-        ]
-        if message.status:  # the last one may just be destroyed, and an empty message is none
-            self._announcer.publish(message)
+    def _state_of(self, publisher: Paced) -> PublisherState:
+        grant = self._grant
+        return publisher.state(
+            generation=grant.generation, lease_s=grant.lease.granted_s, lacks_profile=self._lacks_profile
+        )
 
     def _on_price(self, message: Any) -> None:
         try:
@@ -323,27 +286,59 @@ class NodePublishers:
             f"no sign of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
             throttle_duration_sec=_WARN_EVERY_S,
         )
-        parameters = [Parameter(GENERATION_PARAMETER, value=0)]
+        grant.end()
+        self._rows = {}
         for topic, publisher in self._publishers.items():
             own = publisher.baseline
             plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
-            parameters += [
-                Parameter(parameter_name(topic, setting), value=getattr(plan, field))
-                for setting, (field, _) in _SETTINGS.items()
-            ]
-        generation, grant.generation = grant.generation, 0  # the next daemon may begin with any generation
-        try:
-            result = self._node.set_parameters_atomically(parameters)
-        except ParameterNotDeclaredException:
-            result = SetParametersResult(successful=False, reason="one of them was just destroyed")
-        if not result.successful:
-            grant.generation = generation  # so that the next call tries again
-            self._node.get_logger().error(
-                f"the publishers keep their plan for now: {result.reason}", throttle_duration_sec=_WARN_EVERY_S
-            )
-            return
+            self._retune(topic, publisher, plan)
         self._price = None
         self._show_price(*self._publishers.values())
+
+    def take_plan(self, plan: NodePlan, crc: int) -> None:
+        """Take all rows of a plan for this node's publishers, or none of them; the next announcement has the answer."""
+        if not plan.publishers:
+            return
+        try:
+            self._grant.check_plan(plan)
+            rows = {
+                topic: (publisher, checked_row(topic, row, publisher.baseline))
+                for topic, publisher in self._publishers.items()
+                if (row := plan.publishers.get(topic)) is not None
+            }
+        except ValueError as refusal:
+            self.refuse_plan(crc, str(refusal))
+            return
+        is_repeated = self._grant.take_plan(plan, crc)
+        self._rows = plan.publishers
+        for topic, (publisher, wanted) in rows.items():
+            if is_repeated or wanted != publisher.plan:  # the daemon repeats a plan when a swap failed, for example
+                self._retune(topic, publisher, wanted)
+        for topic, publisher in self._publishers.items():
+            if topic not in rows:  # made meanwhile, by another thread
+                self._give_row(publisher)
+        self._tell_answer()
+
+    def refuse_plan(self, crc: int, words: str) -> None:
+        """Answer that a plan is refused, and why."""
+        self._grant.refuse_plan(crc, words)
+        self._tell_answer()
+
+    def _tell_answer(self) -> None:
+        self._announcer.hurry_answer()
+        self._wakeups.end()
+
+    def _give_row(self, publisher: Paced) -> None:
+        """Give a new publisher its row of the plan in force, which its node has answered for it too."""
+        topic = publisher.topic_name
+        if self._grant.generation and (row := self._rows.get(topic, {})).get("weight"):
+            with suppress(ValueError):  # the row of a predecessor with other QoS
+                self._retune(topic, publisher, checked_row(topic, row, publisher.baseline))
+
+    def _retune(self, topic: str, publisher: Paced, plan: TopicPlan) -> None:
+        publisher.retune(plan)
+        self._own.show(parameters_of(topic, plan))
+        self._show_price(publisher)
 
     def _validate(self, parameters: Sequence[Any]) -> Any:
         try:
@@ -366,28 +361,5 @@ class NodePublishers:
             if parameter.name in self._parameters:
                 topic, field = self._parameters[parameter.name]
                 if (publisher := self._publishers.get(topic)) is not None:
-                    changes.setdefault(topic, {})[field] = _checked(
-                        parameter,
-                        field,
-                        most_depth=max(MOST_DEPTH, publisher.baseline.depth),
-                        own_deadline_ns=publisher.baseline.deadline_ns,
-                    )
+                    changes.setdefault(topic, {})[field] = checked(parameter, field, publisher.baseline)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
-
-
-_CHECKS: dict[str, Callable[[Any], int | float]] = {
-    "rate_hz": checked_rate_hz,
-    "min_rate_hz": checked_floor_hz,
-    "weight": checked_weight,
-    "wire_bytes": checked_wire_bytes,
-    "packets": checked_packets,
-}
-
-
-def _checked(parameter: Any, field: str, *, most_depth: int, own_deadline_ns: int = 0) -> int | float:
-    """Return a valid setting; rclpy has already refused values of another type."""
-    if field == "depth":
-        return checked_depth(parameter, most_depth)
-    if field == "deadline_ns":
-        return checked_deadline_ns(parameter, own_ns=own_deadline_ns)
-    return _CHECKS[field](parameter)

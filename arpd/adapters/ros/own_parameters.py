@@ -2,64 +2,63 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
-
-from arpd.adapters.ros.attached import attached
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import ParameterAlreadyDeclaredException
+from rclpy.parameter import Parameter
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rclpy.node import Node
 
-_KINDS = ("new_parameters", "changed_parameters", "deleted_parameters")
+_TABLES = ("_parameters", "_descriptors", "_parameter_overrides")
 
 
 class OwnParameters:
-    """Declares arpd's parameters of one node, and keeps them out of its ParameterEvents.
+    """Declares arpd's parameters of one node, and shows in them what a plan brought into force.
 
-    A node publishes each change of its parameters, reliably, once to every process that listens. A plan for 250 topics
-    would be an event of more than 100 kB, on the link that has just fallen. rclpy 7.1 has no option for that, so this
-    class puts a filter before the `publish` of the node's event publisher. The parameter services work as ever, and
-    the application's parameters have their events.
+    rclpy 7.1 declares a parameter in 44 µs and sets one in 18 µs, asks every callback, and publishes each change
+    reliably to every process that listens: an event of more than 100 kB for a plan of 250 topics. A plan is checked
+    before it is shown, so this class writes into the node's own tables, in 4 and 2 µs. What people set goes the usual
+    way, with events.
 
     Parameters
     ----------
-    node : node of the application; use `of`, so that a node has one filter
+    node : node of the application
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._names: set[str] = set()
-        # rclpy makes it before any other publisher of the node.
-        publisher: Any = next((each for each in node.publishers if each.msg_type is ParameterEvent), None)
-        if publisher is not None:
-            self._publish = publisher.publish
-            publisher.publish = self._publish_others
-
-    @classmethod
-    def of(cls, node: Node) -> OwnParameters:
-        """Return the node's own, made on first use and stored on the node."""
-        return attached(node, cls, lambda: cls(node))
+        # The node's own tables; rclpy gives them no public names.
+        self._values, self._descriptors, self._overrides = (vars(node)[name] for name in _TABLES)
 
     def declare(self, name: str, value: float, description: str) -> None:
-        """Declare a parameter, as `Node.declare_parameter` does."""
-        self._names.add(name)
-        try:
-            self._node.declare_parameter(name, value, ParameterDescriptor(description=description))
-        except Exception:
-            self._names.discard(name)  # it may be the application's
-            raise
+        """Declare a parameter, as `Node.declare_parameter` does, but without callbacks and events.
+
+        Raises
+        ------
+        ParameterAlreadyDeclaredException
+            If it is the application's.
+        """
+        descriptor = ParameterDescriptor(description=description)
+        if name in self._overrides:  # rclpy knows how to read it
+            self._node.declare_parameter(name, value, descriptor)
+            return
+        if self._node.has_parameter(name):
+            raise ParameterAlreadyDeclaredException(name)
+        parameter = Parameter(name, value=value)
+        descriptor.name, descriptor.type = name, parameter.type_.value
+        self._descriptors[name] = descriptor
+        self._values[name] = parameter
+
+    def show(self, values: Mapping[str, float]) -> None:
+        """Set declared parameters to checked values, without callbacks and events."""
+        known = self._values
+        known.update({name: Parameter(name, value=value) for name, value in values.items() if name in known})
 
     def undeclare(self, name: str) -> None:
         """Undeclare a parameter, if it is still declared."""
-        self._names.discard(name)
         if self._node.context.ok() and self._node.has_parameter(name):
             self._node.undeclare_parameter(name)
-
-    def _publish_others(self, event: Any) -> None:
-        """Publish an event without arpd's parameters, if there is anything else in it."""
-        others = {kind: [each for each in getattr(event, kind) if each.name not in self._names] for kind in _KINDS}
-        if any(others.values()):
-            for kind, parameters in others.items():
-                setattr(event, kind, parameters)
-            self._publish(event)

@@ -14,7 +14,7 @@ from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import InterfaceReader, hardware_address
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.runtime import control_node, serve_until, stop_on_signals
+from arpd.adapters.ros.runtime import best_executor, control_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.model.probing import PeerReport
@@ -218,10 +218,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     name = name or default_name(reader.name)
     addresses = Addresses(lambda: reader.name)
     with control_node("arpd_peer", link) as node:
-        # MessageInfo callbacks raise SystemError on EventsExecutor in rclpy 7.1.6; this traffic is small.
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-
-        executor = SingleThreadedExecutor(context=node.context)
+        executor = best_executor(node.context, hears_itself=link is None)
         executor.add_node(node)
         peer = Peer(node, reader=reader, name=name)
         log.info("reporting what arrives on %s as %s", reader.name, name)

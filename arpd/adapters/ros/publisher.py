@@ -184,7 +184,7 @@ class AdaptivePublisher:
         ----------
         msg : as in `publish`
         """
-        sample = serialized(msg, self.msg_type)
+        sample = msg if isinstance(msg, bytes) else serialized(msg, self.msg_type)
         if self._clock() >= self._shared.quick_from_s and self._writing.acquire(blocking=False):
             try:
                 with self._lock:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Allocator(ctypes.Structure):
@@ -88,21 +91,59 @@ class Rcl:
             raise MemoryError("rcutils_uint8_array_init")
         return held
 
+    def outlet(self, handle: Any) -> Outlet:
+        """Return what publishes serialized samples through a publisher's handle."""
+        return Outlet(handle, self._publish, self.error)
+
     def publish(self, handle: Any, sample: bytes) -> None:
-        """Publish a serialized sample through a publisher's handle; blocks while the link's queue is full.
+        """Publish one serialized sample as an `Outlet` does."""
+        self.outlet(handle).publish(sample)
+
+    def error(self) -> str:
+        """Return the words of the last error of this thread, and forget it."""
+        words: str = self._error().text.decode(errors="replace")
+        self.forget_error()
+        return words
+
+
+class Outlet:
+    """Publishes serialized samples through one publisher's handle, one at a time.
+
+    It keeps what a call needs: a structure per call would cost half as much as the rest of it.
+
+    Parameters
+    ----------
+    handle : of the publisher
+    publish : ``rcl_publish_serialized_message``
+    error : returns the words of its error
+    """
+
+    __slots__ = ("_error", "_handle", "_message", "_pointer", "_publish", "_reference")
+
+    def __init__(self, handle: Any, publish: Callable[..., int], error: Callable[[], str]) -> None:
+        self._handle = handle
+        self._pointer = handle.pointer
+        self._publish = publish
+        self._error = error
+        self._message = _Outgoing()
+        self._reference = ctypes.byref(self._message)
+
+    def publish(self, sample: bytes) -> None:
+        """Publish a serialized sample; blocks while the link's queue is full.
 
         Raises
         ------
         RuntimeError
             If rcl refuses it.
         """
-        size = len(sample)
-        message = _Outgoing(sample, size, size)
-        with handle:
-            if self._publish(handle.pointer, ctypes.byref(message), None) != 0:
-                words = self._error().text.decode(errors="replace")
-                self.forget_error()
-                raise RuntimeError(f"publishing failed: {words}")
+        message = self._message
+        message.buffer = sample
+        message.length = message.capacity = len(sample)
+        with self._handle:
+            fault = self._publish(self._pointer, self._reference, None)
+        message.buffer = None  # a sample may be large
+        if fault:
+            raise RuntimeError(f"publishing failed: {self._error()}")
 
 
 @cache

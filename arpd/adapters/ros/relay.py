@@ -6,23 +6,28 @@ import logging
 import platform
 import re
 import threading
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
+from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.graph import NOT_NAMED_YET, node_name_of, policies_of
-from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, stop_on_signals
+from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, spinning, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
+from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
+from arpd.apply.relay_status import RelayStatus, shard_name, shards
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
     from arpd.adapters.ros.publisher import AdaptivePublisher
@@ -33,7 +38,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _DISCOVER_S = 0.5
-_EVERY_LOOK = 10  # every tenth look at a topic reads its endpoints, even when their number is unchanged
+_EVERY_LOOK = 60  # every 60th look at a topic reads its endpoints, even when their numbers are unchanged
 _KEEP_LOOKS = 20  # 10 s: enough for a source to restart, and an end for a loop whose source never comes
 _RECEIVE_DEPTH = 100  # within the host, so this only bridges the relay's own scheduling
 
@@ -49,15 +54,24 @@ class Relay:
     ----------
     node : rclpy node it lives in
     settings : topics and prefix
-    on_change : called with the status line at the start and whenever it changes
+    on_change : called with the status at the start and whenever it changes
+    carriers : names of all nodes of the relay; None = this one only
     """
 
-    def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        node: Any,
+        settings: RelaySettings,
+        *,
+        on_change: Callable[[RelayStatus], None],
+        carriers: Collection[str] | None = None,
+    ) -> None:
         from rclpy.clock import Clock, ClockType  # noqa: PLC0415 - ROS is checked in ros_node
 
         self._node = node
         self._settings = settings
         self._on_change = on_change
+        self._carriers = frozenset(carriers or (node.get_fully_qualified_name(),))
         self._carried: dict[str, _Carried] = {}
         self._refused: dict[str, str] = {}
         self._failed: dict[str, str] = {}  # topic → type that could not be carried
@@ -72,35 +86,33 @@ class Relay:
                 self._refuse(topic, refusal.reason)
             else:
                 self._outputs[topic] = output
-        self._status = self.status_line()
+        self._status = self.status()
         on_change(self._status)
         # Steady time, so that a paused simulation does not stop the relay from following the graph.
         node.create_timer(_DISCOVER_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def status_line(self) -> str:
-        """Return one line for ``systemctl status``."""
-        topics = self._settings.topics
-        flowing = sum(topic not in self._silent for topic in self._carried)
-        line = f"relaying {flowing} of {len(topics)} topics"
-        silent = [topic for topic in topics if topic in self._silent and topic not in self._refused]
-        if new := [topic for topic in silent if topic not in self._once]:
-            line += f"; not published yet: {', '.join(new)}"
-        if gone := [topic for topic in silent if topic in self._once]:
-            line += f"; no longer published: {', '.join(gone)}"
-        for topic, reason in sorted(self._refused.items()):
-            line += f"; refused {topic}: {reason}"
-        for topic, carried in sorted(self._carried.items()):
-            if carried.route.ignored:
-                line += f"; on {topic} ignored {carried.route.ignored}"
-        return line
+    def status(self) -> RelayStatus:
+        """Return what is carried, and what is not and why."""
+        silent = [topic for topic in self._settings.topics if topic in self._silent and topic not in self._refused]
+        return RelayStatus(
+            topics=self._settings.topics,
+            flowing=tuple(topic for topic in self._carried if topic not in self._silent),
+            unpublished=tuple(topic for topic in silent if topic not in self._once),
+            gone=tuple(topic for topic in silent if topic in self._once),
+            refused=tuple(self._refused.items()),
+            ignored=tuple((topic, each.route.ignored) for topic, each in self._carried.items() if each.route.ignored),
+        )
 
     def _discover(self) -> None:
         self._looks += 1
         for number, (topic, output) in enumerate(self._outputs.items()):
             # Reading all endpoints of 100 topics twice a second would cost as much as relaying 100 messages.
-            if (self._looks + number) % _EVERY_LOOK == 0 or not self._is_settled(topic):
+            turn = self._looks + number
+            carried = self._carried.get(topic)
+            is_left_out = turn % 2 and carried is not None and carried.settled_with is not None
+            if turn % _EVERY_LOOK == 0 or not (is_left_out or self._is_settled(topic)):
                 self._look(topic, output)
-        if (status := self.status_line()) != self._status:
+        if (status := self.status()) != self._status:
             self._status = status
             self._on_change(status)
 
@@ -114,11 +126,16 @@ class Relay:
             and carried.settled_with == self._endpoints(topic, carried)
         )
 
-    def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int]:
-        """Count the topic's writers, and the readers of its output."""
+    def _endpoints(self, topic: str, carried: _Carried | None) -> tuple[int, int, int]:
+        """Count the topic's writers, those that the relay hears, and the readers of its output.
+
+        A writer that the reader in force would not hear shows at once, also where it has replaced another.
+        """
         with self._node.handle:  # Node.count_publishers would check the name again
             sources = self._node.handle.get_count_publishers(self._inputs[topic])
-        return sources, 0 if carried is None else carried.publisher.get_subscription_count()
+        if carried is None:
+            return sources, 0, 0
+        return sources, carried.subscription.get_publisher_count(), carried.publisher.get_subscription_count()
 
     def _look(self, topic: str, output: str) -> None:
         carried = self._carried.get(topic)
@@ -128,7 +145,7 @@ class Relay:
         unknown = {name for name in (*readers, *(source.node for source in sources)) if NOT_NAMED_YET in name}
         route = choose_route(
             sources,
-            carrier=self._node.get_fully_qualified_name(),
+            carriers=self._carriers,
             output=output,
             output_readers=readers - unknown,
             in_force=None if carried is None else carried.route,
@@ -148,6 +165,8 @@ class Relay:
     def _rest(self, topic: str) -> None:
         """Keep a topic without a publisher for a while, in case its source returns, then drop it."""
         self._silent[topic] = self._silent.get(topic, 0) + 1
+        if (carried := self._carried.get(topic)) is not None:
+            carried.settled_with = None
         self._refused.pop(topic, None)
         self._failed.pop(topic, None)
         if self._silent[topic] > _KEEP_LOOKS:
@@ -225,7 +244,7 @@ class _Carried:
     route: Route
     publisher: AdaptivePublisher
     subscription: AdaptiveSubscription
-    settled_with: tuple[int, int] | None = None  # number of endpoints when nothing was left to do
+    settled_with: tuple[int, int, int] | None = None  # number of endpoints when nothing was left to do
 
     @property
     def is_followed(self) -> bool:
@@ -319,14 +338,38 @@ def _idle(reason: str, notifier: Notifier, stopping: threading.Event) -> None:
 def _run_one_end(
     settings: RelaySettings, name: str, notifier: Notifier, stopping: threading.Event, addresses: Addresses
 ) -> None:
-    with ros_node(name) as node:
-        executor = best_executor(node.context)
-        executor.add_node(node)
-        Relay(node, settings, on_change=notifier.status)
-        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415 - ROS is checked in ros_node
+    parts = [replace(settings, topics=topics) for topics in shards(settings.topics)]
+    statuses = [RelayStatus()] * len(parts)
 
-        publishers = NodePublishers.of(node)
-        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s])
+    telling = threading.Lock()  # each shard has a thread, and the last line must be the newest
+
+    def note(number: int, status: RelayStatus) -> None:
+        with telling:
+            statuses[number] = status
+            notifier.status(RelayStatus.of(statuses).line)
+
+    with ExitStack() as stack:
+        nodes = [stack.enter_context(ros_node(name))]
+        from rclpy import Context  # noqa: PLC0415 - ROS is checked in ros_node
+
+        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
+
+        nodes += [
+            stack.enter_context(ros_node(shard_name(name, number), context=Context()))
+            for number in range(1, len(parts))
+        ]
+        executor = best_executor(nodes[0].context)
+        executors = [executor, *(type(executor)(context=node.context) for node in nodes[1:])]
+        link = LinkClock()
+        heard: list[Callable[[], float]] = []
+        carriers = [node.get_fully_qualified_name() for node in nodes]
+        for number, (node, part) in enumerate(zip(nodes, parts, strict=True)):
+            attached(node.context, LinkClock, lambda: link)
+            executors[number].add_node(node)
+            Relay(node, part, on_change=partial(note, number), carriers=carriers)
+            heard.append(partial(getattr, NodePublishers.of(node), "finished_s"))
+        heard += [stack.enter_context(spinning(each)) for each in executors[1:]]
+        heartbeat = Watchdog(notifier, parts=heard)
         notifier.ready()
         serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
         notifier.stopping()

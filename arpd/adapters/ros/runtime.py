@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import LinkDomain
 
 log = logging.getLogger(__name__)
+_TURN_S = 0.2
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
@@ -47,13 +48,14 @@ def _is_ours(path: Path) -> bool:
 
 
 @contextmanager
-def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
+def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
     Parameters
     ----------
     name : its name
     link : domain that it joins; the host's own domain when None
+    context : rclpy context to start for it; None = the process's own, for a link a new one
 
     Raises
     ------
@@ -66,7 +68,7 @@ def ros_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     except ImportError as error:
         raise RosUnavailableError(f"ROS 2 cannot be imported ({error}); {GET_ROS}") from error
-    context = rclpy.get_default_context() if link is None else rclpy.Context()
+    context = context or (rclpy.get_default_context() if link is None else rclpy.Context())
     try:
         with _discovery(link):
             domain_id = None if link is None else link.domain_id
@@ -156,13 +158,23 @@ def best_executor(context: Any = None, *, hears_itself: bool = True) -> Any:
 
 
 @contextmanager
-def spinning(executor: Any) -> Iterator[None]:
-    """Spin an executor in a thread of its own; leaving the block ends the thread."""
-    stopping = threading.Event()
-    thread = threading.Thread(target=spin_until, args=(executor, stopping), name="arpd-ros", daemon=True)
+def spinning(executor: Any) -> Iterator[Callable[[], float]]:
+    """Spin an executor in a thread of its own; leaving the block ends the thread.
+
+    It yields a function that returns when the executor finished its last turn, on the monotonic clock (s).
+    """
+    stopping, turned_s = threading.Event(), time.monotonic()
+
+    def note() -> None:
+        nonlocal turned_s
+        turned_s = time.monotonic()
+
+    thread = threading.Thread(
+        target=spin_until, args=(executor, stopping), kwargs={"on_turn": note}, name="arpd-ros", daemon=True
+    )
     thread.start()
     try:
-        yield
+        yield lambda: turned_s
     finally:
         stopping.set()
         executor.wake()
@@ -171,14 +183,12 @@ def spinning(executor: Any) -> Iterator[None]:
 
 
 @contextmanager
-def spinning_alone(node: Any) -> Iterator[None]:
-    """Spin a node in a thread of its own, one callback at a time."""
-    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415 - ROS is checked in ros_node
-
-    executor = SingleThreadedExecutor(context=node.context)
+def spinning_alone(node: Any, *, hears_itself: bool = True) -> Iterator[Callable[[], float]]:
+    """Spin a node as `spinning` does, one callback at a time; `best_executor` explains ``hears_itself``."""
+    executor = best_executor(node.context, hears_itself=hears_itself)
     executor.add_node(node)
-    with spinning(executor):
-        yield
+    with spinning(executor) as turned_s:
+        yield turned_s
 
 
 def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
@@ -188,10 +198,17 @@ def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[]
     ----------
     on_turn : called after every turn without a failure, at least several times a second
     """
-    # EventsExecutor.spin() busy-loops in rclpy 7.1.6; spin_once with a timeout works on every executor.
+    from rclpy.executors import Executor  # noqa: PLC0415 - ROS is checked in ros_node
+    from rclpy.task import Future  # noqa: PLC0415
+
     while not stopping.is_set():
         try:
-            executor.spin_once(timeout_sec=0.2)
+            if isinstance(executor, Executor):
+                executor.spin_once(timeout_sec=_TURN_S)
+            else:
+                # EventsExecutor stays in C++ between two callbacks, which saves 15 us or more of each. Its spin() would
+                # busy-loop in rclpy 7.1.6.
+                executor.spin_until_future_complete(Future(), _TURN_S)
             on_turn()
         except Exception:
             if stopping.is_set():

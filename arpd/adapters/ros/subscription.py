@@ -6,15 +6,15 @@ import inspect
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.parameter import Parameter
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
 from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
@@ -93,11 +93,11 @@ class AdaptiveSubscription:
         self._results: Counter[str] = Counter()
         self._refusal = NO_REFUSAL
         self._resolved = str(node.resolve_topic_name(topic))
-        self._parameters = {
+        self.parameters = {
             reader_parameter_name(self._resolved, setting): field for setting, (field, _) in _SETTINGS.items()
         }
         self.callback = callback
-        self._baseline = ReaderQos(
+        self.baseline = ReaderQos(
             depth=max(1, self.qos_profile.depth),
             deadline_ns=deadline_ns_of(self.qos_profile),
             reliability=self.qos_profile.reliability,
@@ -110,8 +110,6 @@ class AdaptiveSubscription:
             self._undeclare()
             raise
         self._deadlines = DeadlineCount(self._reader)
-        node.add_on_set_parameters_callback(self._validate)
-        node.add_post_set_parameters_callback(self._apply)
         self._shared = NodeSubscriptions.of(node)
         self._shared.adopt(self)
 
@@ -155,8 +153,6 @@ class AdaptiveSubscription:
     def destroy(self) -> None:
         """Destroy the subscription and all its readers."""
         self._shared.release(self)
-        self._node.remove_on_set_parameters_callback(self._validate)
-        self._node.remove_post_set_parameters_callback(self._apply)
         self._undeclare()
         with self._lock:
             self._stop_timer()
@@ -192,8 +188,8 @@ class AdaptiveSubscription:
                 topic=self._resolved,
                 depth=qos.depth,
                 deadline_ns=qos.deadline_ns,
-                baseline_depth=self._baseline.depth,
-                baseline_deadline_ns=self._baseline.deadline_ns,
+                baseline_depth=self.baseline.depth,
+                baseline_deadline_ns=self.baseline.deadline_ns,
                 generation=generation,
                 lease_s=lease_s,
                 keeps_all=self._keeps_all,
@@ -202,14 +198,6 @@ class AdaptiveSubscription:
                 swaps_by_result=dict(self._results),
                 deadlines_missed=self._deadlines.missed,
             )
-
-    def return_to_baseline(self) -> str | None:
-        """Request the application's own QoS; return why that is refused for now, None if it is not."""
-        wanted = [Parameter(name, value=getattr(self._baseline, field)) for name, field in self._parameters.items()]
-        if all(self._node.get_parameter(each.name).value == each.value for each in wanted):
-            return None
-        result = self._node.set_parameters_atomically(wanted)
-        return None if result.successful else str(result.reason)
 
     @property
     def _reader(self) -> RosReader:
@@ -297,45 +285,48 @@ class AdaptiveSubscription:
 
     def _declare(self) -> ReaderQos:
         """Declare the parameters; return the QoS with the overrides given at the start."""
-        if any(self._node.has_parameter(name) for name in self._parameters):
+        if any(self._node.has_parameter(name) for name in self.parameters):
             raise ValueError(
                 f"{self._node.get_fully_qualified_name()} already has an AdaptiveSubscription on {self._resolved}; "
                 "their parameters would share one name"
             )
-        for name, (field, description) in zip(self._parameters, _SETTINGS.values(), strict=True):
-            OwnParameters.of(self._node).declare(name, getattr(self._baseline, field), description)
+        for name, (field, description) in zip(self.parameters, _SETTINGS.values(), strict=True):
+            OwnParameters(self._node).declare(name, getattr(self.baseline, field), description)
         try:
-            return self._wanted(self._baseline, [self._node.get_parameter(name) for name in self._parameters])
+            return self._wanted(self.baseline, [self._node.get_parameter(name) for name in self.parameters])
         except ValueError:
             self._undeclare()
             raise
 
     def _undeclare(self) -> None:
-        for name in self._parameters:
-            OwnParameters.of(self._node).undeclare(name)
+        for name in self.parameters:
+            OwnParameters(self._node).undeclare(name)
 
-    def _validate(self, parameters: Sequence[Any]) -> Any:
-        try:
-            wanted = self._wanted(self.qos, parameters)
-            if wanted != self.qos:
-                self._check(wanted)
-        except ValueError as refusal:
-            return SetParametersResult(successful=False, reason=str(refusal))
-        return SetParametersResult(successful=True)
+    def check(self, parameters: Sequence[Any]) -> None:
+        """Refuse values of its parameters that are out of bounds, or that would lose samples or writers.
 
-    def _apply(self, parameters: Sequence[Any]) -> None:
-        if any(parameter.name in self._parameters for parameter in parameters):
-            # All of them: an earlier request may still be under way.
-            self.renew(self._wanted(self.qos, [self._node.get_parameter(name) for name in self._parameters]))
+        Raises
+        ------
+        ValueError
+            The message names the reason.
+        """
+        wanted = self._wanted(self.qos, parameters)
+        if wanted != self.qos:
+            self._check(wanted)
+
+    def follow_parameters(self) -> None:
+        """Request the QoS that its parameters have; all of them, because an earlier request may be under way."""
+        with suppress(ParameterNotDeclaredException):  # another thread has just destroyed it
+            self.renew(self._wanted(self.qos, [self._node.get_parameter(name) for name in self.parameters]))
 
     def _wanted(self, qos: ReaderQos, parameters: Sequence[Any]) -> ReaderQos:
         changes: dict[str, int] = {}
         for parameter in parameters:
-            if (field := self._parameters.get(parameter.name)) is not None:
+            if (field := self.parameters.get(parameter.name)) is not None:
                 changes[field] = (
-                    checked_depth(parameter, max(MOST_DEPTH, self._baseline.depth))
+                    checked_depth(parameter, max(MOST_DEPTH, self.baseline.depth))
                     if field == "depth"
-                    else checked_deadline_ns(parameter, own_ns=self._baseline.deadline_ns)
+                    else checked_deadline_ns(parameter, own_ns=self.baseline.deadline_ns)
                 )
         return replace(qos, **changes)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import threading
 import time
-from functools import partial
 from itertools import chain, repeat
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -16,35 +16,40 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.adapters.host.interface import InterfaceReader, MemoryReader, read_speed
+from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
 from arpd.adapters.ros.announcement import from_status, reader_from_status
 from arpd.adapters.ros.daemons import Daemons
 from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.graph import Crossing, read_graph
-from arpd.adapters.ros.listeners import Announcements
+from arpd.adapters.ros.graph import GraphReader
+from arpd.adapters.ros.joined import Joined, unsettled
+from arpd.adapters.ros.listeners import Announcements, CounterMessages
 from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.parameters import ParameterApplier
+from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
 from arpd.adapters.ros.relay_summaries import RelaySummaries
 from arpd.adapters.ros.rmw import Rmw, current_rmw
 from arpd.model.endpoints import Direction, PublisherState, ReaderState
-from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
+from arpd.model.observation import Glance, MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.peer_clocks import PeerClocks
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
+    from arpd.adapters.ros.crossing import Crossing
     from arpd.model.plan import Transition
     from arpd.model.price import Price
     from arpd.model.settings import GraphSettings
 
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S = 1.0
+_MEMORY_S = 0.5  # between two readings
+_JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
 _STALE_S = 3.5  # three announcements missed: the publisher is gone
 _READER_STALE_S = 10.0  # the same for a reader, which announces itself every three seconds
 _PEER_FORGOTTEN_S = 60.0  # a scrape or two must see its age grow
@@ -91,6 +96,7 @@ class RosControl:
         self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
         self._radio = Radio()
         self._memory = MemoryReader()
+        self._memory_read: tuple[float, MemoryState | None] = (-math.inf, None)
         self._radio_rate: float | None = None
         self._graph_settings = graph
         self._on_report_arrived = on_report
@@ -103,7 +109,12 @@ class RosControl:
         self._peers_heard: dict[str, float] = {}  # when each reported last (s)
         self._peer_clocks = PeerClocks()
         self._crossings: Mapping[str, Crossing] = {}
+        self._crossing_counts = (0, 0)  # topics from the robot, and to it
+        self._joined = Joined(self._crossings)
+        self._endpoints: tuple[tuple[PublisherState, ...], tuple[ReaderState, ...]] = (), ()
+        self._endpoints_until_s = -math.inf
         self._peers: int | None = None
+        self._remote_participants = 1
         self._probes = 0
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -117,10 +128,23 @@ class RosControl:
         pause = Pause()
         shared: dict[str, Any] = {"refused": self._refused, "pause": pause, "clock": clock}
         self._publishers: Announcements[PublisherState] = Announcements(
-            node, PUBLISHERS_TOPIC, MessageKind.PUBLISHERS, from_status, stale_s=_STALE_S, **shared
+            node,
+            PUBLISHERS_TOPIC,
+            MessageKind.PUBLISHERS,
+            from_status,
+            is_reliable=True,
+            stale_s=_STALE_S,
+            **shared,
         )
+        self._counters = CounterMessages(node, self._publishers, **shared)
         self._readers: Announcements[ReaderState] = Announcements(
-            node, READERS_TOPIC, MessageKind.READERS, reader_from_status, stale_s=_READER_STALE_S, **shared
+            node,
+            READERS_TOPIC,
+            MessageKind.READERS,
+            reader_from_status,
+            is_reliable=False,
+            stale_s=_READER_STALE_S,
+            **shared,
         )
         self._report_subscription = RawSubscription(
             node,
@@ -132,9 +156,12 @@ class RosControl:
             refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
             pause=pause,
         )
-        self._applier = ParameterApplier(node)
+        self._sender = PlanSender(
+            node, publishers_answer=self._publishers.answer_of, readers_answer=self._readers.answer_of
+        )
         self._daemons = Daemons(node, **shared)
         self._relay = RelaySummaries(node, **shared) if has_two_ends else None
+        self._graph = GraphReader(node, self._rmw)
         # In a thread: the tick must stay short, and reports wait in the executor.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
@@ -154,23 +181,17 @@ class RosControl:
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
         crossings = self._crossings
-        readers = self._readers.live(now_s, partial(_known_of_reader, crossings=crossings))
-        driven: dict[str, set[str]] = {}
-        for reader in readers:
-            if reader.is_driven:
-                driven.setdefault(reader.topic, set()).add(reader.node)
-        publishers = self._publishers.live(now_s, partial(_known_of_publisher, crossings=crossings, driven=driven))
+        publishers, readers = self._join(now_s, crossings)
         pinned = self._graph_settings
-        directions = [crossing.direction for crossing in crossings.values()]
         relay, is_relay_silent = (None, False) if self._relay is None else self._relay.newest(now_s)
-        sensing, actuation = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+        sensing, actuation = self._crossing_counts
         return Observation(
             now_s=now_s,
             counters=self._reader.read(),
             reports=reports,
-            publishers=tuple(publishers),
-            readers=tuple(readers),
-            memory=self._memory.read(),
+            publishers=publishers,
+            readers=readers,
+            memory=self._memory_state(now_s),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
             peers=self._peers,
@@ -185,7 +206,35 @@ class RosControl:
             relay=relay,
             is_relay_silent=is_relay_silent,
             domain=self._domain,
+            remote_participants=self._remote_participants,
         )
+
+    def glance(self) -> Glance:
+        """Return what shows whether a tick is worth its cost."""
+        queue = None if self._reader.index is None else read_backlog(self._reader.index)
+        return Glance(has_reports=bool(self._reports), backlog_bytes=queue.waiting_bytes if queue else None)
+
+    def _memory_state(self, now_s: float) -> MemoryState:
+        read_s, state = self._memory_read
+        if state is None or now_s - read_s >= _MEMORY_S:
+            state = self._memory.read()
+            self._memory_read = now_s, state
+        return state
+
+    def _join(
+        self, now_s: float, crossings: Mapping[str, Crossing]
+    ) -> tuple[tuple[PublisherState, ...], tuple[ReaderState, ...]]:
+        """Return the live endpoints with what the graph shows of them; what did not change is not made again."""
+        if now_s < self._endpoints_until_s:
+            return self._endpoints
+        if crossings is not self._joined.crossings:
+            self._joined = Joined(crossings)
+        readers = self._readers.live(now_s, self._joined.of_reader)
+        self._joined.note_readers(readers)
+        publishers = self._publishers.live(now_s, self._joined.of_publisher)
+        self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(publishers)
+        self._endpoints = publishers, readers
+        return self._endpoints
 
     # -- act
 
@@ -194,8 +243,12 @@ class RosControl:
         self._price_publisher.publish(Float64MultiArray(data=encode_price(price)))
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Set the parameters of a plan on its nodes; returns at once."""
-        self._applier.apply(transitions, now_s=now_s)
+        """Send a plan to its nodes; returns at once."""
+        self._sender.apply(transitions, now_s=now_s)
+
+    def stand_by(self) -> None:
+        """Take back the plans that were sent: a node that starts must not find those of a daemon that stands by."""
+        self._sender.forget()
 
     def probe(self, request: ProbeRequest) -> None:
         """Send one train, or a ping, back to back."""
@@ -214,8 +267,8 @@ class RosControl:
         self._probe_bytes += sum(probe_wire_bytes(len(packet.data)) for packet in packets)
 
     def results(self) -> Mapping[str, int]:
-        """Count parameter calls by result."""
-        return self._applier.results
+        """Count plans sent to nodes by result."""
+        return self._sender.results
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
@@ -247,11 +300,18 @@ class RosControl:
         self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
-        graph = read_graph(self._node, self._rmw, first=self._publishers.topics | self._readers.topics)
-        self._crossings, self._peers = graph.crossings, graph.peers
+        graph = self._graph.read(
+            first=self._publishers.topics | self._readers.topics, always=unsettled(*self._endpoints)
+        )
+        if graph.crossings != self._crossings:  # the same object means that nothing changed
+            self._crossings = graph.crossings
+            directions = [crossing.direction for crossing in graph.crossings.values()]
+            self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+        self._peers, self._remote_participants = graph.peers, graph.remote_participants
         with self._lock:
             self._peer_admission.see(graph.peers)
         self._publishers.see(graph.announcers, graph.shows_writer)
+        self._counters.see(graph.announcers)
         self._readers.see(graph.reader_announcers, graph.shows_reader)
 
     def _read_radio(self) -> None:
@@ -260,32 +320,7 @@ class RosControl:
             self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
 
 
-def _known_of_publisher(
-    state: PublisherState, *, crossings: Mapping[str, Crossing], driven: Mapping[str, Collection[str]]
-) -> Mapping[str, Any]:
-    """Return the fields of a publisher that the graph shows.
-
-    Parameters
-    ----------
-    crossings : topics of the graph
-    driven : nodes whose readers arpd drives, by topic
-    """
-    if (crossing := crossings.get(state.topic)) is None:
-        return {}
-    return {
-        "direction": crossing.direction,
-        "remote_readers": crossing.remote_readers,
-        "requested_deadline_ns": crossing.tightest_request_ns(besides=driven.get(state.topic, ())),
-    }
-
-
-def _known_of_reader(state: ReaderState, *, crossings: Mapping[str, Crossing]) -> Mapping[str, Any]:
-    """Return the fields of a reader that the graph shows."""
-    if (crossing := crossings.get(state.topic)) is None:
-        return {}
-    return {"requests_ns": crossing.requests_of(state.node), "offers_ns": crossing.offers_ns}
-
-
+_RESTS, _MOST_REST_S = 10.0, 3.0  # times the duration of a turn; and at most, in case something else held it up
 _FAST_TURNS = 30  # at the start the graph changes quickly
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node raises
 
@@ -301,7 +336,7 @@ class PeriodicThread:
     ----------
     node : rclpy node that the tasks use
     tasks : called one after the other; a task that raises is logged, and the others go on
-    every_s : time between two turns, at first a fifth of it (s)
+    every_s : time between two turns, at first a fifth of it; longer after turns that take long (s)
     """
 
     def __init__(self, node: Any, *tasks: Callable[[], None], every_s: float) -> None:
@@ -314,6 +349,7 @@ class PeriodicThread:
         for pause_s in chain(repeat(self._every_s / 5, _FAST_TURNS), repeat(self._every_s)):
             if not self._node.context.ok():
                 return
+            began_s = time.monotonic()
             for task in self._tasks:
                 try:
                     task()
@@ -321,4 +357,4 @@ class PeriodicThread:
                     return
                 except Exception:
                     log.exception("a periodic task failed; it runs again, and the others go on")
-            time.sleep(pause_s)
+            time.sleep(max(pause_s, min(_MOST_REST_S, _RESTS * (time.monotonic() - began_s))))

@@ -12,6 +12,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
+from arpd.adapters.ros.graph import deadline_ns_of
 from arpd.adapters.ros.rcl import rcl
 
 if TYPE_CHECKING:
@@ -56,10 +57,12 @@ class RosWriter:
         self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
+        self._outlet = rcl().outlet(self.publisher.handle)
+        self._has_deadline = deadline_ns_of(self.publisher.qos_profile) > 0
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
-        rcl().publish(self.publisher.handle, sample)  # rclpy would hold the interpreter while the link is full
+        self._outlet.publish(sample)  # rclpy would hold the interpreter while the link is full
 
     def matched(self) -> int:
         """Count the matched readers."""
@@ -93,7 +96,7 @@ class RosWriter:
 
     def deadlines_missed(self) -> int:
         """Count the offered deadlines missed since it was made; a destroyed writer keeps its last known count."""
-        return self._deadlines.count(self.publisher)
+        return self._deadlines.count(self.publisher) if self._has_deadline else 0
 
     def destroy(self) -> None:
         """Destroy the writer."""

@@ -86,6 +86,10 @@ class Oracle:
             loss_ratio=None if truth.is_out else truth.loss_ratio,
         )
 
+    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:  # noqa: ARG002 - the protocol's
+        """Look always."""
+        return True
+
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
         """Ask for none."""
         return ()
@@ -125,6 +129,10 @@ class _FromThroughput:
             age_s=silent_s,
             evidence="throughput",
         )
+
+    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:  # noqa: ARG002 - the protocol's
+        """Look always."""
+        return True
 
     def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
         """Ask for none."""

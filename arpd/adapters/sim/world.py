@@ -11,7 +11,7 @@ from arpd.adapters.sim.foreign import PACKET_BYTES
 from arpd.adapters.sim.timeline import Alarm
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.probing import PeerReport
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.receiver import Receiver, ReportSchedule
@@ -35,7 +35,7 @@ _ON_HOST_S = 0.001
 _ANNOUNCE_S = 1.0
 _STALE_S = 3.5  # as in arpd.adapters.ros.world
 _SILENT_S = 5.0  # as in arpd.adapters.ros.node_publishers
-_BACKOFF_S = (1.5, 12.0)  # first and longest, as in arpd.adapters.ros.parameters
+_BACKOFF_S = (1.5, 12.0)  # first and longest, as in arpd.adapters.ros.plan_sender
 _PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this, because nothing may depend on equal clocks
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
@@ -137,7 +137,7 @@ class SimulatedWorld:
             counters=self._counters(),
             reports=reports,
             publishers=tuple(
-                replace(state, age_s=now_s - node.announced_at_s)
+                state
                 for node in self._nodes.values()
                 if now_s - node.announced_at_s <= _STALE_S
                 for state in node.announced
@@ -149,6 +149,10 @@ class SimulatedWorld:
             ),
             peers=None if self._has_peer else 0,
         )
+
+    def glance(self) -> Glance:
+        """Return what shows whether a tick is worth its cost."""
+        return Glance(has_reports=bool(self._reports), backlog_bytes=int(self._up.backlog_bytes))
 
     def _counters(self) -> LinkCounters:
         up, down = self._up, self._down
@@ -181,6 +185,9 @@ class SimulatedWorld:
             node.asked_generation, node.asked_at_s = transition.generation, now_s
             self._reach(node, _PARAMETERS_BYTES, partial(self._on_parameters, node, transition))
 
+    def stand_by(self) -> None:
+        """Do nothing: no other daemon is simulated."""
+
     def probe(self, request: ProbeRequest) -> None:
         """Send one train or ping over the link."""
         self._probes += 1
@@ -196,7 +203,7 @@ class SimulatedWorld:
         self._graph = graph
 
     def results(self) -> Mapping[str, int]:
-        """Return the parameter calls by result."""
+        """Return the plans sent, by result."""
         return dict(self._results)
 
     @property
@@ -246,7 +253,8 @@ class SimulatedWorld:
             self._timeline.at(now_s + _ON_HOST_S, deliver)
 
     def _on_announcement(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
-        node.announced, node.announced_at_s = states, self._timeline.now_s
+        now_s = node.announced_at_s = self._timeline.now_s
+        node.announced = tuple(replace(state, announced_at_s=now_s) for state in states)
 
     # -- on the peer
 

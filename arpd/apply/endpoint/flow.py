@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.apply.endpoint.link_clock import LinkClock
+from arpd.apply.endpoint.link_clock import MOST_PACKETS, LinkClock
 from arpd.apply.endpoint.meters import DeadlineCount, SampleRate
 from arpd.apply.endpoint.pacing import Pacer
 from arpd.apply.endpoint.writer_swap import SwapTiming, WriterSwap
@@ -68,9 +68,11 @@ class Flow(Generic[W]):
         self._on_swap = on_swap
         self._swaps: Counter[str] = Counter()
         self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
+        self._writer, self._awaits_silence = self._swap.current, False  # of the swap; only its steps change them
         self._may_conflate = overflow is Overflow.LATEST
         self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld, source_of=source_of)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        self._is_large = False  # its samples wait for their turn on the link
         self._price: Price | None = None
         self._slow_start = SlowStart()
         self._is_slow = False  # whether a slow start holds
@@ -129,8 +131,10 @@ class Flow(Generic[W]):
         """Return whether a sample may be written at once; if not, queue it as `offer` does."""
         now_s = self._clock()
         self._count(sample, now_s)
-        is_free = not (self._held or self._replay or self._swap.awaits_silence)
-        if is_free and self._link.turn_s(self._plan, ready_s=now_s, now_s=now_s) <= now_s and self._pacer.admits(now_s):
+        if not (self._held or self._replay or self._awaits_silence) and (
+            (not self._is_large or self._link.turn_s(self._plan, ready_s=now_s, now_s=now_s) <= now_s)
+            and self._pacer.admits(now_s)
+        ):
             return True
         self._pacer.offer(sample, now_s)
         return False
@@ -138,7 +142,7 @@ class Flow(Generic[W]):
     def before_take(self) -> None:
         """Let a swap take its step just before a sample leaves; `replay` comes next."""
         # The previous sample is most likely acknowledged just then, so most swaps need not hold samples.
-        if self._swap.awaits_silence and self.is_waiting:
+        if self._awaits_silence and self.is_waiting:
             self.step(self._clock())
 
     def take(self) -> bytes | None:
@@ -170,7 +174,7 @@ class Flow(Generic[W]):
         """
         before_s = self._clock()
         try:
-            self._swap.current.publish(sample)
+            self._writer.publish(sample)
         except Exception:
             self._on_withheld(1, DropCause.FAILED)  # it has left the queue and reached no reader
             raise
@@ -178,8 +182,9 @@ class Flow(Generic[W]):
         took_s = after_s - before_s
         self._blocked_s += took_s
         self._departures.count(after_s)
-        self._link.occupy(self._plan, after_s)
-        if self._swap.awaits_silence:
+        if self._plan.wire_bytes:
+            self._link.occupy(self._plan, after_s)
+        if self._awaits_silence:
             self._swap.wrote(self._clock())
         if self._history is not None:
             self._history.append(sample)
@@ -193,7 +198,7 @@ class Flow(Generic[W]):
     def replay(self) -> None:
         """Write the old writer's samples by the new one; may block like `write`, and comes before the next `take`."""
         while self._replay:
-            self._swap.current.publish(self._replay.popleft())
+            self._writer.publish(self._replay.popleft())
 
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap.
@@ -204,7 +209,7 @@ class Flow(Generic[W]):
         qos : QoS for the writer, after clamps and refusals
         """
         now_s = self._clock()
-        self._plan = plan
+        self._plan, self._is_large = plan, plan.packets > MOST_PACKETS
         self._slow_start.end()
         self._pace(now_s)
         self._swap.request(qos)
@@ -237,11 +242,14 @@ class Flow(Generic[W]):
         """Move a swap on as far as its writers allow."""
         if not self._swap.is_busy:
             return
-        before = self._swap.current
-        self._swap.step(now_s)
-        if self._swap.current is before:
+        before = self._writer
+        try:
+            self._swap.step(now_s)
+        finally:
+            self._writer, self._awaits_silence = self._swap.current, self._swap.awaits_silence
+        if self._writer is before:
             return
-        self._deadlines.follow(self._swap.current)
+        self._deadlines.follow(self._writer)
         if self._history is not None:
             self._replay = deque(self._history)
             self._history = deque(self._history, maxlen=self._swap.qos.depth)
@@ -336,7 +344,7 @@ class Flow(Generic[W]):
 
 #: Rate of a topic of large samples until its first plan: two cameras, two lidars and a point cloud take 1 Mbit/s (Hz).
 SLOW_START_HZ = 2.0
-_LONGEST_S = 4.0  # a first plan takes about 2.5 s: an announcement, the governor's debounce and a parameter call
+_LONGEST_S = 4.0  # a first plan takes about 2.5 s: an announcement, the governor's debounce and the message of the plan
 
 
 class SlowStart:

@@ -97,11 +97,12 @@ class Pacer:
         """Return whether a sample may leave without being queued, and spend its credit."""
         if self._queue:
             return False
-        self._earn(now_s)
-        if self._credit < _FULL or self._rate_hz <= 0:
-            return False
+        if self._rate_hz != math.inf:  # unpaced, credit does not count
+            self._earn(now_s)
+            if self._credit < _FULL or self._rate_hz <= 0:
+                return False
+            self._credit -= 1.0
         self._note_arrival(now_s)
-        self._credit -= 1.0
         return True
 
     def due_s(self, now_s: float) -> float:

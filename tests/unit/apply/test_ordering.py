@@ -337,3 +337,83 @@ def test_terms_alone_are_sent_too(terms):
     announced = 2
     assert sent(2, new) == []
     assert sent(3, new) == []
+
+
+def test_a_step_has_all_rows_of_its_node():
+    """A node with something to do gets all of its rows, of publishers and readers; another one gets none."""
+    done = publisher("/n", "/done", depth=20, deadline_ns=SHORT, rate_hz=5.0, generation=3)
+    due = publisher("/n", "/due")
+    heard = reader("/n", "/done", depth=20, generation=3)
+    other = replace(done, node="/m", topic="/other")
+    plan = QosPlan(
+        generation=3, topics=dict.fromkeys(("/done", "/due", "/other"), row(SHORT)), level_bytes_per_second=1.0
+    )
+    ordering = Ordering()
+    publishers, readers = (done, due, other), (heard,)
+    steps = ordering.steps(
+        0.0,
+        publishers=publishers,
+        readers=readers,
+        plan=plan,
+        reader_plans=plan_readers(readers, plan),
+        reason="test",
+    )
+    assert [(step.node, sorted(step.topics), sorted(step.readers)) for step in steps.transitions] == [
+        ("/n", ["/done", "/due"], []),
+        ("/n", [], ["/done"]),
+    ]
+
+
+def test_a_plan_in_force_costs_nothing_until_something_changes():
+    """While nothing arrives and nobody waits, the steps are the same object; a new announcement is looked at."""
+    ordering = Ordering()
+    plan = QosPlan(generation=3, topics={TOPIC: row(SHORT)}, level_bytes_per_second=1.0)
+    publishers = (publisher("/n", TOPIC, depth=20, deadline_ns=SHORT, rate_hz=5.0, generation=3),)
+
+    def steps(now_s, publishers, lease_s=0.0):
+        return ordering.steps(
+            now_s, publishers=publishers, readers=(), plan=plan, reader_plans={}, reason="test", lease_s=lease_s
+        )
+
+    first = steps(0.0, publishers)
+    assert (first.transitions, first.confirmed) == ((), 1)
+    assert steps(0.1, publishers) is first
+    assert steps(0.2, publishers, lease_s=30.0).transitions
+    assert steps(0.3, (replace(publishers[0], depth=10),)).transitions
+
+
+def test_a_node_that_forgot_its_plan_is_asked_again():
+    """A publisher that returns with the planned QoS, but without a plan, lacks its terms."""
+    ordering = Ordering()
+    planned = replace(row(0, depth=10), rate_hz=math.inf, weight=2.0)
+    plan = QosPlan(generation=3, topics={TOPIC: planned}, level_bytes_per_second=1.0)
+
+    def steps(generation):
+        publishers = (publisher("/n", TOPIC, generation=generation),)
+        return ordering.steps(0.0, publishers=publishers, readers=(), plan=plan, reader_plans={}, reason="test")
+
+    assert steps(0).transitions
+    assert not steps(3).transitions
+    assert steps(0).transitions, "the node was restarted"
+    assert not steps(3).transitions
+
+
+def test_a_settled_publisher_that_changes_is_looked_at_again():
+    """Neither another depth by hand, nor a lost lease, nor a new plan is taken for settled."""
+    ordering = Ordering()
+    plan = QosPlan(generation=3, topics={TOPIC: row(SHORT)}, level_bytes_per_second=1.0)
+    settled = publisher("/n", TOPIC, depth=20, deadline_ns=SHORT, rate_hz=5.0, generation=3, lease_s=30.0)
+
+    def is_asked(state, plan=plan):
+        return bool(
+            ordering.steps(
+                0.0, publishers=(state,), readers=(), plan=plan, reader_plans={}, reason="test", lease_s=30.0
+            ).transitions
+        )
+
+    for changed in ({"depth": 11}, {"lease_s": 0.0}, {"rate_hz": 9.0}, {"deadline_ns": 0}):
+        assert not is_asked(settled)
+        assert not is_asked(replace(settled, offered=5))
+        assert is_asked(replace(settled, **changed)), changed
+    assert not is_asked(settled)
+    assert is_asked(settled, replace(plan, generation=4, topics={TOPIC: replace(row(SHORT), weight=3.0)}))

@@ -2,7 +2,7 @@
 
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
 
-CARRIER, OUTPUT = "/relay", "/link/x"
+CARRIER, SECOND, OUTPUT = "/relay", "/relay_2", "/link/x"
 
 
 def source(node="/a", type_name="std_msgs/msg/String", *, is_reliable=True, is_latched=False):
@@ -10,7 +10,7 @@ def source(node="/a", type_name="std_msgs/msg/String", *, is_reliable=True, is_l
 
 
 def route(*sources, in_force=None, readers=()):
-    return choose_route(sources, carrier=CARRIER, output=OUTPUT, output_readers=readers, in_force=in_force)
+    return choose_route(sources, carriers={CARRIER, SECOND}, output=OUTPUT, output_readers=readers, in_force=in_force)
 
 
 STRING = Route(type_name="std_msgs/msg/String", is_reliable=True, is_latched=False)
@@ -64,6 +64,8 @@ def test_circles_are_refused_and_named():
     """A topic that the carrier writes, or that a reader of the output writes, is refused."""
     own = route(source(), source(CARRIER))
     assert own == RouteRefusal(reason="/relay publishes it itself, so its output would be its own input")
+    other = route(source(SECOND))
+    assert other == RouteRefusal(reason="/relay_2 publishes it itself, so its output would be its own input")
     echo = route(source(), source("/echo"), readers=("/echo", "/far"))
     assert echo == RouteRefusal(reason="/echo reads /link/x and publishes it, so messages would loop")
 

@@ -81,14 +81,14 @@ def test_the_table_says_what_each_topic_gets_and_what_holds_it_back(solve, confi
         """\
 link     2 Mbit/s, of which 85 % may be planned for 3 topics
 program  optimal, bound by link, solved by exact
-memory   677 KiB of 64 MiB when every history is full
+memory   455 KiB of 64 MiB when every history is full
 
                   payload  Rmax floor desired  rate  rate link DEADLINE DEPTH  bound by
 topic      weight       B    Hz    Hz      Hz    Hz     %    %       ms        rate      depth
-/camera         2   30000 7.146     2      15 3.826  25.5 53.5    326.7    13  link      latency
-/cmd_vel       10      76 426.6    20      20    20 100.0  4.7     62.5    19  desired   latency
-/scan           1    6000 34.41     1      20 9.211  46.1 26.8    135.7    19  link      latency
-total of 3                                 55 33.04       85.0             51
+/camera         2   30000 7.146     2      15 3.826  25.5 53.5      375     8  link      latency
+/cmd_vel       10      76 426.6    20      20    20 100.0  4.7    93.75    16  desired   latency
+/scan           1    6000 34.41     1      20 9.211  46.1 26.8    187.5    16  link      latency
+total of 3                                 55 33.04       85.0             40
 """,
         "",
     )
@@ -151,8 +151,8 @@ def test_json_is_in_base_units(allocation, config):
         "rate_hz": 20.0,
         "optimal_rate_hz": 20.0,
         "share": pytest.approx(20.0 * 586.0 / (2 * MBIT)),
-        "deadline_ns": 62_500_000,
-        "depth": 19,
+        "deadline_ns": 93_750_000,
+        "depth": 16,
         "optimal_depth": pytest.approx(19.0),
         "rate_binding": "desired_rate",
         "depth_binding": "latency_budget",

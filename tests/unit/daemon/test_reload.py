@@ -17,7 +17,7 @@ from arpd.estimate.estimator import Estimator
 from arpd.govern.governor import Governor
 from arpd.model.errors import ConfigError
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.observation import Glance, MemoryState, Observation
 from tests.sample_publishers import publisher
 
 DT_S = 1.0
@@ -43,12 +43,8 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "program.deadline_slack": (3, {}),
     "program.memory_budget": ("64KiB", {}),
     "program.memory_reserve": ("511.5MiB", {"defaults": {"latency_budget": "none"}}),
-    "governor.down_ratio": (0.3, {}),
-    "governor.up_ratio": (8, {}),
     "governor.hold": ("12s", {}),
     "governor.dwell": ("20s", {}),
-    "governor.deadband": (0.9, {}),
-    "governor.swaps_per_minute": (2, {}),
     "governor.debounce": ("5s", {}),
     "http.host": ("127.0.0.9", {}),
     "http.port": (1234, {}),
@@ -58,14 +54,14 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "defaults.weight": (9, {}),
     "defaults.min_rate_hz": (9, {}),
     "defaults.max_rate_hz": (5, {}),
-    "defaults.min_depth": (40, {}),
+    "defaults.min_depth": (150, {}),
     "defaults.max_depth": (3, {}),
     "defaults.latency_budget": ("100ms", {}),
     "topics.name": ("/c", {}),
     "topics.weight": (9, {}),
     "topics.min_rate_hz": (9, {}),
     "topics.max_rate_hz": (5, {}),
-    "topics.min_depth": (40, {}),
+    "topics.min_depth": (150, {}),
     "topics.max_depth": (3, {}),
     "topics.latency_budget": ("100ms", {}),
     "topics.payload": ("1kB", {}),
@@ -138,6 +134,12 @@ class World:
 
     def results(self):
         return {}
+
+    def stand_by(self):
+        pass
+
+    def glance(self):
+        return Glance(has_reports=True, backlog_bytes=None)
 
     def probes_sent(self):
         return 0, 0

@@ -70,6 +70,10 @@ class Daemon:
         self.record = self.configuration = self
         self.pause_s = TICK_S
 
+    @property
+    def turns(self):
+        return self.ticked
+
     def tick(self, _now_s):
         self._signals.wakeup.set()  # the next one at once
         action = next(self._ticks, None) or next(self.then, None)
@@ -310,3 +314,15 @@ def test_the_loop_ends_when_a_new_process_would_reach_more(signals):
     daemon = Daemon(signals, *9 * [nothing])
     run(daemon, signals, is_cut_off=lambda: next(cut_off))
     assert (daemon.ticked, signals.stop) == (2, False)
+
+
+def test_a_thread_that_hangs_starves_the_watchdog(signals):
+    """Finished ticks feed it only while every watched thread finishes its rounds."""
+    for finished_s, fed in ((time.monotonic, 1), (lambda: time.monotonic() - 60.0, 0)):
+        signals.stop = False
+        notifier: Any = Notifier()
+        fake: Any = Daemon(signals, nothing)
+        supervisor = Supervisor(fake, signals, notifier, load=Settings)
+        supervisor.watch(finished_s)
+        supervisor.run()
+        assert notifier.count("WATCHDOG") == fed

@@ -11,7 +11,7 @@ from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import LinkState
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
 from tests.sample_link import LINK
@@ -84,6 +84,12 @@ class World:
 
     def results(self):
         return {}
+
+    def stand_by(self):
+        self.stood_by = True
+
+    def glance(self):
+        return Glance(has_reports=True, backlog_bytes=None)
 
     def probes_sent(self):
         return 0, 0
@@ -192,7 +198,7 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     daemon.tick(0.0)
     world.active_daemon = ""
     world.writer = replace(world.writer, direction=Direction.SENSING, remote_readers=1)
-    for tick in range(30):
+    for tick in range(31):
         daemon.tick(0.1 * tick)
     before, prices = daemon.snapshot, len(world.prices)
     assert before.decision.plan.generation > 0
@@ -202,13 +208,13 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
 
     with monkeypatch.context() as broken:
         broken.setattr(World if stage == "observe" else Program, stage, fail)
-        for tick in range(30, 40):
+        for tick in range(10):  # the first is a whole turn, and so is every one after a failure
             with pytest.raises(ArithmeticError):
-                daemon.tick(0.1 * tick)
+                daemon.tick(3.6 + 0.1 * tick)
             daemon.record.note_failed_tick()
     assert daemon.snapshot.totals.ticks_failed == 10
     assert (replace(daemon.snapshot, totals=before.totals), len(world.prices)) == (before, prices)
-    daemon.tick(4.0)
+    daemon.tick(4.6)
     assert daemon.snapshot.decision.plan == before.decision.plan
     assert daemon.snapshot.totals.ticks_failed == 10
 
@@ -217,6 +223,9 @@ class KnownLink:
     """An estimator that knows the capacity, tick by tick."""
 
     has_evidence = True
+
+    def needs_look(self, _now_s, _backlog_bytes):
+        return True
 
     def __init__(self, *capacities, **fields):
         self._capacities = itertools.chain(capacities, itertools.repeat(capacities[-1]))
@@ -287,8 +296,63 @@ def test_a_decision_log_that_fails_stops_nothing(monkeypatch, caplog):
     daemon = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0)
     monkeypatch.setattr(daemon.record._decision_log, "follow", lambda _picture: 1 / 0)
     for tick in range(3):
-        daemon.tick(tick / 10)
+        daemon.tick(tick / 2)
     assert daemon.snapshot is not None
     assert daemon.snapshot.totals.ticks == 3
     (record,) = caplog.records
     assert record.message == "the decision log failed and misses events; not logged again"
+
+
+def test_between_whole_turns_only_the_price_follows():
+    """Twice a second the daemon plans and reports; every other tick reads the link and counts, and nothing else."""
+    world = World()
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    turns: list[float] = []
+    solve = daemon._program.solve
+
+    def count(*parts, **more):
+        turns.append(world.now_s)
+        return solve(*parts, **more)
+
+    daemon._program.solve = count
+    for _ in range(100):
+        daemon.tick(world.now_s)
+        world.wait(0.1)
+    assert 3 <= len({at_s for at_s in turns if at_s > 8.0}) <= 5
+    assert daemon.snapshot.totals.ticks >= 96
+
+
+def test_a_busy_link_without_news_costs_a_glance():
+    """Between two usual ticks nothing is observed, until a report waits or the estimator needs a look."""
+    world: Any = World()
+    link: Any = KnownLink(1e6, delivery_rate_bytes_per_second=9e5)
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, estimator=link)
+    observed: list[float] = []
+    observe = world.observe
+
+    def note(now_s):
+        observed.append(now_s)
+        return observe(now_s)
+
+    world.observe = note
+    world.glance = lambda: Glance(has_reports=world.has_reports, backlog_bytes=0)
+    link.needs_look = lambda _now_s, _backlog_bytes: world.is_queued
+    world.has_reports = world.is_queued = False
+    for at_s in (0.0, 0.03, 0.06, 0.1, 0.13):
+        daemon.tick(at_s)
+    world.has_reports = True
+    daemon.tick(0.14)
+    world.has_reports, world.is_queued = False, True
+    daemon.tick(0.17)
+    assert observed == [0.0, 0.1, 0.14, 0.17]
+
+
+def test_after_a_stand_by_every_row_is_asked_for_again():
+    """Another daemon may have set other terms, which no announcement shows; and its own plans are taken back."""
+    world: Any = World()
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    ordering = daemon._ordering
+    world.active_daemon = "robot-2"
+    daemon.tick(0.0)
+    assert daemon._ordering is not ordering
+    assert world.stood_by

@@ -10,7 +10,7 @@ import pytest
 
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.settings import (
     GraphSettings,
     LinkSettings,
@@ -81,6 +81,12 @@ class World:
     def results(self):
         return {}
 
+    def stand_by(self):
+        pass
+
+    def glance(self):
+        return Glance(has_reports=True, backlog_bytes=None)
+
     def probes_sent(self):
         return 0, 0
 
@@ -137,13 +143,13 @@ def test_the_live_answer_is_table_2(row):
 
 def test_a_topic_that_arpd_does_not_manage_counts():
     """When topics join the graph, R falls at the next tick; after the debounce a plan has the new DEADLINE."""
-    robot = Robot()
+    robot = Robot(800.0)
     robot.run(3.0)
     (before_hz,), (before,) = robot.rates_hz, {row.deadline_ns for row in robot.rows}
     robot.world.seen = 24
     assert robot.run(0.3) == []
     (after_hz,) = robot.rates_hz
-    assert (before_hz, after_hz) == (pytest.approx(200 / 12 - 1, rel=0.01), pytest.approx(200 / 24 - 1, rel=0.01))
+    assert (before_hz, after_hz) == (pytest.approx(800 / 12 - 1, rel=0.01), pytest.approx(800 / 24 - 1, rel=0.01))
     assert robot.run(2.0) == ["topics"]
     (after,) = {row.deadline_ns for row in robot.rows}
     assert after > 1.5 * before

@@ -53,7 +53,7 @@ class Source:
             source_rate_hz=self.rate_hz,
             published=self.sent(now_s - age_s),
             remote_readers=self.readers,
-            age_s=age_s,
+            announced_at_s=now_s - age_s,
         )
 
 
@@ -78,7 +78,7 @@ class Robot:
         publishers = tuple(
             state
             for source in self.sources
-            if self.now_s - (state := source.announced(self.now_s)).age_s >= source.heard_from_s
+            if (state := source.announced(self.now_s)).announced_at_s >= source.heard_from_s
         )
         return self.traffic.update(
             observation(self.now_s, counters=counters if self.is_readable else None, publishers=publishers)

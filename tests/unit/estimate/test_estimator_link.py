@@ -156,6 +156,19 @@ class Run:
 NEARLY_ALWAYS, MOSTLY = 0.9, 0.7
 TROUBLE = {LinkState.OUTAGE, LinkState.DRAINING}
 
+# -- links that rest
+
+
+@pytest.mark.parametrize("mbit", [2, 5, 20, 100])
+def test_a_link_rests_while_only_probes_cross_it(mbit):
+    """Trains and pings do not keep a link from resting, and a load of a tenth ends the rest at once."""
+    run = Run(steps((0, mbit)), samples=((40, 60, mbit / 10),))
+    run.until(60)
+    rests = [estimate.is_resting for estimate in run.estimates(15, 40)]
+    assert sum(rests) > MOSTLY * len(rests)
+    assert not any(estimate.is_resting for estimate in run.estimates(42, 60))
+
+
 # -- capacities that change
 
 

@@ -7,7 +7,7 @@ from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Settings
 from arpd.solve.program import Program
-from arpd.solve.topics import topics_to_plan
+from arpd.solve.topics import Demand
 from tests.sample_publishers import publisher
 
 
@@ -23,7 +23,7 @@ class Run:
     def tick(self, announced):
         self.now_s += 0.1
         publishers = [publisher("/honest", "/a"), publisher("/liar", "/b", generation=announced)]
-        topics = topics_to_plan(publishers, self.settings)
+        topics = Demand().topics(publishers, self.settings)
         allocation = self.program.solve(1e6, topics, 2.0**26)
         return self.governor.decide(
             self.now_s,

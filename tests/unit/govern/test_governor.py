@@ -11,9 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.govern.governor import Governor
+from arpd.govern.swaps import swap_costs
 from arpd.model.allocation import Topic
+from arpd.model.endpoints import RefusalReason
 from arpd.model.link import LinkState
 from arpd.model.settings import GovernorSettings, Settings
+from arpd.model.wire import swap_bytes
 from arpd.solve.program import Program
 from tests.sample_publishers import publisher
 
@@ -22,12 +25,15 @@ if TYPE_CHECKING:
 
 MEMORY = 64 * 2.0**20
 GOVERNOR = GovernorSettings()
+SOURCE_HZ = 40.0
+LATE_S = 0.25  # two ticks: one begins the wait, one ends it
+APPLICATION = (10, 0)  # depth and deadline before the first plan
 TOPICS = tuple(
     Topic(
         name=f"/t{i}",
-        wire_bytes=1000.0 * (i + 1),
+        wire_bytes=10_000.0 * (i + 1),
         packets=1,
-        desired_rate_hz=400.0,
+        desired_rate_hz=SOURCE_HZ,
         min_rate_hz=1.0,
         latency_budget_s=0.5,
     )
@@ -38,8 +44,9 @@ TOPICS = tuple(
 class Run:
     """A governor that ticks every 100 ms; the budget that lasts is that of the tick, unless a test says otherwise."""
 
-    def __init__(self, generation=0, topics=TOPICS, newest=0, **governor):
-        self.settings = Settings(governor=GovernorSettings(**governor))
+    def __init__(self, generation=0, topics=TOPICS, newest=0, participants=1):
+        self.settings = Settings()
+        self.participants = participants
         self.governor = Governor(self.settings)
         self.program = Program.of(self.settings)
         self.topics = topics
@@ -53,8 +60,8 @@ class Run:
         return publisher(
             "/n",
             name,
-            source_rate_hz=0.0 if name in self.silent else 400.0,
-            rate_hz=400.0,
+            source_rate_hz=0.0 if name in self.silent else SOURCE_HZ,
+            rate_hz=SOURCE_HZ,
             generation=self.generation,
             requested_deadline_ns=self.requested_ns,
         )
@@ -69,6 +76,7 @@ class Run:
             topics=self.topics,
             publishers=[self.announced(topic.name) for topic in self.topics],
             newest=self.newest,
+            participants=self.participants,
         )
 
     def ticks(self, seconds, capacity=1e6, **how):
@@ -108,8 +116,8 @@ def test_rates_follow_without_a_plan(capacity):
     assert not decision.level_changed
     for row in run.program.solve(capacity, TOPICS, MEMORY).topics:
         ceiling_hz = decision.plan.topics[row.name].rate_hz
-        assert min(decision.price.rate_hz(decision.plan.topics[row.name]), 400.0) == pytest.approx(row.rate_hz)
-        assert ceiling_hz == 1.25 * 400.0
+        assert min(decision.price.rate_hz(decision.plan.topics[row.name]), SOURCE_HZ) == pytest.approx(row.rate_hz)
+        assert ceiling_hz == 1.25 * SOURCE_HZ
 
 
 def test_admitted_runs_from_the_floors_to_everything():
@@ -149,13 +157,13 @@ def test_without_topics_nothing_is_planned():
     assert (decisions[-1].gate, decisions[-1].price) == (1.0, None)
 
 
-@pytest.mark.parametrize("change", [{"desired_rate_hz": 800.0}, {"desired_rate_hz": 200.0}, {"wire_bytes": 6000.0}])
+@pytest.mark.parametrize("change", [{"desired_rate_hz": 80.0}, {"desired_rate_hz": 20.0}, {"wire_bytes": 60_000.0}])
 def test_demand_does_not_wait_for_the_dwell(change):
     """A source whose rate or size changes by more than a quarter gets a plan after the hold, however new the last."""
     run = Run()
     run.until_changed(1e6)
     run.topics = (*TOPICS[:2], replace(TOPICS[2], **change))
-    assert run.until_changed(1e6) == (pytest.approx(GOVERNOR.hold_s, abs=0.25), "demand")
+    assert run.until_changed(1e6) == (pytest.approx(GOVERNOR.hold_s, abs=LATE_S), "demand")
     row, topic = run.governor.plan.topics["/t2"], run.topics[2]
     assert (row.rate_hz, row.wire_bytes) == (1.25 * topic.desired_rate_hz, topic.wire_bytes)
 
@@ -180,13 +188,13 @@ def test_silence_is_no_demand():
 
 
 def test_a_change_of_the_capacity_is_no_demand():
-    """The rest for a large topic beside small ones moves by more than the capacity, which causes no plan."""
+    """The rest for a large topic beside small ones moves by more than the capacity, which is no demand."""
     small = tuple(
         Topic(name=f"/s{i}", wire_bytes=200.0, packets=1, desired_rate_hz=500.0, min_rate_hz=1.0) for i in range(6)
     )
     large = Topic(name="/large", wire_bytes=30_000.0, packets=21, desired_rate_hz=30.0, min_rate_hz=1.0)
     run = Run(topics=(*small, large)).planned()
-    assert not changes(run.ticks(10.0, 0.85e6))
+    assert "demand" not in changes(run.ticks(30.0, 0.85e6))
 
 
 def test_a_new_configuration_is_planned_at_once():
@@ -198,49 +206,126 @@ def test_a_new_configuration_is_planned_at_once():
 
 def test_a_reader_that_asks_for_less_is_served_at_once():
     """A reader whose request is shorter than the offer gets a plan at the next tick, also over the swap budget."""
-    run = Run(swaps_per_minute=1).planned()
-    run.requested_ns = min(row.deadline_ns for row in run.governor.plan.topics.values()) - 1
+    run = Run(participants=10_000).planned()
+    run.requested_ns = 40_000_000
     assert changes([run.tick()]) == ["readers"]
     assert {row.deadline_ns for row in run.governor.plan.topics.values()} == {run.requested_ns}
 
 
+# -- topics that keep coming
+
+
+def names(count):
+    return tuple(replace(TOPICS[0], name=f"/new{i:03}", wire_bytes=100.0) for i in range(count))
+
+
+def test_a_graph_that_grows_makes_few_plans():
+    """Topics that come twice a second for a minute cost a plan per dwell at most, and none waits longer than two."""
+    run = Run().planned()
+    came: list[tuple[float, str]] = []
+    planned_s: dict[str, float] = {}
+    plans = 0
+    for step in range(800):
+        if step < 600 and step % 5 == 0:
+            run.topics = (*TOPICS, *names(step // 5 + 1))
+            came.append((run.now_s, run.topics[-1].name))
+        decision = run.tick()
+        plans += decision.reason == "topics"
+        for name in decision.plan.topics:
+            planned_s.setdefault(name, run.now_s)
+    assert 2 <= plans <= 60.0 / GOVERNOR.dwell_s + 4
+    assert max(planned_s[name] - came_s for came_s, name in came) <= 2 * GOVERNOR.dwell_s
+    assert set(changes(run.ticks(30.0))) <= {"budget"}
+
+
+def test_after_quiet_a_topic_is_planned_soon():
+    """The wait grows from the debounce to the dwell while topics come, and is short again after quiet."""
+    run = Run().planned()
+    run.ticks(2 * GOVERNOR.dwell_s)
+    waits_s = []
+    for count in range(1, 8):
+        run.topics = (*TOPICS, *names(count))
+        waits_s.append(run.until_changed(1e6)[0])
+    assert waits_s[0] == pytest.approx(GOVERNOR.debounce_s, abs=LATE_S)
+    assert waits_s == sorted(waits_s)
+    assert waits_s[-1] == pytest.approx(GOVERNOR.dwell_s, abs=LATE_S)
+    run.ticks(2 * GOVERNOR.dwell_s)
+    run.topics = TOPICS
+    assert run.until_changed(1e6) == (pytest.approx(GOVERNOR.debounce_s, abs=LATE_S), "topics")
+
+
+def test_a_first_plan_does_not_wait_for_a_graph_that_never_rests():
+    """Topics that come all the time get a first plan after the dwell."""
+    run = Run(topics=names(1))
+    for count in range(1, 300):
+        run.topics = names(1 + count // 5)
+        if run.tick().level_changed:
+            break
+    assert run.governor.levels_by_cause == {"start": 1}
+    assert run.now_s - 100.0 == pytest.approx(GOVERNOR.dwell_s, abs=LATE_S)
+
+
 # -- plans for the link
+
+RISE_S = 3 * GOVERNOR.dwell_s
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.lists(st.floats(0.82, 1.18), min_size=5, max_size=60))
-def test_inside_the_band_the_level_stays(factors):
-    """A lasting budget within 0.8 to 1.2 of the plan's causes no plan."""
+@given(st.lists(st.floats(0.93, 1.07), min_size=5, max_size=60))
+def test_small_changes_cost_one_plan_at_most(factors):
+    """A lasting budget that moves by 7 % may cross one border of a class, and does not come back."""
     run = Run().planned()
-    for factor in factors:
-        assert not changes(run.ticks(0.5, 1e6 * factor))
+    decisions = [decision for factor in factors for decision in run.ticks(5.0, 1e6 * factor)]
+    assert changes(decisions) in ([], ["down"])
 
 
-@pytest.mark.parametrize(("capacity", "cause", "dwells"), [(5e5, "down", 3), (2e6, "up", 1)])
-def test_a_change_that_lasts_is_planned_after_hold_and_dwell(capacity, cause, dwells):
-    """Deadlines follow the lasting budget after the hold and the dwell since the last plan, upwards after three."""
+@pytest.mark.parametrize(("capacity", "cause", "lasts_s"), [(5e5, "down", GOVERNOR.hold_s), (2e6, "up", RISE_S)])
+def test_a_change_that_lasts_is_planned(capacity, cause, lasts_s):
+    """Longer deadlines follow the lasting budget after the hold, shorter ones after three dwells."""
     run = Run().planned()
-    run.ticks(3 * GOVERNOR.dwell_s)
-    assert run.until_changed(capacity) == (pytest.approx(GOVERNOR.hold_s, abs=0.25), cause)
+    assert run.until_changed(capacity) == (pytest.approx(lasts_s, abs=LATE_S), cause)
     assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * capacity)
-    assert run.until_changed(1e6)[0] == pytest.approx(dwells * GOVERNOR.dwell_s, abs=0.25)
+
+
+def test_a_plan_for_the_link_waits_for_the_dwell():
+    """Longer deadlines come no sooner than the dwell after another plan."""
+    run = Run().planned()
+    run.until_changed(5e5)
+    assert run.until_changed(2e5) == (pytest.approx(GOVERNOR.dwell_s, abs=LATE_S), "down")
 
 
 def test_a_change_must_last():
-    """Changes shorter than the hold cause no plan, do not add up, and one way does not count for the other."""
+    """Changes shorter than they must last cause no plan, do not add up, and one way does not count for the other."""
     run = Run().planned()
     for _ in range(4):
-        assert not changes(run.ticks(GOVERNOR.hold_s - 0.3, 2e6))
+        assert not changes(run.ticks(RISE_S - 0.3, 2e6))
         assert not changes(run.ticks(GOVERNOR.hold_s - 0.3, 5e5))
         run.ticks(1.0)
-    assert run.until_changed(2e6) == (pytest.approx(GOVERNOR.hold_s, abs=0.25), "up")
+    assert run.until_changed(2e6) == (pytest.approx(RISE_S, abs=LATE_S), "up")
 
 
-def test_a_change_that_no_deadline_feels_is_no_plan():
+@pytest.mark.parametrize("half_s", [20, 50, 90])
+def test_a_link_that_swings_swaps_less_and_less(half_s):
+    """On a link that swings for ten minutes rises wait longer and longer, so the topics settle at what always fits."""
+    run = Run().planned()
+    swaps = [0, 0]
+    for half in range(1200 // (2 * half_s)):
+        for capacity in (2e6, 4e5):
+            before = qos(run.governor.plan)
+            for _ in range(half_s):
+                run.ticks(1.0, capacity)
+                now = qos(run.governor.plan)
+                swaps[half >= 600 // (2 * half_s)] += sum(before[name] != now[name] for name in now)
+                before = now
+    assert swaps[1] <= len(TOPICS) * 2
+    assert swaps[1] <= swaps[0]
+
+
+def test_a_change_that_no_class_feels_is_no_plan():
     """Where all sources get their rates before and after, the level follows and no generation is spent."""
     run = Run().planned(3e6)
     before = run.governor.plan
-    assert not changes(run.ticks(30.0, 4.5e6))
+    assert not changes(run.ticks(60.0, 4.5e6))
     assert (run.governor.plan.generation, run.governor.plan.topics) == (before.generation, before.topics)
     assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * 4.5e6)
 
@@ -253,7 +338,7 @@ def test_deadlines_follow_the_lasting_budget_and_depths_the_ceiling():
     run.until_changed(2e6)
     after = run.governor.plan.topics
     assert {name for name, row in after.items() if row.deadline_ns > before[name].deadline_ns} == {"/t2"}
-    assert {row.depth for row in (*before.values(), *after.values())} == {199}
+    assert {row.depth for row in (*before.values(), *after.values())} == {16}
 
 
 def test_an_outage_makes_no_plan_and_clears_what_was_building_up():
@@ -264,18 +349,18 @@ def test_an_outage_makes_no_plan_and_clears_what_was_building_up():
         lost = run.ticks(1.0, 0.0, lasting=4e5, state=LinkState.OUTAGE)
         assert not changes(lost)
         assert {decision.gate for decision in lost} == {0.0}
-    assert run.until_changed(4e5) == (pytest.approx(GOVERNOR.hold_s, abs=0.25), "down")
+    assert run.until_changed(4e5) == (pytest.approx(GOVERNOR.hold_s, abs=LATE_S), "down")
 
 
-def wandering(seed, **governor):
-    """Let the link wander for four minutes; return the run, its decisions, and their times."""
-    random, run = Random(seed), Run(**governor)
+def wandering(seed, **options):
+    """Let the link wander for ten minutes; return the run, its decisions, and their times."""
+    random, run = Random(seed), Run(**options)
     decisions: list[Decision] = []
     times_s: list[float] = []
-    while len(decisions) < 2400:
-        capacity = 3e3 * 3e3 ** random.random()
+    while len(decisions) < 6000:
+        capacity = 3e4 * 3e2 ** random.random()
         state = random.choice([LinkState.STEADY] * 4 + [LinkState.OUTAGE])
-        for _ in range(round(10 * 0.1 * 100 ** random.random())):
+        for _ in range(round(10 * 0.1 * 1000 ** random.random())):
             decisions.append(run.tick(capacity, state=state))
             times_s.append(run.now_s)
     return run, decisions, times_s
@@ -287,62 +372,75 @@ def test_a_swinging_budget_causes_one_plan_per_dwell_at_most(seed):
     _, decisions, times_s = wandering(seed)
     taken = zip(times_s, decisions, strict=True)
     planned = [(at_s, decision.reason) for at_s, decision in taken if decision.level_changed]
-    assert len(planned) > 5
-    assert {cause for _, cause in planned} == {"start", "down", "up"}
+    assert len(planned) > 3
+    assert {"start", "down", "up"} <= {cause for _, cause in planned} <= {"start", "down", "up", "budget"}
     for (before_s, _), (at_s, _) in pairwise(planned):
         assert at_s - before_s >= GOVERNOR.dwell_s - 1e-6
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_on_a_steady_link_plans_end(seed):
-    """After any course, one minute on a steady link ends all changes."""
+    """After any course, ten minutes on a steady link end all changes, and the level is what the link carries."""
     run, _, _ = wandering(seed)
     for capacity in (2e5, 1e6):
-        run.ticks(60.0, capacity)
+        run.ticks(600.0, capacity)
         assert not changes(run.ticks(60.0, capacity))
-        assert 0.8 * 0.85 <= run.governor.plan.level_bytes_per_second / capacity <= 0.85 / 0.8
+        assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * capacity, rel=0.25)
 
 
 # -- the swap budget
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_minute_costs_more_swaps_than_its_budget(seed):
-    """On any course of the link, swaps stay within the budget, and refusals are counted."""
-    run, decisions, times_s = wandering(seed, swaps_per_minute=6)
-    rows: dict[str, tuple[int, int]] = {}
-    swaps: list[float] = []
+def test_swaps_stay_within_their_part_of_the_link(seed):
+    """On any course, swaps take at most 1 % of the lasting budget, besides half a minute of it and one swap."""
+    participants = 50
+    run, decisions, times_s = wandering(seed, participants=participants)
+    cost = participants * swap_bytes(20 + 2 * len(TOPICS))
+    rows = dict.fromkeys((topic.name for topic in TOPICS), APPLICATION)
+    spent = 0.0
+    most_level = max(decision.plan.level_bytes_per_second for decision in decisions)
     for at_s, decision in zip(times_s, decisions, strict=True):
-        now = qos(decision.plan)
-        swaps += [at_s] * sum(rows.get(name) != row for name, row in now.items())
-        rows = now
-    assert max(sum(at_s <= other_s <= at_s + 59.9 for other_s in swaps) for at_s in swaps) <= 6
-    refused = [decision.refusals for decision in decisions]
-    started = sum("budget" in now and "budget" not in before for before, now in pairwise(refused))
-    assert run.governor.refusals_by_reason["budget"] == started > 0
+        if now := qos(decision.plan):
+            spent += cost * sum(rows[name] != row for name, row in now.items())
+            rows = now
+        assert spent <= 0.01 * most_level * (30.0 + at_s - times_s[0]) + cost
+    assert spent > cost
+    assert run.governor.refusals_by_reason["budget"] > 0
 
 
-@pytest.mark.parametrize("budget", [3, 4])
-def test_over_the_swap_budget_terms_go_out_and_swaps_follow(budget):
-    """A plan over the budget sets ceilings and terms at once; the heaviest topic swaps first, the rest later."""
-    run = Run(swaps_per_minute=budget)
-    run.until_changed(1e6)  # three swaps
-    before = run.governor.plan
-    run.topics = tuple(
-        replace(topic, desired_rate_hz=100.0, min_rate_hz=2.0, weight=1.0 + i) for i, topic in enumerate(TOPICS)
-    )
-    run.governor.reconfigure(run.settings)
-    decision = run.tick()
-    assert (decision.reason, decision.refusals) == ("reload", ("budget",))
-    for row in decision.plan.topics.values():
-        assert (row.rate_hz, row.min_rate_hz) == (125.0, 2.0)
-    heaviest = {"/t2"} if budget > 3 else set()
-    assert {name for name, row in qos(decision.plan).items() if row != qos(before)[name]} == heaviest
+def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
+    """A plan over the budget sets ceilings and terms at once; the heaviest topics swap first, the rest later."""
+    weighted = tuple(replace(topic, weight=1.0 + i) for i, topic in enumerate(TOPICS))
+    run = Run(topics=weighted, participants=50)
+    decision = next(decision for decision in run.ticks(3.0) if decision.level_changed)
+    assert (decision.reason, decision.refusals) == ("start", ("budget",))
+    for topic in weighted:
+        row = decision.plan.topics[topic.name]
+        assert (row.rate_hz, row.weight) == (1.25 * SOURCE_HZ, topic.weight)
+    assert {name for name, row in qos(decision.plan).items() if row != APPLICATION} == {"/t1", "/t2"}
     assert run.governor.refusals_by_reason == {"budget": 1}
-    assert changes(run.ticks(55.0)) == []
-    assert changes(run.ticks(10.0)) == ["budget"]
-    assert all(row != qos(before)[name] for name, row in qos(run.governor.plan).items())
+    assert changes(run.ticks(30.0)) == []
+    assert changes(run.ticks(30.0)) == ["budget"]
+    assert APPLICATION not in qos(run.governor.plan).values()
     assert changes(run.ticks(120.0)) == []
+
+
+def test_a_new_topic_has_its_terms_before_its_qos():
+    """A topic that comes while the budget is spent is planned with its application's QoS."""
+    run = Run(participants=1000).planned()
+    new = replace(TOPICS[0], name="/new")
+    run.topics = (*TOPICS, new)
+    assert run.until_changed(1e6)[1] == "topics"
+    row = run.governor.plan.topics["/new"]
+    assert (row.qos, row.weight, row.rate_hz) == (APPLICATION, new.weight, 1.25 * SOURCE_HZ)
+
+
+def test_a_publisher_that_refuses_new_qos_costs_nothing():
+    """Publishers that refuse QoS for good do not use up the budget."""
+    refusing = publisher("/n", "/t", refusal="no", refusal_reason=RefusalReason.TRANSIENT_LOCAL)
+    assert swap_costs([refusing], participants=3) == {"/t": 0.0}
+    assert swap_costs([publisher("/n", "/t")], participants=3) == {"/t": 3 * swap_bytes(22)}
 
 
 # -- other daemons
@@ -364,7 +462,7 @@ def test_a_restarted_daemon_keeps_what_its_predecessor_left():
     run.announced = lambda name: publisher(
         "/n",
         name,
-        source_rate_hz=400.0,
+        source_rate_hz=SOURCE_HZ,
         rate_hz=left.topics[name].rate_hz,
         depth=left.topics[name].depth,
         deadline_ns=left.topics[name].deadline_ns,

@@ -85,11 +85,11 @@ def test_an_endpoint_counts_once_the_graph_shows_it():
     endpoints = Endpoints(3.5)
     endpoints.note(publisher("/n", "/real"), 0.0)
     endpoints.note(publisher("/n", "/invented"), 0.0)
-    assert (endpoints.live(0.1), endpoints.pending) == ([], 2)
+    assert (endpoints.live(0.1), endpoints.pending) == ((), 2)
     endpoints.see(lambda _node, topic: topic == "/real", 0.5)
     assert [state.topic for state in endpoints.live(0.6)] == ["/real"]
     assert endpoints.pending == 1
-    assert (endpoints.live(4.0), endpoints.pending) == ([], 0)
+    assert (endpoints.live(4.0), endpoints.pending) == ((), 0)
 
 
 def test_an_endpoint_outlives_a_gap_of_the_graph():

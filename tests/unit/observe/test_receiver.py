@@ -266,6 +266,15 @@ def test_much_traffic_is_worth_a_report():
     assert schedule.due_s == schedule.look_s == 5.0 + BUSY_S
 
 
+def test_traffic_causes_no_report_before_a_ping_is_late():
+    """Where pings are rare, the report of the next one is soon enough."""
+    schedule = ReportSchedule(0.0)
+    schedule.note_probe(packets=1, quiet_s=0.2)
+    schedule.note_sent(1.0)
+    schedule.note_traffic(WORTH_BYTES)
+    assert schedule.due_s == schedule.look_s == pytest.approx(1.2)
+
+
 @pytest.mark.parametrize(("asked_s", "quiet_s"), [(0.0, QUIET_S), (0.9, 0.9), (60.0, LONGEST_QUIET_S)])
 def test_a_daemon_behind_a_slow_link_may_ask_for_quiet(asked_s, quiet_s):
     """Without probes, reports are as far apart as the last ping allowed, within bounds."""
@@ -314,8 +323,9 @@ def test_no_report_is_early_or_late(events):
         if packets:
             schedule.note_probe(packets=packets, quiet_s=quiet_s)
         else:
-            schedule.note_traffic(WORTH_BYTES * (LONGEST_QUIET_S / QUIET_S) ** 2)
-        assert schedule.due_s - last_s <= (PROMPT_S if packets == 1 else BUSY_S) + 1e-9
+            schedule.note_traffic(WORTH_BYTES)
+        most_s = {1: PROMPT_S, 12: BUSY_S, 0: schedule.look_s - last_s}[packets]
+        assert schedule.due_s - last_s <= most_s + 1e-9
         if schedule.due_s <= now_s:
             last_s = now_s
             schedule.note_sent(now_s)

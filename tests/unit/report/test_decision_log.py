@@ -315,7 +315,7 @@ def test_swaps_over_the_budget_are_told_at_once(log):
     """The plan is made without them, so nothing waits but they."""
     told = log.tick(plan=FIRST, reason="start", refusals=("budget",))
     assert texts(told[1:]) == [
-        "topics keep depth and deadline for now: the swaps allowed in a minute are spent (budget)"
+        "topics keep depth and deadline for now: swaps have used up their part of the link (budget)"
     ]
     assert told[1].kind is EventKind.PLAN_REFUSED
     assert not log.wait(3.0, refusals=())

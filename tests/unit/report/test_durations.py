@@ -99,9 +99,9 @@ def test_a_publisher_that_was_gone_is_first_seen_again():
 def test_durations_of_a_snapshot_never_change():
     """A tick makes a new value; the old value stays."""
     before = Durations()
-    after = before.with_lateness(0.06).with_tick(0.004, solve_s=0.0004, phases={"matching": [3.0, 3.1]})
+    after = before.with_ticks([0.004], late_s=[0.06], solve_s=0.0004, phases={"matching": [3.0, 3.1]})
     assert (before.ticks.up_to[-1][1], after.ticks.up_to[-1][1]) == (0, 1)
     assert after.lateness.total_s == 0.06
     assert after.solves.up_to[-1][1] == 1
     assert (before.swap_phases["matching"].up_to[-1][1], after.swap_phases["matching"].up_to[-1][1]) == (0, 2)
-    assert after.with_tick(0.004, solve_s=None, phases={}).solves is after.solves
+    assert after.with_ticks([0.004], late_s=[], solve_s=None, phases={}).solves is after.solves

@@ -29,7 +29,8 @@ def rates(*, transmit, receive, ticks=30, probe_rate=0.0, **fields):
         at_s = tick * TICK_S
         counters = replace(INTERFACE, tx_bytes=round(transmit * at_s), rx_bytes=round(receive * at_s))
         seen = observation(500.0 + at_s, **{"counters": counters, "peers": 1, **fields})
-        found.append(other.update(seen, probe_bytes=round(probe_rate * at_s)))
+        reports = (tick + 1) * len(seen.reports)
+        found.append(other.update(seen, probe_bytes=round(probe_rate * at_s), reports=reports))
     return found
 
 
@@ -84,4 +85,10 @@ def test_an_interface_that_was_gone_begins_anew():
     """After it returns nothing is known for a second."""
     other = OtherTraffic()
     seen = [observation(at_s, counters=INTERFACE if at_s != 2.0 else None) for at_s in (0.0, 1.0, 2.0, 3.0, 4.0)]
-    assert [other.update(each, probe_bytes=0) is not None for each in seen] == [False, True, False, False, True]
+    assert [other.update(each, probe_bytes=0, reports=0) is not None for each in seen] == [
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]

@@ -11,11 +11,11 @@ from arpd.model.observation import MemoryState
 from arpd.model.settings import ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
 from arpd.solve.topics import (
+    Demand,
     Traffic,
     assumed_traffic,
     memory_budget_bytes,
     rows_of_traffic,
-    topics_to_plan,
 )
 from tests.sample_publishers import publisher
 
@@ -29,7 +29,7 @@ def driver(topic="/scan", node="/driver", **fields):
 def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
     """Wire bytes come from the payload, the desired rate from the source, the rest from the configuration."""
     preferences = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
-    (row,) = topics_to_plan([driver()], Settings(topics={"/scan": preferences}))
+    (row,) = Demand().topics([driver()], Settings(topics={"/scan": preferences}))
     size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
@@ -41,7 +41,7 @@ def test_an_assumed_topic_makes_the_row_of_a_measured_one():
     """The same payload and source with one remote reader give the same row, offline and in the daemon."""
     preferences = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
     settings = Settings(topics={"/scan": preferences})
-    assert rows_of_traffic(assumed_traffic(settings), settings) == topics_to_plan([driver()], settings)
+    assert rows_of_traffic(assumed_traffic(settings), settings) == Demand().topics([driver()], settings)
 
 
 def test_only_topics_with_both_payload_and_source_rate_are_assumed():
@@ -61,7 +61,7 @@ def test_only_topics_with_both_payload_and_source_rate_are_assumed():
 def test_rows_are_sorted_by_name():
     """The order of the publishers does not matter."""
     publishers = [driver("/b"), driver("/a"), driver("/c")]
-    assert [row.name for row in topics_to_plan(publishers, Settings())] == ["/a", "/b", "/c"]
+    assert [row.name for row in Demand().topics(publishers, Settings())] == ["/a", "/b", "/c"]
 
 
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
@@ -70,7 +70,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
         driver(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
         driver(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
     ]
-    (row,) = topics_to_plan(publishers, Settings())
+    (row,) = Demand().topics(publishers, Settings())
     size, packets = wire_size(100.0, rate_hz=30.0)
     assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
 
@@ -78,7 +78,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
 def test_local_and_unmeasured_topics_get_no_row():
     """A topic needs a reader on another host and a known payload."""
     publishers = [driver("/local", direction=Direction.LOCAL), driver("/new", payload_bytes=0.0)]
-    assert topics_to_plan(publishers, Settings()) == ()
+    assert Demand().topics(publishers, Settings()) == ()
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_local_and_unmeasured_topics_get_no_row():
 def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
     """Neither floor nor desired rate exceeds the source; a silent topic keeps its floor."""
     settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
-    (row,) = topics_to_plan([driver(source_rate_hz=source_hz)], settings)
+    (row,) = Demand().topics([driver(source_rate_hz=source_hz)], settings)
     assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
 
 
@@ -108,3 +108,21 @@ def test_histories_leave_the_host_its_reserve(available_mib, budget_mib):
     memory = MemoryState(total_bytes=int(1000 * MIB), available_bytes=int(available_mib * MIB))
     settings = ProgramSettings(memory_budget_bytes=64 * MIB, memory_reserve_bytes=128 * MIB)
     assert memory_budget_bytes(memory, settings) == budget_mib * MIB
+
+
+def test_noise_of_a_measurement_changes_no_row():
+    """Rows are the same objects until a rate moves by more than 2 %."""
+    demand, settings, other = Demand(), Settings(), driver(topic="/a")
+    first = demand.topics((other, driver(source_rate_hz=20.0)), settings)
+    assert demand.topics((other, driver(source_rate_hz=20.2)), settings) is first
+    moved = demand.topics((other, driver(source_rate_hz=20.6)), settings)
+    assert [new is old for new, old in zip(moved, first, strict=True)] == [True, False]
+    assert moved == Demand().topics((other, driver(source_rate_hz=20.6)), settings)
+
+
+def test_new_settings_make_new_rows():
+    """A reload gives every topic its new weight at once."""
+    demand, publishers = Demand(), (driver(),)
+    assert demand.topics(publishers, Settings())[0].weight == 1.0
+    heavier = Settings(topics={"/scan": TopicSettings(weight=5.0)})
+    assert demand.topics(publishers, heavier)[0].weight == 5.0

@@ -139,6 +139,7 @@ class GhostWriter:
         self._publisher = node.create_publisher(
             msg_type, topic, profile_of(offer, depth), event_callbacks=no_publisher_events()
         )
+        self._outlet = rcl().outlet(self._publisher.handle)  # the lock of `Incoming` lets one thread write
         self._made_s = clock()
         self._is_found = False
         self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
@@ -154,7 +155,7 @@ class GhostWriter:
             return False
         self._last = record.sequence
         if self._is_found or self._look():
-            self._publish(record.sample)
+            self._outlet.publish(record.sample)
         else:
             self._held.append(record.sample)
         return True
@@ -171,11 +172,8 @@ class GhostWriter:
     def _look(self) -> bool:
         self._is_found = self.matched() > 0 or self._clock() - self._made_s > _MATCH_S
         while self._is_found and self._held:
-            self._publish(self._held.popleft())
+            self._outlet.publish(self._held.popleft())
         return self._is_found
-
-    def _publish(self, sample: bytes) -> None:
-        rcl().publish(self._publisher.handle, sample)
 
 
 def profile_of(offer: WriterOffer, depth: int) -> QoSProfile:

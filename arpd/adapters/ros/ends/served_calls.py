@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from arpd.apply.relay.calls import CallId
 
 _AT_ONCE = 5  # requests to one server in one step: its own history has ten places, and the link delivers in bursts
-_READY_S = 1.0  # for a new client to match its server
+_READY_S = 3.0  # for a new client to match its server
+_SETTLED_S = 0.3  # for its server to match it: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
 _GONE_S = 1.0  # without its server; it may seem to be gone for a moment when a second one leaves
 
 
@@ -32,7 +34,13 @@ class _Client:
     service: str  # its name on the link
     client: Any
     made_s: float
+    matched_s: float = math.inf  # when it began to see its server
     sent: int = 0  # in this step
+
+    def look(self, now_s: float) -> bool:
+        """Note since when it sees its server, and return whether it does."""
+        self.matched_s = min(self.matched_s, now_s) if self.client.service_is_ready() else math.inf
+        return now_s >= self.matched_s
 
 
 @dataclass(slots=True)
@@ -91,12 +99,13 @@ class ServedCalls:
         self._callee.step(now_s)
         for client in self._clients.values():
             client.sent = 0
+            client.look(now_s)  # a server that restarts must know this client first
         for call, running in [*self._running.items()]:
             if not self._callee.is_running(call):
                 self._forget(call)
             elif running.future is None:
                 self._try(call, running, now_s)
-            elif running.client.client.service_is_ready():
+            elif now_s >= running.client.matched_s:
                 running.seen_s = now_s
             elif now_s - running.seen_s >= _GONE_S:
                 self._fail(
@@ -147,15 +156,18 @@ class ServedCalls:
 
     def _try(self, call: CallId, running: _Running, now_s: float) -> None:
         """Send the request; fail without a server, unless the client is so new that it may not have matched yet."""
-        if running.client.sent >= _AT_ONCE:
+        client = running.client
+        if client.sent >= _AT_ONCE:
             return
-        if running.client.client.service_is_ready():
-            running.client.sent += 1
+        if client.look(now_s):
+            if now_s - client.matched_s < _SETTLED_S:
+                return
+            client.sent += 1
             running.seen_s = now_s
-            running.future = running.client.client.call_async(running.message)
+            running.future = client.client.call_async(running.message)
             running.message = None
             running.future.add_done_callback(partial(self._finish, call))
-        elif now_s - running.client.made_s >= _READY_S:
+        elif now_s - client.made_s >= _READY_S:
             self._fail(call, FailureReason.NO_SERVER, f"no server of {running.service}")
 
     def _finish(self, call: CallId, future: Any) -> None:

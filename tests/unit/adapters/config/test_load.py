@@ -68,8 +68,7 @@ def test_a_file_that_says_everything_becomes_the_settings(load):
     text = """
 link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
 program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
-governor: {down_ratio: 0.7, up_ratio: 1.5, hold: 1s, dwell: 3s, deadband: 0.2, swaps_per_minute: 60,
-           debounce: 250ms}
+governor: {hold: 1s, dwell: 3s, debounce: 250ms}
 http: {host: "::1", port: 9000}
 graph: {sensing_topics: 11, actuation_topics: 1}
 defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
@@ -108,15 +107,7 @@ lost_after: 1min
         program=ProgramSettings(
             backend=Backend.EXACT, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
         ),
-        governor=GovernorSettings(
-            down_ratio=0.7,
-            up_ratio=1.5,
-            hold_s=1.0,
-            dwell_s=3.0,
-            deadband=0.2,
-            swaps_per_minute=60,
-            debounce_s=0.25,
-        ),
+        governor=GovernorSettings(hold_s=1.0, dwell_s=3.0, debounce_s=0.25),
         http=HttpSettings(host="::1", port=9000),
         graph=GraphSettings(sensing_topics=11, actuation_topics=1),
         default_topic=default_topic,
@@ -353,6 +344,13 @@ ONE_FAULT = {
     "unknown choice": ("on_stop: explode", "1:10: on_stop: 'explode' is not one of the choices; write restore or keep"),
     "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
     "near section": ("\nlinks: {}\n", "2:1: links: is not a key arpd knows; did you mean link?"),
+    "removed key": (
+        "governor: {deadband: 0.1}",
+        (
+            "1:12: governor.deadband: was removed: DEPTH and DEADLINE now move in classes, within 1 % of the link; "
+            "delete this line"
+        ),
+    ),
     "misplaced key": ("port: 80\n", "1:1: port: is not a key arpd knows; did you mean http.port?"),
     "an assumption for all topics": (
         "defaults: {payload: 1kB}",

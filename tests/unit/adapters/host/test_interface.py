@@ -13,7 +13,6 @@ from arpd.adapters.host.interface import (
     ipv4_addresses,
     likeliest_interface,
     list_interfaces,
-    name_of,
     read_counters,
     read_speed,
 )
@@ -85,9 +84,8 @@ class Kernel:
 
         return InterfaceReader(
             name,
-            read=lambda wanted: named(wanted)[1],
+            read=self.interfaces.get,
             index_of=lambda wanted: named(wanted)[0],
-            name_of=lambda index: self.interfaces[index].interface if index in self.interfaces else None,
             choose=choose,
         )
 
@@ -245,10 +243,7 @@ def test_loopback_reads_up():
     assert counters is not None
     assert (counters.interface, counters.state) == ("lo", InterfaceState.UP)
     assert counters.rx_bytes == counters.tx_bytes > 0
-    index = index_of("lo")
-    assert index is not None
-    assert name_of(index) == "lo"
-    assert (read_counters("none9"), index_of("none9"), name_of(999_999)) == (None, None, None)
+    assert (read_counters(999_999), index_of("none9")) == (None, None)
     assert (hardware_address("lo"), hardware_address("none9")) == ("", "")
 
 
@@ -260,15 +255,13 @@ def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state
     """An interface without carrier differs from one that is switched off."""
     counters = {"rx_bytes": 1, "tx_bytes": 2, "rx_packets": 3, "tx_packets": 4, "tx_dropped": 5}
     device = NetDevice(name="wlan0", is_up=is_up, is_running=is_running, **counters)
-    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
     monkeypatch.setattr("arpd.adapters.host.interface.read_device", {999_999: device}.get)
-    assert read_counters("wlan0") == LinkCounters(interface="wlan0", state=state, **counters)
+    assert read_counters(999_999) == LinkCounters(interface="wlan0", state=state, **counters)
 
 
 def test_an_interface_that_vanishes_between_two_questions_is_none(monkeypatch):
     """A known number without an interface gives None."""
-    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": 999_999}.get)
-    assert read_counters("wlan0") is None
+    assert read_counters(999_999) is None
 
 
 def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
@@ -291,7 +284,7 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
         monkeypatch.setattr(psutil, name, refuse)
     monkeypatch.setattr("arpd.adapters.host.netlink.socket.socket", refuse)
     monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", refuse)
-    assert (read_counters("lo"), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
+    assert (read_counters(1), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
     assert (list_interfaces(), hardware_address("lo")) == (None, "")
     assert InterfaceReader("auto").read() is None
 

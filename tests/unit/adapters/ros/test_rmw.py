@@ -7,8 +7,8 @@ import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
 from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.adapters.ros.crossing import Crossing, Endpoint, crossing_without_hosts
 from arpd.adapters.ros.ends.run import check_middleware, profile_variables
-from arpd.adapters.ros.graph import Crossing, Endpoint, crossing_without_hosts
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 from arpd.model.endpoints import Direction
 from arpd.model.errors import RosUnavailableError

@@ -126,3 +126,16 @@ def test_waiting_ends_when_told(wakeups):
     waiter.join(timeout=20)
     assert not waiter.is_alive()
     assert taken(wakeups, math.inf) == []
+
+
+def test_times_that_no_longer_count_are_forgotten(wakeups):
+    """One that is woken again and again, long before its time, takes no more memory."""
+    for step in range(10_000):
+        wakeups.wake("a")
+        assert taken(wakeups, float(step)) == ["a"]
+        wakeups.set("a", 1e9)
+        wakeups.set("b", 1e9)
+    assert len(wakeups._by_time) < 300
+    assert len(wakeups._by_size) == 0
+    assert wakeups.next_s() == 1e9
+    assert sorted(taken(wakeups, 1e9)) == ["a", "b"]
