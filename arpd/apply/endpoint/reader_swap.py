@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 Key = tuple[int, int]
 _MOST_KEYS = 20_000  # 10 s at 2 kHz
 _MOST_HELD = 1_000
-_SETTLE_S = 0.1  # least time that both readers live, so that the writers' side matches too
+_SETTLE_S = 0.3  # least time that both readers live, so that the writers' side matches too
+_MOST_SETTLE_S = 2.0  # a shallow new reader may drop samples for as long as both live
 _MATCH_TIMEOUT_S = 5.0
 _REMEMBER_S = 10.0  # time after a swap in which late duplicates are recognised
 S = TypeVar("S")
@@ -48,7 +49,9 @@ class ReaderSwap(Generic[Q, S]):
     """Owns the readers of one subscription and replaces them without losing or doubling a sample.
 
     IDLE → MATCHING: a request differs from the QoS in force; a new reader is created.
-    MATCHING → CATCHING_UP: the new reader has as many writers as the old one, and 0.1 s have passed.
+    MATCHING → CATCHING_UP: the new reader has as many writers as the old one, and for 0.3 s the old one has had no
+    sample that the new one lacks. Such a sample shows a writer that does not know the new reader yet, because the link
+    between them is busy. After 2 s the swap goes on anyway.
     MATCHING → IDLE (unmatched): it does not have them within 5 s. The new reader is destroyed.
     CATCHING_UP → IDLE (ok): the old reader has delivered all that the new one had when it was matched. A reliable
     reader delivers a writer's samples in order, so it has delivered all earlier ones too.
@@ -93,6 +96,7 @@ class ReaderSwap(Generic[Q, S]):
         self._next: Reader[S] | None = None
         self._retired: Reader[S] | None = None
         self._held: dict[Key, S] = {}
+        self._lacking: dict[Key, float] = {}
         self._awaited: frozenset[Key] = frozenset()
         self._delivered: dict[Key, None] = {}
         self._since_s = 0.0
@@ -128,6 +132,8 @@ class ReaderSwap(Generic[Q, S]):
             return []
         if reader is not self.current and reader is not self._retired:
             return []  # from an abandoned reader; the one in force has it too
+        if self._next is not None and reader is self.current and key not in self._held:
+            self._lacking[key] = now_s
         return self._fresh(key, sample)
 
     def step(self, now_s: float) -> list[S]:
@@ -168,7 +174,7 @@ class ReaderSwap(Generic[Q, S]):
 
     def _match(self, now_s: float) -> None:
         assert self._next is not None
-        if self._is_matched() and now_s - self._since_s >= _SETTLE_S:
+        if self._is_matched() and self._is_settled(now_s):
             while (taken := self._next.take()) is not None:
                 self._hold(*taken)
             self._awaited = frozenset(self._held)
@@ -207,6 +213,7 @@ class ReaderSwap(Generic[Q, S]):
 
     def _end(self, now_s: float) -> None:
         self._held.clear()
+        self._lacking.clear()
         self._awaited = frozenset()
         self._next, self.state = None, ReaderSwapState.IDLE
         self._remember_until_s = now_s + _REMEMBER_S
@@ -214,7 +221,12 @@ class ReaderSwap(Generic[Q, S]):
     def _is_matched(self) -> bool:
         return self._next is not None and self._next.matched() >= self.current.matched()
 
+    def _is_settled(self, now_s: float) -> bool:
+        latest_s = max((self._since_s, *self._lacking.values()))
+        return now_s - latest_s >= _SETTLE_S or now_s - self._since_s >= _MOST_SETTLE_S
+
     def _hold(self, key: Key, sample: S) -> None:
+        self._lacking.pop(key, None)
         if key not in self._delivered:
             self._held[key] = sample
 

@@ -228,6 +228,42 @@ def test_an_old_reader_that_lost_samples_does_not_hold_up_the_switch_for_ever():
     assert world.delivered == ["only here"]
 
 
+def test_a_writer_that_does_not_know_the_new_reader_yet_keeps_the_old_one():
+    """While only the old reader has a writer's samples, it delivers; the switch follows when both have them."""
+    world = World()
+    new = begun(world)
+    new.writers.add(1)
+    new.matched = lambda: WRITERS  # it has found writer 0, which has not heard of it yet
+    for is_known in [False] * 10 + [True] * 5:
+        if is_known:
+            new.writers.add(0)
+        else:
+            assert world.results == []
+        for writer in range(WRITERS):
+            world.write(writer)
+        for reader in world.live:
+            for writer in range(WRITERS):
+                reader.arrive(writer)
+                world.take(reader)
+        world.step(0.1)
+    assert world.results == [ReaderSwapResult.OK]
+    assert sorted(world.delivered) == [(writer, number + 1) for writer in range(WRITERS) for number in range(15)]
+
+
+def test_a_new_reader_that_drops_samples_does_not_hold_up_the_switch_for_ever():
+    """A shallow new reader may lack samples all the time; the switch comes after 2 s all the same."""
+    world = World()
+    new = begun(world)
+    new.writers |= {0, 1}
+    for number in range(22):
+        if number == 19:
+            assert world.results == []
+        world.delivered += world.swap.accept(world.readers[0], (number, number), number, now_s=world.now_s)
+        world.step(0.1)
+    assert world.results == [ReaderSwapResult.OK]
+    assert world.delivered[:20] == list(range(20))
+
+
 def test_it_stops_tracking_when_no_late_double_can_come():
     """Some time after a swap samples are no longer checked, and the remembered keys are freed."""
     world = World()
