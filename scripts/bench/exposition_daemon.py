@@ -26,7 +26,7 @@ from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction, PublisherState, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import MemoryState, Observation
+from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.settings import HttpSettings, LinkSettings, Settings
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Crowd:
             ),
             reports=(),
             publishers=tuple(
-                replace(publisher, age_s=now_s - announced_s)
+                replace(publisher, announced_at_s=announced_s)
                 for publisher, announced_s in zip(self._publishers, self._announced_s, strict=True)
             ),
             memory=MemoryState(total_bytes=2**32, available_bytes=2**31),
@@ -139,8 +139,15 @@ class Crowd:
         """Pin nothing."""
 
     def results(self) -> Mapping[str, int]:
-        """Count parameter calls by result."""
+        """Count the plans sent, by result."""
         return {}
+
+    def stand_by(self) -> None:
+        """Take back nothing."""
+
+    def glance(self) -> Glance:
+        """Return that every tick is worth its cost."""
+        return Glance(has_reports=True, backlog_bytes=None)
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
@@ -166,10 +173,14 @@ def main() -> None:
     daemon = _daemon(int(sys.argv[1]))
     lateness_s: list[float] = []
     ticks_s: list[float] = []
-    add, note_lateness = daemon.record.add, daemon.record.note_lateness
+    add, follow, note_lateness = daemon.record.add, daemon.record.follow, daemon.record.note_lateness
 
     def watch_ticks(picture: Snapshot, **sources: Any) -> None:
         add(picture, **sources)
+        ticks_s.append(picture.tick_s)
+
+    def watch_following(picture: Snapshot) -> None:
+        follow(picture)
         ticks_s.append(picture.tick_s)
 
     def watch_lateness(late_s: float, *, is_late: bool) -> None:
@@ -177,6 +188,7 @@ def main() -> None:
         note_lateness(late_s, is_late=is_late)
 
     daemon.record.add = watch_ticks  # type: ignore[method-assign]
+    daemon.record.follow = watch_following  # type: ignore[method-assign]
     daemon.record.note_lateness = watch_lateness  # type: ignore[method-assign]
     signals, resting = Signals(is_looping=True), threading.Event()
 

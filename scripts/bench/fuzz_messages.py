@@ -79,6 +79,62 @@ def publisher() -> Fuzzable:
     return Fuzzable(feed=feed, seeds=(_lines(to_status(state)),), words=_numbers())
 
 
+def counters() -> Fuzzable:
+    """Feed the numbers of a node: arpd refuses them, or makes possible states of them."""
+    from dataclasses import fields, replace
+
+    from arpd.adapters.ros.counters import decode_counters, encode_counters, row_of
+    from arpd.adapters.ros.plan_message import PlanAnswer
+
+    state = _publisher()
+    told = {field.name: getattr(state, field.name) for field in fields(state)}
+    later = replace(state, offered=9, published=5, withheld=4, withheld_by_cause={"price": 4}, paced_rate_hz=3.0)
+
+    def feed(data: bytes) -> None:
+        try:
+            found = decode_counters(data)
+        except ValueError:
+            return
+        insist(found.node.isprintable() and found.answer.refusal.isprintable(), f"a name and words: {found}")
+        insist(0.0 <= found.lease_s < math.inf, f"a lease: {found.lease_s}")
+        for row in found.rows:
+            now = replace(state, **row.changes(told))
+            insist(0 <= now.payload_bytes < math.inf and now.paced_rate_hz >= 0, f"possible numbers: {now}")
+            insist(now.withheld >= state.withheld and now.offered >= state.offered, f"sums that grow: {now}")
+
+    rows = [row_of(1, 0, told=state, now=state), row_of(2, 255, told=state, now=later)]
+    answers = (PlanAnswer(generation=4, crc=7), PlanAnswer(generation=3, crc=9, refusal="too old"))
+    seeds = tuple(encode_counters("/lidar", rows, incarnation=5, answer=answer, lease_s=30.0) for answer in answers)
+    return Fuzzable(feed=feed, seeds=seeds)
+
+
+def plan() -> Fuzzable:
+    """Feed the plan of a node: the node refuses it, or makes valid rows of it."""
+    from arpd.adapters.ros.plan_message import decode_plan, encode_plan
+    from arpd.adapters.ros.publisher_settings import checked_row
+    from arpd.model.endpoints import WriterQos
+    from arpd.model.plan import ReaderPlan, TopicPlan
+
+    own = WriterQos(depth=10, deadline_ns=0)
+
+    def feed(data: bytes) -> None:
+        try:
+            found = decode_plan(data.decode("utf-8", "replace"))
+            rows = [checked_row(topic, row, own) for topic, row in found.publishers.items()]
+        except ValueError as refusal:
+            insist(bool(str(refusal)), "a refusal with a reason")
+            return
+        insist(all(row.depth >= 1 and row.rate_hz >= 0 and row.deadline_ns >= 0 for row in rows), f"rows: {rows}")
+
+    row = TopicPlan(
+        rate_hz=math.inf, min_rate_hz=1.0, deadline_ns=10**9, depth=40, weight=1.5, wire_bytes=9.5, packets=1
+    )
+    text = encode_plan(
+        generation=3, lease_s=30.0, publishers={"/a": row}, readers={"/b": ReaderPlan(depth=4, deadline_ns=0)}
+    )
+    return Fuzzable(feed=feed, seeds=(text.encode(),), words=("null", "NaN", "Infinity", "1e999", "true", "-1"))
+
+
 def reader() -> Fuzzable:
     """Feed a reader's announcement: arpd refuses it, or makes a state of it that it can announce again."""
     from arpd.adapters.ros.announcement import reader_from_status, reader_to_status
@@ -156,7 +212,8 @@ def parameters() -> Fuzzable:
     from dataclasses import replace
 
     from arpd.adapters.ros.bounds import checked_lease_s
-    from arpd.adapters.ros.node_publishers import _checked
+    from arpd.adapters.ros.publisher_settings import checked
+    from arpd.model.endpoints import WriterQos
     from arpd.model.plan import TopicPlan
 
     fields = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "lease_s")
@@ -172,7 +229,7 @@ def parameters() -> Fuzzable:
                 if field == "lease_s":
                     insist(0.0 <= checked_lease_s(parameter) < math.inf, "a time")
                 else:
-                    changes[field] = _checked(parameter, field, most_depth=5000)
+                    changes[field] = checked(parameter, field, WriterQos(depth=10, deadline_ns=0))
             except ValueError as refusal:
                 insist(parameter.name in str(refusal), f"a refusal that names the parameter: {refusal}")
         try:

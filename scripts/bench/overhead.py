@@ -1,17 +1,21 @@
-"""Measure what arpd itself costs: CPU, memory, bytes on the link, and the time of a new plan, by number of topics.
+"""Measure what arpd itself costs, by number of topics: CPU, memory, bytes on the link, and what a plan costs.
 
-Usage: .venv/bin/python scripts/bench/overhead.py [--quick] [--only N …] [--seed N] [--json FILE]
+Usage: .venv/bin/python scripts/bench/overhead.py [--quick] [--before REV] [--only N …] [--rounds N]
+       [--flap-minutes N] [--flap-topics N] [--json FILE]
 
-Needs root, as the simulated link does.
+Needs root, as the simulated link does. Three rounds take 25 minutes; with --before, about 40.
 
-Each number of topics has a robot of its own: one process has all sources, and `arpd relay` carries them to one reader
-on the other host. It runs first without `arpd run` and `arpd peer`, then with them: at rest (the sources publish
-nothing), at a rate of the link that carries everything, and at one that does not, so that pacing must act. Twelve
-topics have the sizes, rates and preferences of the demo robot; otherwise all topics are alike.
+With --before, each robot runs once with arpd of that revision and once with arpd of this tree, by turns in every
+round. Each has processes of its own: one has all sources, relays carry 250 topics each to one reader on the other host,
+and `arpd run` and `arpd peer` join. They are measured at rest (the sources publish nothing), at a rate of the link that
+carries everything, and at one that does not, so that pacing must act. Twelve topics have the sizes, rates and
+preferences of the demo robot; otherwise all topics are alike. A run that fails is a figure too, with its reason; the
+older arpd does not try that number of topics again.
 
 CPU is the scheduler's account of all threads; nothing asks for the status page while it is measured. The kernel counts
 bytes per flow, and the ports of the processes attribute them. Reaction times begin when the link's token bucket
-changes; a subscriber times the gate, and arpd's decision log times plan and confirmation.
+changes; a subscriber times the price, and arpd's decision log times plan and confirmation. A plan's discovery is what
+the kernel counts from its cause until a while after it, less what was there before.
 """
 
 from __future__ import annotations
@@ -32,18 +36,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
-from scripts.bench.overhead_cases import DEMO_TOPICS, SYNTHETIC, Case, case_of
+from scripts.bench.overhead_cases import DEMO_TOPICS, case_of
 from scripts.bench.overhead_report import markdown
-from scripts.bench.overhead_robot import OverheadError, Robot
+from scripts.bench.overhead_robot import Robot
+from scripts.bench.overhead_sides import AFTER, BEFORE, Side, side_of
+from scripts.bench.overhead_targets import runs_of, went_wrong
 from scripts.bench.record import conditions, keep, options_of
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from arpd.cli.progress import Progress
+    from scripts.bench.overhead_cases import Case
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
+SIZES = (DEMO_TOPICS, 100, 500, 1000)
 _LEAST_REACHED = 0.9  # of what the sources should have published
 
 
@@ -53,143 +60,172 @@ class Times:
 
     Parameters
     ----------
-    span_s : one measurement of CPU and bytes; the single one at rest takes twice as long (s)
+    span_s : one measurement of CPU and bytes (s)
     settle_s : pause after a change (s)
     quiet_s : time without a new plan that ends a reaction (s)
-    rounds : number of falls and rises of the link; 0 = it falls once, without reaction times
     """
 
-    span_s: float = 10.0
+    span_s: float = 8.0
     settle_s: float = 4.0
-    quiet_s: float = 4.0
-    rounds: int = 2
+    quiet_s: float = 3.0
 
 
-QUICK = Times(span_s=2.5, settle_s=1.0, rounds=0)
+QUICK = Times(span_s=2.5, settle_s=1.5, quiet_s=2.0)
 
 
-def measure(case: Case, times: Times, workdir: Path, show: Callable[[str], None]) -> dict[str, Any]:
-    """Return what arpd costs with one robot."""
+def measure(
+    case: Case, side: Side, times: Times, workdir: Path, show: Callable[[str], None], *, steady_s: float = 0.0
+) -> dict[str, Any]:
+    """Return what arpd costs with one robot; a run that fails keeps what it found before.
+
+    Parameters
+    ----------
+    steady_s : time at the slow rate in which nothing should change, once the swaps of the fall are over (s)
+    """
+    began_s = time.monotonic()
     spans: list[dict[str, Any]] = []
-    reactions: list[dict[str, Any]] = []
-    run_id = f"overhead-{os.getpid()}-{len(case.topics)}"
-    with SimLink(run_id, rate_bytes_per_second=FAST) as link, ExitStack() as stack:
-        robot = Robot(case, link, workdir, stack)
-        show("starting")
-        robot.await_carried()
-        time.sleep(times.settle_s)
-        show("at rest, without arpd run and peer")
-        spans.append(robot.measure("rest without", times.span_s))
-        robot.start_control()
-        robot.await_crossing()
-        time.sleep(2 * times.settle_s)  # the first trains of probes are over
-        show("at rest")
-        spans.append(robot.measure("rest", 2 * times.span_s))
-        robot.publish()
-        show("publishing")
-        settled_s = robot.settled_s()
-        time.sleep(times.settle_s)
-        rounds = 0 if settled_s is None else times.rounds
-        if not rounds:
-            spans.append(robot.measure("load", times.span_s))
-            link.set_rate(SLOW)
-            time.sleep(times.settle_s)
-            spans.append(robot.measure("paced", times.span_s))
-        for number in range(rounds):
-            for phase, rate in (("paced", SLOW), ("load", FAST)):
-                show(f"{link.rate_bytes_per_second * 8e-6:.0f} to {rate * 8e-6:.0f} Mbit/s, round {number + 1}")
-                reactions.append(robot.react(rate, times.quiet_s))
-                time.sleep(times.settle_s)
-                spans.append(robot.measure(phase, times.span_s))
-    return {
+    plans: list[dict[str, Any]] = []
+    found: dict[str, Any] = {
+        "side": side.name,
         "topics": len(case.topics),
         "relays": len(case.relays()),
         "offered_hz": case.offered_hz,
         "offered_bytes_per_second": case.offered_bytes_per_second,
         "least_payload_bytes": min(topic.payload_bytes for topic in case.topics),
         "most_payload_bytes": max(topic.payload_bytes for topic in case.topics),
-        "settled_s": settled_s,
         "spans": spans,
-        "reactions": reactions,
+        "plans": plans,
     }
+    try:
+        with SimLink(f"overhead-{os.getpid()}", rate_bytes_per_second=FAST) as link, ExitStack() as stack:
+            show("starting")
+            robot = Robot(case, side, link, workdir, stack)
+            robot.await_carried()
+            robot.start_control()
+            found |= robot.found()
+            time.sleep(2 * times.settle_s)  # the first trains of probes are over
+            show("at rest")
+            spans.append(robot.measure("rest", times.span_s))
+            show("publishing")
+            plans.append({"cause": "start", **robot.planning(lambda: _begin(robot), times.settle_s)})
+            found |= {key: plans[0][key] for key in plans[0] if key.startswith(("planned", "confirmed"))}
+            time.sleep(times.settle_s)  # the trains of probes that follow a first plan are over
+            spans.append(robot.measure("load", times.span_s))
+            show("20 to 5 Mbit/s")
+            plans.append({"cause": "fall", **robot.planning(lambda: robot.react(SLOW, times.quiet_s), times.settle_s)})
+            spans.append(robot.measure("paced", times.span_s))
+            if steady_s:
+                show(f"{steady_s / 60:.0f} minutes in which nothing changes")
+                found["steady"] = robot.steady(steady_s)
+    except (ArpdError, ChildError) as error:
+        found["failed"] = str(error)
+    else:
+        found["complaints"] = complaints(found)
+    return {**found, "took_s": time.monotonic() - began_s}
 
 
-def _telling(shown: Progress, number: int, topics: int) -> Callable[[str], None]:
-    return lambda what: shown.reach(number, f"{topics} topics: {what}")
+def _begin(robot: Robot) -> dict[str, Any]:
+    robot.publish()
+    return robot.settled()
 
 
-def check(found: dict[str, Any]) -> None:
-    """Refuse nonsense: sources below their rate, a bypassed link, idle processes.
-
-    Raises
-    ------
-    OverheadError
-        If a figure cannot be true.
-    """
+def complaints(found: dict[str, Any]) -> list[str]:
+    """Name what cannot be true, or is no figure: sources below their rate, a bypassed link, idle processes."""
+    wrong = []
     for span in found["spans"]:
-        where = f"{found['topics']} topics, {span['phase']}"
-        is_busy = not span["phase"].startswith("rest")
+        is_busy = span["phase"] != "rest"
+        published, carried = span["published_bytes_per_second"], span["interface_bytes_per_second"]
         if any(share <= 0.0 for share in span["cpu_share"].values()):
-            raise OverheadError(f"{where}: a process used no CPU at all: {span['cpu_share']}")
+            wrong.append(f"{span['phase']}: a process used no CPU at all: {span['cpu_share']}")
         if is_busy and span["sent"] < _LEAST_REACHED * span["expected"]:
-            raise OverheadError(f"{where}: {span['sent']} of {span['expected']:.0f} samples were published")
-        # Without run, nothing counts what was published.
-        published, carried = span.get("published_bytes_per_second", 0.0), span["interface_bytes_per_second"]
+            wrong.append(f"{span['phase']}: {span['sent']} of {span['expected']:.0f} samples were published")
         if is_busy and published <= 0:
-            raise OverheadError(
-                f"{where}: what publishers announce to have published changed by {published:.0f} bytes/s while "
+            wrong.append(
+                f"{span['phase']}: what publishers announce to have published changed by {published:.0f} bytes/s while "
                 f"{carried:.0f} were on the link; the daemon lost sight of publishers, or nothing was published"
             )
         if is_busy and published >= 1.1 * carried:
-            raise OverheadError(
-                f"{where}: {published:.0f} bytes/s published and {carried:.0f} on the link: it was bypassed"
+            wrong.append(
+                f"{span['phase']}: {published:.0f} bytes/s published and {carried:.0f} on the link: it was bypassed"
             )
-        if span["phase"] != "rest without" and not sum(span["control_bytes_per_second"].values()):
-            raise OverheadError(f"{where}: no byte of arpd's own on the link")
-    is_paced = any(span["phase"] == "paced" and span["withheld"] for span in found["spans"])
-    if found["settled_s"] is not None and not is_paced:
-        raise OverheadError(f"{found['topics']} topics: pacing had nothing to do")
+        if not sum(span["control_bytes_per_second"].values()):
+            wrong.append(f"{span['phase']}: no byte of arpd's own on the link")
+    if not any(span["phase"] == "paced" and span["withheld"] for span in found["spans"]):
+        wrong.append("pacing had nothing to do")
+    return wrong
+
+
+def play(sizes: Sequence[int], sides: Sequence[Side], times: Times, *, rounds: int, seed: int) -> list[dict[str, Any]]:
+    """Run every number of topics on every side, by turns; return all runs."""
+    draw, runs = random.Random(seed), list[dict[str, Any]]()
+    with progress("measuring", total=rounds * len(sizes) * len(sides)) as shown:
+        for number in range(rounds):
+            for topics in draw.sample(sizes, len(sizes)):
+                for side in draw.sample(sides, len(sides)):
+                    if side.name == BEFORE and any(map(went_wrong, runs_of({"runs": runs}, BEFORE, topics))):
+                        continue
+                    name = f"{topics} topics, {side.name}, round {number + 1}"
+
+                    def show(what: str, name: str = name) -> None:
+                        shown.reach(len(runs), f"{name}: {what}")
+
+                    runs.append({"round": number, **_run(case_of(topics), side, times, show)})
+                    print(f"{name}: {_said(runs[-1])}", flush=True)
+    return runs
+
+
+def _run(case: Case, side: Side, times: Times, show: Callable[[str], None], *, steady_s: float = 0.0) -> dict[str, Any]:
+    workdir = Path(tempfile.mkdtemp(prefix=f"arpd-overhead-{len(case.topics)}-{side.name}-"))
+    found = measure(case, side, times, workdir, show, steady_s=steady_s)
+    if "failed" in found:
+        print(f"overhead: {found['failed']}; logs in {workdir}", file=sys.stderr, flush=True)
+    else:
+        shutil.rmtree(workdir)
+    return found
+
+
+def _said(found: dict[str, Any]) -> str:
+    why = [found["failed"]] if "failed" in found else found["complaints"]
+    return "; failed: ".join([f"{found['took_s']:.0f} s", *why])
 
 
 def main() -> None:
-    parser = options_of(__doc__, "overhead", quick="twelve topics, without reaction times: half a minute")
-    sizes = sorted([*SYNTHETIC, DEMO_TOPICS])
-    parser.add_argument("--only", type=int, nargs="+", choices=sizes, metavar="N", help=f"numbers of topics ({sizes})")
-    parser.add_argument("--rounds", type=int, default=2, metavar="N", help="times the link falls and rises (default 2)")
-    parser.add_argument("--seed", type=int, default=1, help="another order of the numbers of topics")
+    parser = options_of(__doc__, "overhead", quick="twelve topics, once: 50 seconds for each side")
+    parser.add_argument("--before", metavar="REV", help="revision whose arpd is measured too, by turns")
+    parser.add_argument(
+        "--only", type=int, nargs="+", choices=SIZES, metavar="N", help=f"numbers of topics (default {SIZES})"
+    )
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="runs of each (default 3)")
+    parser.add_argument("--seed", type=int, default=1, help="another order of the numbers of topics and sides")
+    parser.add_argument("--flap-minutes", type=float, default=0.0, metavar="N", help="once: time without any change")
+    parser.add_argument("--flap-topics", type=int, default=100, metavar="N", help="topics of that robot (default 100)")
     options = parser.parse_args()
-    chosen: list[int] = options.only or ([DEMO_TOPICS] if options.quick else sizes)
-    document: dict[str, Any] = {
-        "conditions": conditions(),
-        "rates_bytes_per_second": {"fast": FAST, "slow": SLOW},
-        "cases": [],
-        "failures": [],
-    }
-    order = random.Random(options.seed).sample(chosen, len(chosen))
-    with progress("measuring", total=len(order)) as shown:
-        for number, topics in enumerate(order):
-            workdir = Path(tempfile.mkdtemp(prefix=f"arpd-overhead-{topics}-"))
-            began_s = time.monotonic()
+    noted = conditions()
+    times, rounds = (QUICK, 1) if options.quick else (Times(), options.rounds)
+    sizes: list[int] = options.only or ([DEMO_TOPICS] if options.quick else list(SIZES))
+    sides = [Side(name=AFTER)]
+    with ExitStack() as stack:
+        if options.before:
             try:
-                found = measure(
-                    case_of(topics),
-                    QUICK if options.quick else Times(rounds=options.rounds),
-                    workdir,
-                    _telling(shown, number, topics),
-                )
-                check(found)
-            except (ArpdError, ChildError) as error:
-                print(f"overhead: {topics} topics: {error}; logs in {workdir}", file=sys.stderr, flush=True)
-                document["failures"].append({"topics": topics, "why": str(error)})
-                continue
-            shutil.rmtree(workdir)
-            print(f"{topics} topics in {time.monotonic() - began_s:.0f} s", flush=True)
-            document["cases"].append(found)
-            document["cases"].sort(key=lambda case: case["topics"])
-    if document["cases"]:
-        print(markdown(document))
+                sides.insert(0, stack.enter_context(side_of(options.before)))
+            except ArpdError as error:
+                sys.exit(str(error))
+        runs = play(sizes, sides, times, rounds=rounds, seed=options.seed)
+    steady = None
+    if options.flap_minutes:
+        with progress("waiting") as shown:
+            case, side = case_of(options.flap_topics), Side(name=AFTER)
+            steady = _run(case, side, times, shown.step, steady_s=60 * options.flap_minutes)
+    document = {
+        "conditions": noted,
+        "before": options.before,
+        "rates_bytes_per_second": {"fast": FAST, "slow": SLOW},
+        "runs": runs,
+        "steady": steady,
+    }
+    print(markdown(document))
     keep(document, options, "overhead", is_partial=options.quick or bool(options.only))
-    if document["failures"]:
+    if any(map(went_wrong, [run for run in runs if run["side"] == AFTER])):
         sys.exit(1)
 
 

@@ -18,7 +18,7 @@ _PLANS_PER_TOPIC = 20  # per minute, as in the default budget of 240 for twelve 
 _NO_TEXT_BYTES = len(sample_of(0, 10)) - 10  # of a serialized std_msgs/String
 
 #: Number of topics → serialized size (bytes) and rate (Hz) of each; twelve are the demo robot's.
-SYNTHETIC = {1: (30_060, 30.0), 100: (1000, 10.0), 500: (800, 2.0)}
+SYNTHETIC = {50: (2000, 10.0), 100: (1000, 10.0), 500: (800, 2.0), 1000: (800, 1.0)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,7 +82,10 @@ class Case:
         return sum(topic.rate_hz for topic in self.topics)
 
     def relays(self) -> list[dict[str, Any]]:
-        """Return the configuration of each relay; the first is also the daemon's."""
+        """Return the configuration of each relay; the first is also the daemon's.
+
+        The section ``governor`` lets an arpd that counts swaps per minute plan all topics at once; others refuse it.
+        """
         names = [topic.name for topic in self.sensing]
         shares = [names[at : at + _RELAY_TOPICS] for at in range(0, len(names), _RELAY_TOPICS)]
         governor = {"swaps_per_minute": _PLANS_PER_TOPIC * max(len(self.topics), DEMO_TOPICS)}
@@ -102,7 +105,7 @@ def case_of(topics: int) -> Case:
         return _demo()
     payload_bytes, rate_hz = SYNTHETIC[topics]
     made = tuple(
-        Topic(name=f"/sensor_{k:03d}/data", payload_bytes=payload_bytes, rate_hz=rate_hz) for k in range(topics)
+        Topic(name=f"/sensor_{k:04d}/data", payload_bytes=payload_bytes, rate_hz=rate_hz) for k in range(topics)
     )
     return Case(topics=made, preferences={})
 

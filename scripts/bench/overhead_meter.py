@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CONTROL = ("run", "peer")
 DISCOVERY, PROBES, REPORTS, ORDERS, ANSWERS = KINDS = ("discovery", "probes", "reports", "orders", "answers")
 _PORT_BASE, _DOMAIN_GAIN, _MULTICAST_OFFSET, _UNICAST_OFFSET = 7400, 250, 0, 10  # OMG DDSI-RTPS 2.3, 9.6.1
-_TABLE = "arpd_overhead"
+_TABLE, _LINK, _LOCAL = "arpd_overhead", "flows", "local"
 _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
 
@@ -39,12 +39,16 @@ class Reading:
     cpu_s : CPU time by process (s)
     interface_bytes : bytes that both ends of the link have sent
     control_bytes : those of arpd's control plane, both ways, by kind
+    discovery_bytes : those of DDS discovery, of all processes, both ways
+    listener_bytes : discovery that one process of the robot has received from others of the robot
     """
 
     at_s: float
     cpu_s: Mapping[str, float]
     interface_bytes: int
     control_bytes: Mapping[str, int]
+    discovery_bytes: int
+    listener_bytes: int
 
 
 class Meter:
@@ -56,10 +60,12 @@ class Meter:
     Parameters
     ----------
     link : its flows are counted from now on
+    listener : process on the robot whose received discovery counts
     """
 
-    def __init__(self, link: SimLink) -> None:
+    def __init__(self, link: SimLink, listener: str) -> None:
         self._link = link
+        self._listener = listener
         for host in link.hosts:
             inside(host.namespace, partial(_count_flows, host.interface))
 
@@ -79,13 +85,24 @@ class Meter:
             }
             for host in self._link.hosts
         }
+        domain_id, discovery_bytes, listener_bytes = self._link.domain_id, 0, 0
         for here, there in (self._link.hosts, self._link.hosts[::-1]):
-            for (source, target), sent in inside(here.namespace, _flows).items():
+            for (source, target), sent in inside(here.namespace, partial(_flows, _LINK)).items():
                 sender, receiver = owners[here.name].get(source, ""), owners[there.name].get(target, "")
-                if kind := kind_of(sender, receiver, target, domain_id=self._link.domain_id):
+                if kind := kind_of(sender, receiver, target, domain_id=domain_id):
                     control[kind] += sent
-        sent_bytes = sum(counters.tx_bytes for counters in self._link.counters().values())
-        return Reading(at_s=at_s, cpu_s=cpu_s, interface_bytes=sent_bytes, control_bytes=control)
+                discovery_bytes += sent * is_discovery(target, domain_id=domain_id)
+        for (_, target), sent in inside(self._link.robot.namespace, partial(_flows, _LOCAL)).items():
+            if owners["robot"].get(target) == self._listener and is_discovery(target, domain_id=domain_id):
+                listener_bytes += sent
+        return Reading(
+            at_s=at_s,
+            cpu_s=cpu_s,
+            interface_bytes=sum(counters.tx_bytes for counters in self._link.counters().values()),
+            control_bytes=control,
+            discovery_bytes=discovery_bytes,
+            listener_bytes=listener_bytes,
+        )
 
 
 def kind_of(sender: str, receiver: str, port: int, *, domain_id: int) -> str:
@@ -96,16 +113,25 @@ def kind_of(sender: str, receiver: str, port: int, *, domain_id: int) -> str:
     sender, receiver : processes at its two ends; the receiver of a multicast means nothing
     port : its destination
     """
-    offset = port - _PORT_BASE - _DOMAIN_GAIN * domain_id
-    is_multicast = offset == _MULTICAST_OFFSET
+    is_multicast = _offset(port, domain_id) == _MULTICAST_OFFSET
     if sender not in CONTROL and (is_multicast or receiver not in CONTROL):
         return ""
-    # From 7000 on, below all ports of the standard, rmw_fastrtps receives ROS's graph: ros_discovery_info.
-    if is_multicast or port < _PORT_BASE or (offset >= _UNICAST_OFFSET and offset % 2 == 0):
+    if is_discovery(port, domain_id=domain_id):
         return DISCOVERY
     if sender == "run":
         return PROBES if receiver == "peer" else ORDERS
     return REPORTS if sender == "peer" else ANSWERS
+
+
+def is_discovery(port: int, *, domain_id: int) -> bool:
+    """Return whether DDS receives discovery at this port."""
+    offset = _offset(port, domain_id)
+    # From 7000 on, below all ports of the standard, rmw_fastrtps receives ROS's graph: ros_discovery_info.
+    return offset == _MULTICAST_OFFSET or port < _PORT_BASE or (offset >= _UNICAST_OFFSET and offset % 2 == 0)
+
+
+def _offset(port: int, domain_id: int) -> int:
+    return port - _PORT_BASE - _DOMAIN_GAIN * domain_id
 
 
 def udp_ports(pid: int) -> set[int]:
@@ -132,18 +158,20 @@ def _count_flows(interface: str) -> None:
     _nft(
         f"""
         table inet {_TABLE} {{
-            set flows {{ type inet_service . inet_service; flags dynamic; size 65535; counter; }}
+            set {_LINK} {{ type inet_service . inet_service; flags dynamic; size 65535; counter; }}
+            set {_LOCAL} {{ type inet_service . inet_service; flags dynamic; size 65535; counter; }}
             chain out {{
                 type filter hook output priority 0;
-                oifname "{interface}" update @flows {{ udp sport . udp dport }};
+                oifname "{interface}" update @{_LINK} {{ udp sport . udp dport }};
+                oifname "lo" update @{_LOCAL} {{ udp sport . udp dport }};
             }}
         }}"""
     )
 
 
-def _flows() -> dict[tuple[int, int], int]:
-    """Return the bytes sent over the link by source and destination port, with Ethernet headers."""
-    listed: list[dict[str, Any]] = json.loads(_nft("", "-j", "list", "set", "inet", _TABLE, "flows"))["nftables"]
+def _flows(name: str) -> dict[tuple[int, int], int]:
+    """Return the bytes of a set of flows by source and destination port, with Ethernet headers."""
+    listed: list[dict[str, Any]] = json.loads(_nft("", "-j", "list", "set", "inet", _TABLE, name))["nftables"]
     (found,) = (item["set"] for item in listed if "set" in item)
     flows = {}
     for item in found.get("elem", []):

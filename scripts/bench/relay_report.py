@@ -11,7 +11,7 @@ from scripts.bench.record import described
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-TARGET = 1.25
+TARGET = 1.1
 DIRECT = "direct"
 RELAYS = BARE, ONE_END, TWO_ENDS = ("bare relay", "one end", "two ends")
 _CAPTION = (

@@ -56,12 +56,16 @@ class Block:
 
 
 PAGES: Mapping[Path, Mapping[str, Block]] = {
-    REPO / "README.md": {"adapt-summary": Block(results=("adapt",), report="adapt_report", function="summary")},
+    REPO / "README.md": {
+        "adapt-summary": Block(results=("adapt",), report="adapt_report", function="summary"),
+        "sizes": Block(results=("pi",), report="pi_report", function="sizes"),
+    },
     REPO / "docs/results.md": {
         "demo": Block(results=("demo",), report="demo_report"),
         "adapt": Block(results=("adapt",), report="adapt_report"),
         "paper": Block(results=("paper",), report="paper_report"),
         "overhead": Block(results=("overhead",), report="overhead_report"),
+        "pi": Block(results=("pi",), report="pi_report"),
         "reliability": Block(results=("reliability", "fuzz"), report="reliability_report"),
         "two_ends": Block(results=("two_ends",), report="two_ends_report"),
         "estimate": Block(results=("estimate", "link"), report="capacity_report"),

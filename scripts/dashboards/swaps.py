@@ -38,7 +38,7 @@ _RESULTS = bars(
 _PLAN_REACHES = bars(
     "The plan reaches the nodes",
     [
-        query("sum(increase(arpd_applies_total{}[$__rate_interval]))", "calls"),
+        query("sum(increase(arpd_applies_total{}[$__rate_interval]))", "plans sent"),
         query("sum by (reason) (increase(arpd_apply_failures_total{}[$__rate_interval]))", "failed: {{reason}}"),
     ],
     shows="Calls that set a node's parameters, and those that failed.",
@@ -89,7 +89,7 @@ _WRITER_COST = ranking(
     Scale("s"),
     shows="Time that the ten busiest topics spent in swaps, over the time shown.",
     bad="one topic far above the others.",
-    then="its source or its readers change all the time; widen governor.deadband, or give it a fixed rate.",
+    then="its source or its readers change all the time; give it a fixed rate.",
 )
 
 

@@ -79,10 +79,10 @@ _NEW_PLANS = bars(
 _PLANS_REFUSED = bars(
     "Plans and swaps that wait",
     [query("sum by (reason) (increase(arpd_refusals_total{}[$__rate_interval]))", "{{reason}}")],
-    shows="How often a plan came too soon after the last one (dwell), or its swaps were beyond those allowed per "
-    "minute (budget). Rates do not wait.",
-    bad="any budget; dwell for minutes.",
-    then="both pass by themselves; raise governor.swaps_per_minute if swaps are quick.",
+    shows="How often a plan came too soon after the last one (dwell), or its swaps were beyond 1 % of the link "
+    "(budget). Rates do not wait.",
+    bad="dwell for minutes; budget for long with few topics.",
+    then="both pass by themselves; fewer topics in a process make a swap cheaper.",
 )
 
 _PUBLISHERS_REFUSED = timeseries(

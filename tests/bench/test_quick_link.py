@@ -1,5 +1,9 @@
 """The short forms of benchmarks with real rclpy over a real link run to their end, and leave sound documents."""
 
+import os
+import subprocess
+import sys
+import time
 from statistics import median
 
 import pytest
@@ -7,11 +11,16 @@ import pytest
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from scripts.bench.pi_boards import Board
+from scripts.bench.pi_cgroup import SlowComputer
+from scripts.bench.pi_cgroup import available as slow_available
+from scripts.bench.relay import cpu_by_thread
 from scripts.bench.soak import QUICK_COUNT, TOPICS
 from scripts.netns.simlink import available
 from tests.bench.quick import played
 
 CAN, WHY = available()
+SLOW = slow_available()
 pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.skipif(not CAN, reason=WHY)]
 
 
@@ -47,15 +56,21 @@ def test_discovery_sees_every_participant(tmp_path):
     assert "plain ROS 2" in printed
 
 
-def test_overhead_measures_every_phase(tmp_path):
-    """Twelve topics at rest, carried and paced: each phase has CPU, memory and bytes of run and peer."""
+def test_overhead_measures_every_phase_and_a_plan(tmp_path):
+    """Twelve topics at rest, carried and paced, with CPU, memory and bytes of run and peer; plans cost discovery."""
     document, _ = played(tmp_path, "overhead")
-    (case,) = document["cases"]
-    assert [span["phase"] for span in case["spans"]] == ["rest without", "rest", "load", "paced"]
-    for span in case["spans"][1:]:
+    (run,) = document["runs"]
+    assert "failed" not in run
+    assert [run[count] for count in ("found", "planned", "confirmed")] == [12, 12, 12]
+    assert [span["phase"] for span in run["spans"]] == ["rest", "load", "paced"]
+    for span in run["spans"]:
         assert span["cpu_share"]["run"] > 0 < span["cpu_share"]["peer"]
         assert span["rss_bytes"]["run"] > 30e6
         assert span["control_bytes_per_second"]["probes"] > 0 < span["control_bytes_per_second"]["reports"]
+    start, fall = run["plans"]
+    assert start["swaps"] > 0
+    assert start["discovery_bytes"] > 0 < start["listener_bytes"]
+    assert 0 < fall["price_s"] < 5
 
 
 def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path):
@@ -81,6 +96,43 @@ def test_paper_reaches_its_rates_and_loses_nothing_with_a_deep_history(tmp_path)
         assert run["end_to_end"]["count"] > 0
         assert run["end_to_end"]["p50_s"] > run["sensing"]["p50_s"] > 0
         assert run["depth"] <= 1 or (run["lost"], run["end_to_end"]["lost_ratio"]) == (0, 0.0)
+
+
+@pytest.mark.skipif(not SLOW[0], reason=SLOW[1])
+def test_pi_slows_the_robot_and_not_its_samples(tmp_path):
+    """Twelve topics on a Pi 4 and on this machine: every figure is there, and threads wait for their cores."""
+    document, printed = played(tmp_path, "pi")
+    assert {run["board"] for run in document["runs"]} == {"Pi 4", "this machine"}
+    for run in document["runs"]:
+        assert "failed" not in run
+        assert run["confirmed"] == 12
+        assert run["samples"]["received"] > 0.3 * run["samples"]["sent"] > 0
+        assert all(0 < span["latency_s"]["p50"] < span["latency_s"]["p99"] for span in run["spans"])
+        assert run["watchdog"]["run"]["is_ready"]
+    (slow,) = (run for run in document["runs"] if run["board"] == "Pi 4")
+    assert slow["spans"][0]["throttled_share"]["run"] > 0
+    assert "| 12 | Pi 4 |" in printed
+
+
+@pytest.mark.skipif(not SLOW[0], reason=SLOW[1])
+def test_a_slow_computer_has_slow_cores_and_four_of_them():
+    """One thread gets at most the share of one core, and six get at most those of four."""
+    for count, cores in ((1, 1), (6, 4)):
+        with SlowComputer(Board(name="Pi", share=0.1), f"arpd-test-{os.getpid()}") as slow:
+            spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+            try:
+                for number, process in enumerate(spinning):
+                    slow.place(str(number), process.pid)
+                time.sleep(0.5)
+                before = [sum(cpu_by_thread(process.pid).values()) for process in spinning]
+                time.sleep(2.0)
+                after = [sum(cpu_by_thread(process.pid).values()) for process in spinning]
+            finally:
+                for process in spinning:
+                    process.kill()
+                    process.wait()
+        # On a busy machine they may get less.
+        assert 0.04 * cores < (sum(after) - sum(before)) / 2.0 < 0.13 * cores
 
 
 def test_relay_measures_one_end_and_two(tmp_path):

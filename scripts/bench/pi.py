@@ -1,0 +1,205 @@
+"""Measure arpd on a Raspberry Pi's share of this machine: reactions, late ticks, losses, latency and watchdog.
+
+Usage: .venv/bin/python scripts/bench/pi.py [--quick] [--only N …] [--boards NAME …] [--rounds N] [--json FILE]
+
+Needs root, as the simulated link does, and control groups with a quota of CPU, of version 1 or 2. Two rounds take half
+an hour.
+
+The robot's side (`arpd run`, `arpd relay`, and one process with all sources) runs in control groups that give each
+thread one core of a Raspberry Pi, all of them four, and 1 GiB. The CEDDP has this machine's cores. The order of boards
+and numbers of topics is random in every round. How slow a Pi's core is follows from published figures and from a
+reference that runs here first (`scripts/bench/pi_boards.py`); the document has both. Latency is from just before
+`publish` in the source to reception by DDS on the CEDDP. A sample is lost if it neither arrived until four seconds
+after the end nor was withheld by arpd. The watchdog is systemd's, with the periods of the units.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from arpd.cli.progress import progress
+from arpd.model.errors import ArpdError
+from scripts.bench.child import ChildError
+from scripts.bench.overhead import FAST, QUICK, SLOW, Times
+from scripts.bench.overhead_cases import DEMO_TOPICS, case_of
+from scripts.bench.overhead_robot import OverheadError, Robot
+from scripts.bench.overhead_sides import AFTER, Side
+from scripts.bench.pi_boards import CORES, MEMORY_BYTES, SOURCES, boards, reference
+from scripts.bench.pi_cgroup import SlowComputer, available
+from scripts.bench.pi_report import markdown
+from scripts.bench.pi_watchdog import Watchdogs
+from scripts.bench.record import conditions, keep, options_of
+from scripts.netns.simlink import SimLink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from scripts.bench.pi_boards import Board
+
+SIZES = (DEMO_TOPICS, 50, 100)
+NAMES = ("pi4", "pi5", "none")
+_WATCHDOG_S = {"run": 10.0, "relay0": 20.0}  # WatchdogSec of systemd/arpd.service and arpd-relay.service
+_DRAIN_S = 4.0
+
+
+def measure(topics: int, board: Board, times: Times, workdir: Path, show: Callable[[str], None]) -> dict[str, Any]:
+    """Return the figures of one robot on one board; a run that fails keeps what it found before."""
+    began_s = time.monotonic()
+    found: dict[str, Any] = {"topics": topics, "board": board.name, "spans": []}
+    try:
+        with (
+            SlowComputer(board, f"arpd-pi-{os.getpid()}") as slow,
+            Watchdogs(workdir, _WATCHDOG_S) as watchdogs,
+            SimLink(f"pi-{os.getpid()}", rate_bytes_per_second=FAST) as link,
+            ExitStack() as stack,
+        ):
+            show("starting")
+            robot = Robot(
+                case_of(topics),
+                Side(name=AFTER),
+                link,
+                workdir,
+                stack,
+                sink_role="taker",
+                placed=slow.place,
+                environment=watchdogs.environment,
+            )
+            _play(robot, slow, times, found, show)
+            found["watchdog"] = watchdogs.report()
+    except (ArpdError, ChildError) as error:
+        found["failed"] = str(error)
+    return {**found, "took_s": time.monotonic() - began_s}
+
+
+def _play(robot: Robot, slow: SlowComputer, times: Times, found: dict[str, Any], show: Callable[[str], None]) -> None:
+    robot.await_carried()
+    robot.start_control()
+    found |= robot.found()
+    time.sleep(2 * times.settle_s)
+    before = _ticks(robot)
+    show("publishing")
+    robot.publish()
+    found |= robot.settled()
+    time.sleep(2 * times.settle_s)
+    found["spans"].append(_span(robot, slow, "load", times.span_s))
+    show("20 to 5 Mbit/s")
+    found["fall"] = robot.react(SLOW, times.quiet_s)
+    time.sleep(times.settle_s)
+    found["spans"].append(_span(robot, slow, "paced", times.span_s))
+    supply = robot.source.ask()
+    found["ticks"] = {key: value - before[key] for key, value in _ticks(robot).items()}
+    found["samples"] = {"expected": supply["expected"], **_fate(robot)}
+
+
+def _span(robot: Robot, slow: SlowComputer, phase: str, for_s: float) -> dict[str, Any]:
+    """Measure for a while, with the ages of the samples that arrive meanwhile, and the periods without a core."""
+    robot.sink.ask(ages=True)
+    before, began_s = slow.throttled(), time.monotonic()
+    span = robot.measure(phase, for_s)
+    after, lasted_s = slow.throttled(), time.monotonic() - began_s
+    ages_s = robot.sink.ask(ages=True)["ages_s"]
+    if not ages_s:
+        raise OverheadError(f"{phase}: no sample arrived")
+    return {
+        **span,
+        "latency_s": {f"p{share}": ages_s[share * len(ages_s) // 100] for share in (50, 99)},
+        "throttled_share": {
+            name: busiest(before[name], counts) * slow.board.quota()[1] * 1e-6 / lasted_s
+            for name, counts in after.items()
+        },
+    }
+
+
+def busiest(before: dict[int, int], after: dict[int, int]) -> int:
+    """Return the most that a count of any thread has grown."""
+    return max((count - before.get(thread, 0) for thread, count in after.items()), default=0)
+
+
+def _ticks(robot: Robot) -> dict[str, int]:
+    status = robot.status()
+    if status is None:
+        raise OverheadError("arpd run does not answer")
+    return {key: status["totals"][key] for key in ("ticks", "ticks_late")}
+
+
+def _fate(robot: Robot) -> dict[str, int]:
+    """Stop the sources, and return what became of all samples from the robot."""
+    sent = robot.source.ask(publish=False)["sent"]
+    time.sleep(_DRAIN_S)
+    status = robot.status()
+    if status is None:
+        raise OverheadError("arpd run does not answer")
+    names = {topic.link_name for topic in robot.case.sensing}
+    withheld = sum(topic["withheld"] for topic in status["topics"] if topic["topic"] in names)
+    return {"sent": sent, "withheld": withheld, "received": robot.sink.ask(ages=True)["received"]}
+
+
+def _run(topics: int, board: Board, times: Times, show: Callable[[str], None]) -> dict[str, Any]:
+    workdir = Path(tempfile.mkdtemp(prefix="arpd-pi-"))
+    found = measure(topics, board, times, workdir, show)
+    if "failed" in found:
+        print(f"pi: {found['failed']}; logs in {workdir}", file=sys.stderr, flush=True)
+    else:
+        shutil.rmtree(workdir)
+    return found
+
+
+def main() -> None:
+    parser = options_of(__doc__, "pi", quick="twelve topics, once, on a Pi 4 and on this machine: two minutes")
+    parser.add_argument("--only", type=int, nargs="+", choices=SIZES, metavar="N", help=f"topics (default {SIZES})")
+    parser.add_argument("--boards", nargs="+", choices=NAMES, metavar="NAME", help=f"default {' '.join(NAMES)}")
+    parser.add_argument("--rounds", type=int, default=2, metavar="N", help="runs of each (default 2)")
+    parser.add_argument("--seed", type=int, default=1, help="another order")
+    options = parser.parse_args()
+    can, why = available()
+    if not can:
+        sys.exit(why)
+    noted, here_s = conditions(), reference()
+    known = boards(min(here_s.values()))
+    times, rounds = (QUICK, 1) if options.quick else (Times(), options.rounds)
+    chosen = [known[name] for name in options.boards or (("pi4", "none") if options.quick else NAMES)]
+    sizes: list[int] = options.only or ([DEMO_TOPICS] if options.quick else list(SIZES))
+    cells = [(topics, board) for topics in sizes for board in chosen]
+    draw, runs = random.Random(options.seed), list[dict[str, Any]]()
+    with progress("measuring", total=rounds * len(cells)) as shown:
+        for number in range(rounds):
+            for topics, board in draw.sample(cells, len(cells)):
+                name = f"{topics} topics, {board.name}, round {number + 1}"
+
+                def show(what: str, name: str = name) -> None:
+                    shown.reach(len(runs), f"{name}: {what}")
+
+                runs.append({"round": number, **_run(topics, board, times, show)})
+                said = f"; failed: {runs[-1]['failed']}" if "failed" in runs[-1] else ""
+                print(f"{name}: {runs[-1]['took_s']:.0f} s{said}", flush=True)
+    document = {
+        "conditions": noted,
+        "reference_s": here_s,
+        "sources": SOURCES,
+        "boards": [
+            {**asdict(board), **({"quota_us": board.quota()} if board.share is not None else {})} for board in chosen
+        ],
+        "cores": CORES,
+        "memory_bytes": MEMORY_BYTES,
+        "rates_bytes_per_second": {"fast": FAST, "slow": SLOW},
+        "runs": runs,
+    }
+    print(markdown(document))
+    keep(document, options, "pi", is_partial=options.quick or bool(options.only) or bool(options.boards))
+    if any("failed" in run for run in runs):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
