@@ -104,26 +104,28 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
     """Budget and plan yield to an upload beside ROS, and both return when the upload ends."""
     side.link.set_rate(SLOW)
     eventually(lambda: 0.75 * SLOW < metric(side, "arpd_link_capacity_bytes_per_second") < 1.25 * SLOW)
-    eventually(lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") < 1.25 * SLOW)
+
+    def is_whole(what):
+        return 0.75 * SLOW < metric(side, what) < 1.25 * SLOW
+
+    # The discovery of the first swaps counts as foreign for a moment, so the first plan may be for less than the link.
+    eventually(lambda: is_confirmed(side) and is_whole("arpd_level_bytes_per_second"), timeout_s=100.0)
     eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
-    alone = metric(side, "arpd_level_bytes_per_second")
 
     argv = [sys.executable, "-c", SENDER, side.link.ceddp.address, str(UPLOAD), "120"]
     upload = side.link.popen("robot", argv)
 
     def has_yielded(what):
         seen, usable = metric(side, "arpd_link_foreign_bytes_per_second"), metric(side, what)
-        return 0.6 * UPLOAD < seen < 1.4 * UPLOAD and usable < 0.8 * alone and usable + UPLOAD < 1.05 * SLOW
+        return 0.6 * UPLOAD < seen < 1.4 * UPLOAD and usable + UPLOAD < 1.05 * SLOW
 
     eventually(lambda: has_yielded("arpd_link_budget_bytes_per_second"))
     eventually(lambda: has_yielded("arpd_level_bytes_per_second"), timeout_s=100.0)  # the plan is for what lasts
     assert upload.poll() is None, "the upload had ended by then"
     upload.terminate()
     eventually(lambda: metric(side, "arpd_link_foreign_bytes_per_second") < 0.1 * UPLOAD)
-    eventually(lambda: metric(side, "arpd_link_budget_bytes_per_second") > 0.9 * alone)
-    eventually(
-        lambda: is_confirmed(side) and metric(side, "arpd_level_bytes_per_second") > 0.9 * alone, timeout_s=100.0
-    )
+    eventually(lambda: is_whole("arpd_link_budget_bytes_per_second"))
+    eventually(lambda: is_confirmed(side) and is_whole("arpd_level_bytes_per_second"), timeout_s=100.0)
 
 
 def test_the_demo_keeps_its_promise():
