@@ -36,11 +36,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
-from scripts.bench.overhead_cases import DEMO_TOPICS, case_of
+from scripts.bench.overhead_cases import case_of
 from scripts.bench.overhead_report import markdown
 from scripts.bench.overhead_robot import Robot
 from scripts.bench.overhead_sides import AFTER, BEFORE, Side, side_of
-from scripts.bench.overhead_targets import runs_of, went_wrong
+from scripts.bench.overhead_targets import DEMO_TOPICS, runs_of, went_wrong
 from scripts.bench.record import conditions, keep, options_of
 from scripts.netns.simlink import SimLink
 
@@ -175,10 +175,16 @@ def play(sizes: Sequence[int], sides: Sequence[Side], times: Times, *, rounds: i
 
 
 def _run(case: Case, side: Side, times: Times, show: Callable[[str], None], *, steady_s: float = 0.0) -> dict[str, Any]:
-    workdir = Path(tempfile.mkdtemp(prefix=f"arpd-overhead-{len(case.topics)}-{side.name}-"))
-    found = measure(case, side, times, workdir, show, steady_s=steady_s)
+    name = f"overhead-{len(case.topics)}-{side.name}"
+    return with_logs(name, lambda workdir: measure(case, side, times, workdir, show, steady_s=steady_s))
+
+
+def with_logs(name: str, run: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
+    """Give a run a folder for its logs, and return what it found; the folder of a run that failed stays."""
+    workdir = Path(tempfile.mkdtemp(prefix=f"arpd-{name}-"))
+    found = run(workdir)
     if "failed" in found:
-        print(f"overhead: {found['failed']}; logs in {workdir}", file=sys.stderr, flush=True)
+        print(f"{name}: {found['failed']}; logs in {workdir}", file=sys.stderr, flush=True)
     else:
         shutil.rmtree(workdir)
     return found

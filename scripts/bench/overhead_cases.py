@@ -9,10 +9,10 @@ import yaml
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.bench.child import sample_of
+from scripts.bench.overhead_targets import DEMO_TOPICS
 from scripts.robot.run import CONFIG
 
 PREFIX = "/link"
-DEMO_TOPICS = 12
 _RELAY_TOPICS = 250  # one node announces at most 256 publishers (`arpd.observe.registry.MOST_OF_NODE`)
 _PLANS_PER_TOPIC = 20  # per minute, as in the default budget of 240 for twelve topics
 _NO_TEXT_BYTES = len(sample_of(0, 10)) - 10  # of a serialized std_msgs/String

@@ -108,7 +108,7 @@ def verdicts(document: dict[str, Any]) -> list[str]:
         said.append(
             f"In {found['lasted_s'] / 60:.0f} minutes after a fall nothing flaps with {steady['topics']} topics: plans "
             f"{words}; {found['swaps']} swaps that the fall had left, at most {found['most_swaps']} of a topic; "
-            f"{_met(not causes and found['most_swaps'] <= 1)}."
+            f"{met(is_met=not causes and found['most_swaps'] <= 1)}."
         )
     return said
 
@@ -124,7 +124,7 @@ def _of_size(topics: int, runs: Sequence[Run]) -> list[str]:
         said.append(_judged(f"CPU of run with {topics} topics", used, MOST_RUN_CPU_SHARE[topics], "{:.1%} of a core"))
     counted = {what: min(run.get(what, 0) for run in runs) for what in ("found", "planned", "confirmed")}
     words = ", ".join(f"{number} {what}" for what, number in counted.items())
-    said.append(f"Of {topics} publishers in the worst run: {words}; {_met(min(counted.values()) >= topics)}.")
+    said.append(f"Of {topics} publishers in the worst run: {words}; {met(is_met=min(counted.values()) >= topics)}.")
     falls = [plan for run in runs for plan in run["plans"] if plan["cause"] == "fall"]
     if falls and all(plan["price_s"] is not None for plan in falls):
         worst = max(plan["price_s"] for plan in falls)
@@ -153,7 +153,12 @@ def _of_twelve(runs: Sequence[Run]) -> list[str]:
     what = f"RSS of run and of peer with {DEMO_TOPICS} topics"
     memory = _judged(what, max(mib.values()), MOST_RSS_BYTES / MIB, "at most {:.0f} MiB", mib, part="{:.0f} MiB")
     has_cvxpy = any(span["has_cvxpy"] for span in spans)
-    return [*processors, memory, f"cvxpy: {'loaded' if has_cvxpy else 'not loaded'}; {_met(not has_cvxpy)}.", *link]
+    return [
+        *processors,
+        memory,
+        f"cvxpy: {'loaded' if has_cvxpy else 'not loaded'}; {met(is_met=not has_cvxpy)}.",
+        *link,
+    ]
 
 
 def _by_kind(spans: Sequence[Span]) -> dict[str, float]:
@@ -172,7 +177,8 @@ def _judged(
     return f"{what}: {form.format(value)}; {verdict}."
 
 
-def _met(is_met: bool) -> str:  # noqa: FBT001 - the word for it
+def met(*, is_met: bool) -> str:
+    """Return the word for a target."""
     return "met" if is_met else "missed"
 
 

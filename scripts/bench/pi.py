@@ -17,12 +17,11 @@ from __future__ import annotations
 
 import os
 import random
-import shutil
 import sys
-import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,10 +30,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
-from scripts.bench.overhead import FAST, QUICK, SLOW, Times
-from scripts.bench.overhead_cases import DEMO_TOPICS, case_of
+from scripts.bench.overhead import FAST, QUICK, SLOW, Times, with_logs
+from scripts.bench.overhead_cases import case_of
 from scripts.bench.overhead_robot import OverheadError, Robot
 from scripts.bench.overhead_sides import AFTER, Side
+from scripts.bench.overhead_targets import DEMO_TOPICS
 from scripts.bench.pi_boards import CORES, MEMORY_BYTES, SOURCES, boards, reference
 from scripts.bench.pi_cgroup import SlowComputer, available
 from scripts.bench.pi_report import markdown
@@ -145,16 +145,6 @@ def _fate(robot: Robot) -> dict[str, int]:
     return {"sent": sent, "withheld": withheld, "received": robot.sink.ask(ages=True)["received"]}
 
 
-def _run(topics: int, board: Board, times: Times, show: Callable[[str], None]) -> dict[str, Any]:
-    workdir = Path(tempfile.mkdtemp(prefix="arpd-pi-"))
-    found = measure(topics, board, times, workdir, show)
-    if "failed" in found:
-        print(f"pi: {found['failed']}; logs in {workdir}", file=sys.stderr, flush=True)
-    else:
-        shutil.rmtree(workdir)
-    return found
-
-
 def main() -> None:
     parser = options_of(__doc__, "pi", quick="twelve topics, once, on a Pi 4 and on this machine: two minutes")
     parser.add_argument("--only", type=int, nargs="+", choices=SIZES, metavar="N", help=f"topics (default {SIZES})")
@@ -180,7 +170,8 @@ def main() -> None:
                 def show(what: str, name: str = name) -> None:
                     shown.reach(len(runs), f"{name}: {what}")
 
-                runs.append({"round": number, **_run(topics, board, times, show)})
+                work = partial(measure, topics, board, times, show=show)
+                runs.append({"round": number, **with_logs("pi", work)})
                 said = f"; failed: {runs[-1]['failed']}" if "failed" in runs[-1] else ""
                 print(f"{name}: {runs[-1]['took_s']:.0f} s{said}", flush=True)
     document = {

@@ -65,9 +65,9 @@ class Board:
     def quota(self, cores: int = 1) -> tuple[int, int]:
         """Return quota and period that give cores of this board (us).
 
-        With the kernel's period of 100 ms, a Pi 4's core would be a fast one that stands still for 80 ms of it. This
-        period is about the least that the tick of 4 ms and the least quota of 1 ms allow. A loop on a Pi 4's core then
-        runs for 1 ms and waits for 4 (medians, measured), and its ticks of 100 ms see a slow core.
+        With the kernel's period of 100 ms, a thread on a Pi 4's core would run for 20 ms and wait for 80. This period
+        is about the least that the tick of 4 ms and the least quota of 1 ms allow. A loop on a Pi 4's core then runs
+        for 1 ms and waits for 4 (medians, measured), and its ticks of 100 ms see a slow core.
         """
         assert self.share is not None
         period_us = max(_PERIOD_US, math.ceil(_LEAST_QUOTA_US / self.share))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.overhead_targets import cpu, spans_of, spread
+from scripts.bench.overhead_targets import cpu, met, spans_of, spread
 from scripts.bench.pi_boards import THIS
 from scripts.bench.record import described
 from scripts.bench.report import markdown_table, percent
@@ -103,12 +103,12 @@ def verdicts(document: dict[str, Any]) -> list[str]:
     runs = [run for run in _runs(document, 12, "Pi 4") if "failed" not in run]
     if runs:
         late, more = median(map(_late, runs)), _more_lost(document, 12, "Pi 4")
-        said.append(f"Pi 4 with 12 topics, late ticks: {late:.2%}; {_met(is_met=late <= MOST_LATE_SHARE)}.")
+        said.append(f"Pi 4 with 12 topics, late ticks: {late:.2%}; {met(is_met=late <= MOST_LATE_SHARE)}.")
         lost = median(map(_lost, runs))
         others = [run for run in _runs(document, 12, THIS.name) if "failed" not in run]
         if others:
             beside = f"{lost:.2%}, without a quota {median(map(_lost, others)):.2%}"
-            said.append(f"Pi 4 with 12 topics, lost: {beside}; {_met(is_met=more <= MOST_MORE_LOST_SHARE)}.")
+            said.append(f"Pi 4 with 12 topics, lost: {beside}; {met(is_met=more <= MOST_MORE_LOST_SHARE)}.")
     said += [f"{run['topics']} topics, {run['board']}: failed: {run['failed']}." for run in _failed(document)]
     return list(dict.fromkeys(said))
 
@@ -201,7 +201,3 @@ def _more_lost(document: dict[str, Any], topics: int, board: str) -> float:
 
 def _milli(seconds: float) -> str:
     return f"{1e3 * seconds:.{0 if seconds >= 0.01 else 1}f}"
-
-
-def _met(*, is_met: bool) -> str:
-    return "met" if is_met else "missed"

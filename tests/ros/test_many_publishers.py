@@ -1,10 +1,6 @@
 """A thousand publishers on four nodes are found, planned and confirmed, with real rclpy."""
 
-import os
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -14,12 +10,11 @@ from arpd.adapters.ros.world import RosControl
 from arpd.apply.ordering import Ordering
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
-from tests.ros.domain import DOMAIN
+from tests.ros.child import child
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 NODES, TOPICS = 4, 250
 ALL = NODES * TOPICS
-REPO = Path(__file__).parents[2]
 MOST_ROW_S = 250e-6  # of this process per topic and second; measured: 75 to 150, half of it reading the graph
 TICKS_HZ = 10.0
 MEASURED_S = 16.0
@@ -62,17 +57,8 @@ class Planner:
 
 @pytest.fixture
 def talkers():
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPO)}
-    process = subprocess.Popen(
-        [sys.executable, Path(__file__).with_name("many_talkers.py"), str(NODES), str(TOPICS)],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    yield process
-    process.kill()
-    process.wait()
+    with child("many_talkers.py", NODES, TOPICS) as process:
+        yield process
 
 
 def wait_until(planner, condition, timeout_s=60.0):

@@ -113,7 +113,7 @@ def test_answers_are_counted_by_result(node, sender, caplog):
 
 @pytest.mark.parametrize(("readers", "result"), [(1, "timeout"), (0, "unreachable")])
 def test_a_missing_answer_is_counted_once(node, sender, readers, result):
-    """A node that is silent is told from one that receives nothing; an answer to an older plan is none."""
+    """Without an answer to this plan a node counts as a timeout, and without a subscription as unreachable."""
     node.readers = readers
     sender.apply([STEP], now_s=0.0)
     node.publishers_answer = PlanAnswer(3, crc_of(node.texts[0]) ^ 1, "")

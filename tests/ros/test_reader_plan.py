@@ -2,12 +2,8 @@
 
 import json
 import math
-import os
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -32,7 +28,7 @@ from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.chaos.world import is_gapless
-from tests.ros.domain import DOMAIN
+from tests.ros.child import child
 from tests.ros.price import PriceSender
 from tests.ros.setter import Setter
 
@@ -40,7 +36,6 @@ pytestmark = pytest.mark.ros
 TOPIC = "/driven"
 LISTENER_DEPTH = 100  # at 50 Hz two seconds, because a busy machine may stop a process for several 0.1 s
 MS = 1_000_000
-REPOSITORY = Path(__file__).parents[2]
 
 
 class Planner:
@@ -102,17 +97,8 @@ def planner(ros, background):
 
 @pytest.fixture
 def listener():
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPOSITORY)}
-    process = subprocess.Popen(
-        [sys.executable, Path(__file__).with_name("listener.py"), TOPIC, str(LISTENER_DEPTH), str(100 * MS)],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    yield process
-    process.kill()
-    process.wait()
+    with child("listener.py", TOPIC, LISTENER_DEPTH, 100 * MS) as process:
+        yield process
 
 
 def test_a_plan_moves_both_ends_of_a_topic_and_nothing_is_lost(ros, planner, listener, background, eventually):

@@ -60,7 +60,7 @@ def relay(ros, notices, tmp_path):
 
 
 def until(notices, text):
-    """Return what systemd is told until it is told this."""
+    """Return the notices to systemd up to this one."""
     said = []
     while not said or said[-1] != text:
         said.append(notices.recv(1 << 20).decode())
@@ -121,7 +121,7 @@ class CountingNotifier:
 
 
 def test_a_shard_that_hangs_starves_the_watchdog(ros, monkeypatch, background, eventually):
-    """While the thread of one shard stands still, systemd is told nothing, although the other threads go on."""
+    """While the thread of one shard hangs, systemd gets no watchdog notice, although the other threads go on."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     monkeypatch.setattr(notify, "_STALE_S", 1.0)
     monkeypatch.setattr(notify, "_BEAT_S", 0.1)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
-from arpd.adapters.ros.counters import MOST_WORDS
+from arpd.adapters.ros.counters import MOST_INTEGER
 from arpd.adapters.ros.names import is_full_name
-from arpd.adapters.ros.plan_message import PlanAnswer
+from arpd.adapters.ros.plan_message import MOST_WORDS, PlanAnswer, plain
 from arpd.model.endpoints import Direction, DropCause, PublisherState, ReaderState, RefusalReason, SwapPhase, SwapRecord
 from arpd.model.plan import MOST_GENERATION
 from arpd.observe.registry import Tag
@@ -61,7 +61,6 @@ _MOST_FLOATS = {
     "lease_s": MOST_LEASE_S,
 }
 _READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
-_MAX_INTEGER = 2**63 - 1
 _MOST_DEPTH = 100_000
 _MOST_RESULTS = 32  # of swaps; each becomes a label of a metric
 _MAX_RESULT = 40
@@ -119,7 +118,7 @@ def answer_of(status: Any) -> PlanAnswer | None:
     generation, _, rest = words[: _MAX_NAME + MOST_WORDS].partition(" ")
     crc, _, refusal = rest.partition(" ")
     return PlanAnswer(
-        generation=_bounded(_ANSWER, generation), crc=_bounded(_ANSWER, crc), refusal=_plain(refusal, MOST_WORDS)
+        generation=_bounded(_ANSWER, generation), crc=_bounded(_ANSWER, crc), refusal=plain(refusal, MOST_WORDS)
     )
 
 
@@ -151,7 +150,7 @@ def from_status(status: Any) -> PublisherState:
     """
     values, fields = _fields(status, texts=("node", "topic", "type"), floats=_FLOATS, integers=_INTEGERS)
     return PublisherState(
-        type_name=_plain(fields.pop("type")),
+        type_name=plain(fields.pop("type"), _MAX_NAME),
         direction=Direction.LOCAL,
         lacks_profile=values.get(_PROFILE) == _MISSING,
         published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
@@ -208,7 +207,7 @@ def _fields(
     except KeyError as missing:
         raise ValueError(f"announcement without {missing}") from missing
     _check(fields)
-    refusal = _plain(values.get("refusal", ""))
+    refusal = plain(values.get("refusal", ""), _MAX_NAME)
     reason = RefusalReason.told(values.get("refusal_reason"), words=refusal)
     return values, {
         **fields,
@@ -252,7 +251,7 @@ def _record(text: str) -> SwapRecord:
     number, result, depth, deadline_ns, *phases = [*text[:_MAX_NAME].split(), "", "", "", ""]
     return SwapRecord(
         number=_bounded(_LAST_RESULT, number),
-        result=_plain(result)[:_MAX_RESULT],
+        result=plain(result, _MAX_RESULT),
         depth=_bounded(_LAST_RESULT, depth),
         deadline_ns=_bounded(_LAST_RESULT, deadline_ns),
         seconds_by_phase=_by_name(_LAST_RESULT, phases, SwapPhase, _seconds),
@@ -268,14 +267,9 @@ def _by_name(key: str, words: Iterable[str], names: Iterable[StrEnum], read: Cal
 def _counts(values: Mapping[str, str], prefix: str) -> dict[str, int]:
     found = ((key, value) for key, value in values.items() if key.startswith(prefix))
     return {
-        _plain(key.removeprefix(prefix))[:_MAX_RESULT]: _bounded(key, value)
+        plain(key.removeprefix(prefix), _MAX_RESULT): _bounded(key, value)
         for key, value in islice(found, _MOST_RESULTS)
     }
-
-
-def _plain(text: str, most: int = _MAX_NAME) -> str:
-    """Cut a text short, and replace characters that would act on a terminal or a log."""
-    return "".join(character if character.isprintable() else "?" for character in text[:most])
 
 
 def _check(fields: Mapping[str, Any]) -> None:
@@ -312,6 +306,6 @@ def _bounded(key: str, text: str) -> int:
         value = int(text[:40])  # a longer text is out of range, and slow to convert
     except ValueError:
         value = -1
-    if not 0 <= value <= _MAX_INTEGER:
+    if not 0 <= value <= MOST_INTEGER:
         raise ValueError(f"announcement with {key} = {text[:40]!r}; an integer from 0 to 2^63-1 is needed")
     return value

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arpd.adapters.ros.bounds import MOST_LEASE_S
 from arpd.adapters.ros.names import is_full_name
-from arpd.adapters.ros.plan_message import PlanAnswer
+from arpd.adapters.ros.plan_message import MOST_WORDS, PlanAnswer, plain
 from arpd.model.endpoints import DropCause, PublisherState
 from arpd.model.plan import MOST_GENERATION
 
@@ -45,9 +45,8 @@ _sums_of = attrgetter(*_SUMS)
 _levels_of = attrgetter(_QUEUED, *_LEVELS)
 _MOST_F32 = 3.4e38  # a float of 32 bits holds no more
 _MOST_U32 = 2**32 - 1
-_MOST_INTEGER = 2**63 - 1
+MOST_INTEGER = 2**63 - 1
 _MASKS = 1000  # that the caches keep; honest nodes use a few dozen
-MOST_WORDS = 300  # characters of a refusal
 MOST_COUNTERS_BYTES = 24 * 1024  # of a message: 256 rows with all numbers
 
 
@@ -65,14 +64,14 @@ class Row(NamedTuple):
         values = iter(self.values)
         sums, causes, levels = _fields_of(self.mask)
         for name in sums:
-            found[name] = min(told[name] + next(values), _MOST_INTEGER)
+            found[name] = min(told[name] + next(values), MOST_INTEGER)
         if causes:
             by_cause, withheld = dict(told["withheld_by_cause"]), told["withheld"]
             for cause in causes:
                 more = next(values)
-                by_cause[cause] = min(by_cause.get(cause, 0) + more, _MOST_INTEGER)
+                by_cause[cause] = min(by_cause.get(cause, 0) + more, MOST_INTEGER)
                 withheld += more
-            found["withheld_by_cause"], found["withheld"] = by_cause, min(withheld, _MOST_INTEGER)
+            found["withheld_by_cause"], found["withheld"] = by_cause, min(withheld, MOST_INTEGER)
         found.update(zip(levels, values, strict=True))
         return found
 
@@ -157,7 +156,7 @@ def decode_counters(data: bytes) -> Counters:
     if not 0.0 <= lease_s <= MOST_LEASE_S or generation > MOST_GENERATION:
         raise ValueError(f"counters of {node} with a lease or a generation out of bounds")
     at = _HEAD.size + name
-    refusal = data[at : at + words].decode(errors="replace")[:MOST_WORDS]
+    refusal = plain(data[at : at + words].decode(errors="replace"), MOST_WORDS)
     at += words
     rows = []
     try:
@@ -171,8 +170,7 @@ def decode_counters(data: bytes) -> Counters:
     if at != len(data):
         raise ValueError(f"counters of {node} with bytes that belong to no row")
     _check(node, rows)
-    plain = "".join(character if character.isprintable() else "?" for character in refusal)
-    answer = PlanAnswer(generation=generation, crc=crc, refusal=plain)
+    answer = PlanAnswer(generation=generation, crc=crc, refusal=refusal)
     return Counters(node=node, incarnation=incarnation, answer=answer, lease_s=lease_s, rows=rows)
 
 

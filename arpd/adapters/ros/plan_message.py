@@ -20,6 +20,7 @@ _VERSION = 1
 PUBLISHER_FIELDS = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "weight", "wire_bytes", "packets")
 READER_FIELDS = ("depth", "deadline_ns")
 _INTEGERS = frozenset({"depth", "deadline_ns", "packets"})
+MOST_WORDS = 300  # characters of a refusal
 _MOST_BYTES = 1 << 20  # a thousand topics take a tenth of it
 
 
@@ -78,6 +79,11 @@ def encode_plan(
         "readers": {topic: _row(row, READER_FIELDS) for topic, row in sorted(readers.items())},
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def plain(text: str, most: int) -> str:
+    """Cut a text of a stranger short, and replace characters that would act on a terminal or a log."""
+    return "".join(character if character.isprintable() else "?" for character in text[:most])
 
 
 def crc_of(text: str) -> int:

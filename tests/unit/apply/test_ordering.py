@@ -399,7 +399,7 @@ def test_a_node_that_forgot_its_plan_is_asked_again():
 
 
 def test_a_settled_publisher_that_changes_is_looked_at_again():
-    """Neither another depth by hand, nor a lost lease, nor a new plan is taken for settled."""
+    """A depth set by hand, a lost lease and a new plan each make a step due again."""
     ordering = Ordering()
     plan = QosPlan(generation=3, topics={TOPIC: row(SHORT)}, level_bytes_per_second=1.0)
     settled = publisher("/n", TOPIC, depth=20, deadline_ns=SHORT, rate_hz=5.0, generation=3, lease_s=30.0)

@@ -125,7 +125,7 @@ def test_what_the_graph_shows_is_joined_when_it_changes(endpoints):
 
 
 def test_a_repeated_announcement_is_a_sign_of_life():
-    """Readers that repeat what they said live on, and one that is not known is told about."""
+    """A repeat renews the readers that are known, and returns false if one is not."""
     readers: Endpoints[Any] = Endpoints(10.0)
     readers.see(lambda _node, _topic: True, 0.0)
     readers.note(reader("/n", "/a"), 0.0)

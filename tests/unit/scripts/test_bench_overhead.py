@@ -216,7 +216,7 @@ def test_every_robot_can_be_carried_and_must_be_paced(topics):
 
 
 def test_discovery_of_all_processes_counts():
-    """Whoever sends it; data at the odd ports does not."""
+    """Discovery counts by its port, from any sender; user data at the odd ports does not count."""
     assert [is_discovery(7400 + 250 * 7 + offset, domain_id=7) for offset in (0, 1, 10, 11, 12)] == [1, 0, 1, 0, 1]
     assert is_discovery(7001, domain_id=7)
 
