@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import platform
 import re
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +23,26 @@ _HAS_ROS_WHEELS = platform.machine() == "x86_64"
 @pytest.fixture
 def sample_snapshot():
     return make_snapshot()
+
+
+@pytest.fixture(scope="session")
+def promtool():
+    """Return the path of Prometheus's promtool."""
+    return _of_prometheus("promtool")
+
+
+@pytest.fixture(scope="session")
+def prometheus():
+    """Return the path of Prometheus's server."""
+    return _of_prometheus("prometheus")
+
+
+def _of_prometheus(program):
+    script = Path(__file__).parents[1] / "scripts/get-prometheus"
+    found = subprocess.run([script, program], capture_output=True, text=True, check=False)
+    if found.returncode != 0:
+        pytest.skip(f"{program} is not installed: {found.stderr.strip()}")
+    return found.stdout.strip()
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,8 @@ def add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, 
         help="check a configuration file",
         description="""\
 Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
-what would be right. Exits 0 without faults, 78 with.""",
+what would be right. A line with "warning:" is no fault: the key costs this host much memory. Exits 0 without faults,
+78 with.""",
         epilog="""\
 examples:
   arpd check                                 checks /etc/arpd/arpd.yaml
@@ -38,7 +39,11 @@ examples:
     parser.add_argument(
         "--far", action="store_true", help="check for the far end, on the CEDDP; link.interface is the robot's"
     )
-    parser.add_argument("--no-interfaces", action="store_true", help="do not check that link.interface exists here")
+    parser.add_argument(
+        "--no-interfaces",
+        action="store_true",
+        help="do not compare with this computer: neither link.interface nor memory",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(handler=_check)
 
@@ -59,11 +64,23 @@ def _check(options: argparse.Namespace) -> int:
             raise
         print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
         return error.exit_code
+    is_robot = not (options.far or options.no_interfaces)
+    warned = [f"{options.file}: {warning}" for warning in _warnings(settings)] if is_robot else []
     if options.json:
-        print(json.dumps({"ok": True, "file": str(options.file), "settings": flatten(settings)}, indent=2))
-    else:
-        print(_summary(settings, is_far=options.far))
+        document = {"ok": True, "file": str(options.file), "warnings": warned, "settings": flatten(settings)}
+        print(json.dumps(document, indent=2))
+        return 0
+    for warning in warned:
+        print(warning, file=sys.stderr)
+    print(_summary(settings, is_far=options.far))
     return 0
+
+
+def _warnings(settings: Settings) -> list[str]:
+    from arpd.adapters.config.advice import warnings
+    from arpd.adapters.host.interface import MemoryReader
+
+    return warnings(settings, host_bytes=MemoryReader().read().total_bytes)
 
 
 def _list_interfaces() -> list[str] | None:

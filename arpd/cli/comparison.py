@@ -200,7 +200,7 @@ def _overall(summaries: dict[str, Summary]) -> list[str]:
             row("99 % of queues below, ms", lambda s: _milliseconds(s.queue_p99_s)),
             row("estimate off by, median, %", lambda s: _percent(s.error_median)),
             row("estimate off by, p90, %", lambda s: _percent(s.error_p90)),
-            row("plans per minute", lambda s: f"{s.levels_per_minute:.1f}"),
+            row("plans per minute", lambda s: f"{s.plans_per_minute:.1f}"),
             row("QoS swaps per minute", lambda s: f"{s.swaps_per_minute:.1f}"),
             row("probes and reports, % of link", lambda s: f"{100 * s.measuring_share:.2f}"),
         ],

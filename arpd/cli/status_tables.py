@@ -1,22 +1,37 @@
-"""The tables of publishers and readers, as wide as the terminal allows."""
+"""The tables of publishers and readers, the topics that need a look first."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rich.text import Text
+
 from arpd.cli.client import count, counts, find, number, rows, text
-from arpd.cli.columns import cut, fitted
+from arpd.cli.fitted_table import FittedTable
 from arpd.model.quantities import format_number, format_period, format_share
+from arpd.report.situation import SLOWED_BELOW
 from arpd.report.wording import PACED_ONLY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
+
+    from rich.console import RenderableType
 
 _LONGEST_NAME = 250
 
 
-def topic_table(topics: Sequence[dict[str, Any]], *, width: int) -> list[str]:
-    """Return a heading and a line per topic, none wider than ``width``; QoS as ``now→planned`` where the two differ."""
+def pressing_first(topics: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Order by what an operator looks for: refusals, then topics that give up most, then those that use most."""
+    return sorted(topics, key=_rank)
+
+
+def is_slowed(topic: dict[str, Any]) -> bool:
+    """Return whether the link keeps a topic below its source's rate."""
+    return _kept_ratio(topic) < SLOWED_BELOW
+
+
+def topic_table(topics: Sequence[dict[str, Any]]) -> FittedTable:
+    """Return a heading and a line per topic; QoS as ``now→planned`` where the two differ."""
     columns: list[tuple[str, int, Callable[[dict[str, Any]], str]]] = [
         ("TOPIC", 0, lambda topic: text(topic, "topic", longest=_LONGEST_NAME)),
         ("NODE", 1, lambda topic: text(topic, "node", longest=_LONGEST_NAME)),
@@ -25,41 +40,65 @@ def topic_table(topics: Sequence[dict[str, Any]], *, width: int) -> list[str]:
         ("SOURCE", 3, lambda topic: format_number(number(topic, "source_rate_hz"))),
         ("DEPTH", 4, lambda topic: _moving(topic, "depth", format_number, missing="-")),
         ("DEADLINE", 5, lambda topic: _moving(topic, "deadline_ns", format_period, missing="none")),
-        ("DROPS", 1, _dropped),
+        ("WITHHELD", 1, _withheld),
         ("CAUSES", 6, _causes),
         ("LATE", 2, _late),
         ("BOUND BY", 0, _bound_by),
     ]
-    shown = [column for column in columns if column[0] not in _unknown(topics)]
-    grid = [[title for title, _, _ in shown], *([cell(topic) for _, _, cell in shown] for topic in topics)]
-    return fitted(grid, ranks=[rank for _, rank, _ in shown], width=width)
+    nothing = _unknown(topics)
+    titles, ranks, cells = zip(*(column for column in columns if column[0] not in nothing), strict=True)
+    rows = [titles, *([cell(topic) for cell in cells] for topic in topics)]
+    return FittedTable(rows=rows, ranks=ranks, styles=[_style(topic) for topic in topics])
 
 
-def reader_table(status: dict[str, Any], *, width: int) -> list[str]:
-    """Return a heading, a line per reader that is planned or refuses to be, and the number of the others."""
+def reader_table(status: dict[str, Any]) -> list[RenderableType]:
+    """Return a line per reader that is planned or refuses to be, and the number of the others; nothing without any."""
     known = rows(status, "readers")
     readers = [reader for reader in known if find(reader, "planned") or text(reader, "refusal")]
-    others = f"readers that no plan touches: {len(known) - len(readers)}"
+    others = [Text(f"readers that no plan touches: {rest}")] if (rest := len(known) - len(readers)) else []
     if not readers:
-        return [cut(others, width)] if known else []
-    head = ["READER OF", "DEPTH", "planned", "DEADLINE", "planned", "NODE"]
-    grid = [head, *(_reader_cells(reader) for reader in readers)]
+        return [*others]
+    grid, ranks = [["READER OF", "DEPTH", "DEADLINE", "NODE"], *map(_reader_cells, readers)], [0, 1, 2, 0]
     if any(count(reader, "deadlines_missed") for reader in readers):
-        for cells, title in zip(grid, ("LATE", *map(_late, readers)), strict=True):
-            cells.insert(-1, title)
-    lines = fitted(grid, ranks=[0, 1, 1, 2, 2, 0, 0][: len(grid[0])], width=width)
-    return [*lines, cut(others, width)] if len(readers) < len(known) else lines
+        for cells, late in zip(grid, ("LATE", *map(_late, readers)), strict=True):
+            cells.insert(-1, late)
+        ranks.insert(-1, 0)
+    return [FittedTable(rows=grid, ranks=ranks), *others]
+
+
+def _rank(topic: dict[str, Any]) -> tuple[bool, float, float, str, str]:
+    return (
+        not _is_refused(topic),
+        _kept_ratio(topic) if is_slowed(topic) else 1.0,
+        -(number(topic, "share") or 0.0),
+        text(topic, "topic"),
+        text(topic, "node"),
+    )
+
+
+def _kept_ratio(topic: dict[str, Any]) -> float:
+    kept = number(topic, "kept_ratio")
+    return 1.0 if kept is None else kept  # an older daemon does not say
+
+
+def _is_refused(topic: dict[str, Any]) -> bool:
+    return bool(text(topic, "refusal")) and not topic.get("refusal_lasts")
+
+
+def _style(topic: dict[str, Any]) -> str:
+    if _is_refused(topic):
+        return "red"
+    if is_slowed(topic):
+        return "yellow"
+    return "" if topic.get("planned") else "dim"
 
 
 def _reader_cells(reader: dict[str, Any]) -> list[str]:
-    now, planned = find(reader, "confirmed"), find(reader, "planned")
     node, refusal = text(reader, "node", longest=_LONGEST_NAME), text(reader, "refusal")
     return [
         text(reader, "topic", longest=_LONGEST_NAME),
-        format_number(number(now, "depth")),
-        format_number(number(planned, "depth")) if planned else "-",
-        format_period(number(now, "deadline_ns")),
-        format_period(number(planned, "deadline_ns")) if planned else "-",
+        _moving(reader, "depth", format_number, missing="-"),
+        _moving(reader, "deadline_ns", format_period, missing="none"),
         f"{node}: {refusal}" if refusal else node,
     ]
 
@@ -85,18 +124,18 @@ def _allowed(topic: dict[str, Any]) -> str:
     return "unpaced" if rate_hz is None else format_number(rate_hz)
 
 
-def _moving(topic: dict[str, Any], key: str, show: Callable[[float | None], str], *, missing: str) -> str:
+def _moving(row: dict[str, Any], key: str, show: Callable[[float | None], str], *, missing: str) -> str:
     """Show the announced value, and the planned one where the two differ."""
-    now, planned = number(topic, "confirmed", key), number(topic, "planned", key)
+    now, planned = number(row, "confirmed", key), number(row, "planned", key)
     shown = missing if now is None else show(now)
-    if not find(topic, "planned"):
+    if not find(row, "planned"):
         return shown
     wanted = missing if planned is None else show(planned)
     return shown if shown == wanted else f"{shown}→{wanted}"
 
 
-def _dropped(topic: dict[str, Any]) -> str:
-    """Show the share of offered messages that the publisher has dropped since it began."""
+def _withheld(topic: dict[str, Any]) -> str:
+    """Show the share of offered messages that the publisher has withheld since it began."""
     withheld, offered = count(topic, "withheld"), count(topic, "offered")
     return format_share(withheld / offered) if offered else str(withheld)
 

@@ -12,8 +12,7 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
-from rich.control import Control
-from rich.screen import Screen
+from rich.live import Live
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -31,8 +30,11 @@ class Terminal:
 
     def __init__(self) -> None:
         sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
-        self._console = Console(highlight=False)
-        self.is_ascii = not self._console.encoding.startswith("utf")
+        # A terminal, whatever the environment says: who opens this has looked.
+        self._console = Console(highlight=False, force_terminal=True)
+        self._live = Live(
+            console=self._console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+        )
         self._keyboard = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
         self._stack = ExitStack()
 
@@ -52,11 +54,6 @@ class Terminal:
 
     def __exit__(self, *exception: object) -> None:
         self._stack.close()
-
-    def size(self) -> tuple[int, int]:
-        """Return columns and lines at this moment."""
-        columns, lines = os.get_terminal_size(sys.stdout.fileno())
-        return columns or 80, lines or 24  # a serial line has no size
 
     def wake(self) -> None:
         """End a `wait`, from any thread."""
@@ -79,26 +76,20 @@ class Terminal:
         return bool(seen & _ENDING)
 
     def draw(self, frame: RenderableType) -> None:
-        """Write a frame over the one before, in one write."""
-        self._console.size = self.size()
-        with self._console.capture() as drawn:
-            self._console.print(Control.home(), Screen(frame), end="")
-        self._console.file.write(drawn.get())
-        self._console.file.flush()
+        """Write a frame over the one before."""
+        columns, lines = os.get_terminal_size(sys.stdout.fileno())
+        self._console.size = columns or 80, lines or 24  # a serial line has no size
+        self._live.update(frame, refresh=True)
 
     def _take(self) -> None:
         self._modes: list[Any] | None = None
         if self._keyboard >= 0:
             self._modes = termios.tcgetattr(self._keyboard)
             tty.setcbreak(self._keyboard, termios.TCSANOW)
-        self._console.set_alt_screen(enable=True)
-        self._console.show_cursor(show=False)
-        self._console.file.flush()
+        self._live.start()
 
     def _give_back(self) -> None:
-        self._console.show_cursor(show=True)
-        self._console.set_alt_screen(enable=False)
-        self._console.file.flush()
+        self._live.stop()
         if self._modes is not None:
             termios.tcsetattr(self._keyboard, termios.TCSANOW, self._modes)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.cli.client import add_address, address
 from arpd.cli.no_daemon import tell_no_daemon
+from arpd.cli.status import show_status
 from arpd.model.errors import ArpdError, DaemonUnreachableError, UsageError
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from arpd.cli.terminal import Terminal
 
 _LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
-_PIPE_COLUMNS, _PIPE_LINES = 120, 1000
 _HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
 _PATIENCE_S = 3.0
 
@@ -33,24 +33,21 @@ def add_top(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "top",
         help="watch what the daemon sees and does, live",
         description="""\
-Show a running daemon live: whether the link is the limit and whether arpd copes, capacity, queue and the part of the
-traffic that is admitted with their last ten minutes, the plan and its reason, the topics (first refusals, then those
-that give up most), and the last lines of the decision log. Topics that do not fit the terminal are counted.
+Show live what `arpd status` prints once. Topics that do not fit the terminal are counted.
 q or Ctrl-C ends it. It waits for a daemon that goes away.""",
         epilog="""\
 examples:
   arpd top
   arpd top --url http://robot.local:9464 --interval 5
   ARPD_PASSWORD=… arpd top --url https://robot.local:9464 --cacert ca.crt --user robot
-  arpd top --once                            one frame, also into a pipe, as wide as COLUMNS says
 
-exit codes: 0 ended by you, 2 wrong usage, 69 no daemon answers at the start""",
+exit codes: 0 ended by you, 2 wrong usage, 69 no daemon answers at the start; with --once those of arpd status""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_address(parser)
     parser.add_argument("--interval", type=float, default=1.0, metavar="S", help="seconds between updates (default 1)")
-    parser.add_argument("--once", action="store_true", help="print one frame and exit")
-    parser.set_defaults(handler=_top)
+    parser.add_argument("--once", action="store_true", help="do as arpd status does")
+    parser.set_defaults(handler=_top, json=False)
 
 
 def _top(options: argparse.Namespace) -> int:
@@ -58,37 +55,16 @@ def _top(options: argparse.Namespace) -> int:
         raise UsageError(
             f"--interval {options.interval:g} is out of range; write {_LEAST_INTERVAL_S:g} to {_MOST_INTERVAL_S:g}"
         )
-    daemon = address(options)
-    if not options.once and (not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}):
-        raise UsageError("arpd top needs a terminal; --once prints one frame anywhere")
+    if options.once:
+        return show_status(options)
+    if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
+        raise UsageError("arpd top needs a terminal; arpd status prints the same once")
     try:
-        if options.once:
-            _print_once(daemon)
-        else:
-            _watch(daemon, interval_s=options.interval)
+        _watch(address(options), interval_s=options.interval)
     except DaemonUnreachableError as error:
         tell_no_daemon(error, options.url)
         return error.exit_code
     return 0
-
-
-def _print_once(daemon: DaemonAddress) -> None:
-    import shutil
-
-    from rich.console import Console
-
-    from arpd.cli.frame import View, frame
-
-    status, history = daemon.status(), daemon.history()
-    if sys.stdout.isatty():
-        width, lines = shutil.get_terminal_size()
-        height = lines - 1  # the shell's prompt wants one, too
-    else:
-        width, height = shutil.get_terminal_size((_PIPE_COLUMNS, _PIPE_LINES))
-    sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
-    console = Console(width=width, height=height, highlight=False)
-    view = View(width=width, height=height, url=daemon.url, is_ascii=not console.encoding.startswith("utf"))
-    console.print(frame(status, history, view))
 
 
 def _watch(daemon: DaemonAddress, *, interval_s: float) -> None:
@@ -176,11 +152,12 @@ class _Asking:
 
 def _draw(terminal: Terminal, seen: _Seen, url: str, *, patience_s: float) -> bool:
     """Draw a frame; return whether the daemon is silent."""
-    from arpd.cli.frame import View, frame
+    from arpd.cli.frame import Frame
 
-    width, height = terminal.size()
     silent_s = time.monotonic() - seen.answered_s
     why = seen.why_silent or ("it takes long to answer" if silent_s > patience_s else "")
-    view = View(width=width, height=height, url=url, silent_s=silent_s, why_silent=why, is_ascii=terminal.is_ascii)
-    terminal.draw(frame(seen.status, seen.history, view))
+    said = Frame(
+        status=seen.status, history=seen.history, url=url, silent_s=silent_s, why_silent=why, is_on_screen=True
+    )
+    terminal.draw(said)
     return bool(why)

@@ -6,16 +6,13 @@ import argparse
 import json
 import os
 import platform
-import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
-from arpd.cli.columns import WITHOUT_END
 from arpd.cli.progress import progress
-from arpd.cli.topics_table import link_table, summary
 from arpd.model.errors import ArpdError, ConfigError, UsageError
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.settings import AUTO, Settings
@@ -87,8 +84,11 @@ def _list_topics(options: argparse.Namespace) -> int:
     elif options.suggest:
         _suggest(listed, _link(options, settings))
     else:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WITHOUT_END
-        print("\n".join([*link_table(listed.topics, width=width), "", *summary(listed)]))
+        from arpd.cli.output import show
+        from arpd.cli.topics_table import link_table, summary
+
+        show(link_table(listed.topics))
+        print("\n".join(["", *summary(listed)]))
     if listed.cannot_tell_hosts and not options.json:
         _remark(listed.cannot_tell_hosts)
     return 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.columns import fitted, wrapped
+from arpd.cli.columns import wrapped
+from arpd.cli.fitted_table import FittedTable
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.report.wording import count
 
@@ -15,24 +16,20 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME = 250
 _MOST_NAMED = 2
-_WORDS = frozenset({"TYPE", "LINK"})  # columns that are flush left
+_WORDS = ("TYPE", "LINK")  # columns that are flush left
 _LEAST_MBIT = 0.01
 _VARIES = 1.1
 _LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."
 
 
-def link_table(topics: Sequence[LinkTopic], *, width: int) -> list[str]:
-    """Return a heading and a line per topic, none wider than ``width``."""
-    titles = ("TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "LINK", "READERS", "FROM, TO")
-    rows = [titles, *(_cells(topic) for topic in sorted(topics, key=_order))]
-    columns = [
-        [cell.ljust(max(map(len, column))) for cell in column] if column[0] in _WORDS else column
-        for column in zip(*rows, strict=True)
-    ]
-    ranks = [0, 3, 0, 1, 5, 0, 0, 4, 0]
+def link_table(topics: Sequence[LinkTopic]) -> FittedTable:
+    """Return a heading and a line per topic."""
+    titles = ["TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "LINK", "READERS", "FROM, TO"]
+    rows, ranks = [titles, *(_cells(topic) for topic in sorted(topics, key=_order))], [0, 3, 0, 1, 5, 0, 0, 4, 0]
     if not any(map(_varies, topics)):
-        del columns[titles.index("LARGEST")], ranks[titles.index("LARGEST")]
-    return fitted(list(zip(*columns, strict=True)), ranks=ranks, width=width)
+        at = titles.index("LARGEST")
+        rows, ranks = [[*row[:at], *row[at + 1 :]] for row in rows], [*ranks[:at], *ranks[at + 1 :]]
+    return FittedTable(rows=rows, ranks=ranks, words=frozenset(rows[0].index(title) for title in _WORDS))
 
 
 def _varies(topic: LinkTopic) -> bool:
@@ -70,10 +67,10 @@ def _order(topic: LinkTopic) -> tuple[bool, float, str]:
     return traffic is None, -traffic.bytes_per_second if traffic else 0.0, topic.name
 
 
-def _cells(topic: LinkTopic) -> Sequence[str]:
+def _cells(topic: LinkTopic) -> list[str]:
     traffic = topic.traffic
     types = ", ".join(name.replace("/msg/", "/") for name in topic.types)
-    return (
+    return [
         printable(topic.name, longest=_LONGEST_NAME),
         printable(types, longest=_LONGEST_NAME),
         format_number(traffic.rate_hz if traffic else None),
@@ -83,7 +80,7 @@ def _cells(topic: LinkTopic) -> Sequence[str]:
         _link(topic),
         f"{len(topic.readers)}+{len(topic.far_readers)}",
         "; ".join(_from(topic)),
-    )
+    ]
 
 
 def _mbit(mbit_per_second: float) -> str:

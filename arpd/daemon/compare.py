@@ -48,7 +48,7 @@ class Summary:
     budget_mean_bytes_per_second : mean of the total that the topics might use (bytes/s)
     queue_peak_s, queue_p99_s : longest queue on the robot's side and its 99th percentile, sampled at 10 Hz (s)
     error_median, error_p90 : median and 90th percentile of |estimate / rate of the link - 1|
-    levels_per_minute : plans made (1/min)
+    plans_per_minute : plans made (1/min)
     swaps_per_minute : writers replaced, all topics together (1/min)
     measuring_share : wire bytes of probes and reports, as a share of what the link could carry
     """
@@ -60,7 +60,7 @@ class Summary:
     queue_p99_s: float
     error_median: float | None
     error_p90: float | None
-    levels_per_minute: float
+    plans_per_minute: float
     swaps_per_minute: float
     measuring_share: float
 
@@ -144,7 +144,7 @@ def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summar
         queue_p99_s=percentile(queues, 0.99) or 0.0,
         error_median=percentile(errors, 0.5),
         error_p90=percentile(errors, 0.9),
-        levels_per_minute=sum(bool(moment.cause) for moment in span) / (end_s - start_s) * 60.0,
+        plans_per_minute=sum(bool(moment.cause) for moment in span) / (end_s - start_s) * 60.0,
         swaps_per_minute=(last.swaps - first.swaps) / elapsed_s * 60.0,
         measuring_share=measuring / could if could > 0 else 0.0,
     )

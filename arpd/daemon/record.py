@@ -122,7 +122,7 @@ class Record:
             ticks_late=self._totals.ticks_late + sum(is_late for _, is_late in late),
             solves_by_outcome=MappingProxyType(dict(self._solves + Counter(program.outcomes))),
             cross_check_disagreements=self._disagreements + program.disagreements,
-            levels_by_cause=MappingProxyType(dict(governor.levels_by_cause)),
+            plans_by_cause=MappingProxyType(dict(governor.plans_by_cause)),
             refusals_by_reason=MappingProxyType(dict(governor.refusals_by_reason)),
             applies_by_result=MappingProxyType(dict(world.results())),
             probes=probes,

@@ -41,12 +41,12 @@ class Governor:
     Attributes
     ----------
     plan : in force
-    levels_by_cause, refusals_by_reason : number of plans, and of refusals, so far
+    plans_by_cause, refusals_by_reason : number of plans, and of refusals, so far
     """
 
     def __init__(self, settings: Settings) -> None:
         self.plan = _NO_PLAN
-        self.levels_by_cause: Counter[str] = Counter()
+        self.plans_by_cause: Counter[str] = Counter()
         self.refusals_by_reason: Counter[str] = Counter()
         self._settings = settings
         self._demand = Steady()
@@ -155,7 +155,7 @@ class Governor:
         }
         self._budget.spend(look.costs(), (name for name, row in rows.items() if row.qos != before[name].qos))
         self.plan = replace(self.plan, generation=self._generation(look), topics=rows)
-        self.levels_by_cause["memory"] += 1
+        self.plans_by_cause["memory"] += 1
         self._memory.note_depths(look.now_s, look.lasting)
 
     def _note_drift(self, look: Look) -> None:
@@ -272,7 +272,7 @@ class Governor:
         self.plan = replace(plan, topics=rows)
         self._changed_at_s = now_s
         self._reload_pending = False
-        self.levels_by_cause[cause] += 1
+        self.plans_by_cause[cause] += 1
         if cause == "down":
             self._patience.note_fall(now_s)
         elif cause == "up":

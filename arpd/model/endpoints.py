@@ -65,8 +65,8 @@ class Refusal(NamedTuple):
 NO_REFUSAL = Refusal()
 
 
-class DropCause(StrEnum):
-    """Reason why a sample of the application was not published."""
+class WithheldCause(StrEnum):
+    """Reason why a sample of the application is withheld."""
 
     RATE = "rate"  # the application publishes faster than the ceiling of the plan
     PRICE = "price"  # the same, while the price or a slow start keeps the rate below that
@@ -170,7 +170,7 @@ class FlowState:
     source_rate_hz : rate at which the application calls ``publish()`` (Hz)
     offered : samples that the application gave
     published : samples written to the link
-    withheld : samples that did not leave: replaced, dropped from the queue, or given up
+    withheld : samples that did not leave: replaced by newer ones, or given up
     queued : samples waiting in the pacing queue now
     blocked_s : time spent inside the middleware's ``publish()`` since start (s)
     rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` is the ceiling, ``inf`` = unpaced, and ``deadline_ns``
@@ -178,7 +178,7 @@ class FlowState:
     paced_rate_hz : rate that the price leaves the publisher now, ``inf`` = unpaced (Hz)
     swaps_by_result : QoS swaps since start, by result
     published_rate_hz : rate at which samples leave by the writer; 0 when silent or slower than 0.2 Hz (Hz)
-    withheld_by_cause : ``withheld``, by `DropCause`
+    withheld_by_cause : ``withheld``, by `WithheldCause`
     deadlines_missed : offered deadlines that the middleware counted as missed, by each writer while it was in force
     swaps_begun : QoS swaps since start; each is under way or has one result, and perhaps ``undelivered`` beside it
     swap_seconds_by_phase : time of all swaps in each `SwapPhase` that is over, draining too (s)

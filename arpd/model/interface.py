@@ -64,25 +64,15 @@ def state_of(counters: LinkCounters | None) -> InterfaceState:
 
 
 def continue_counters(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:
-    """Continue totals from one raw reading to the next, also where counters restarted.
+    """Continue totals from one reading to the next; none of them falls.
 
-    A counter of 32 bits wraps alone: bytes run ahead of packets, and one direction of the other. A driver or interface
-    that restarts sets all counters to zero. So a single counter that falls from the upper half of 32 bits has wrapped
-    at 2^32; any other fall is a restart at zero.
+    A counter that falls has wrapped, or its driver or queue has started again. Nobody knows what it counted since the
+    last reading, so it adds nothing.
 
     Parameters
     ----------
     total : the last totals
-    before, now : two consecutive raw readings
-
-    Returns
-    -------
-    The totals now; none is less than before.
+    before, now : two consecutive readings of one interface
     """
-    fallen = [name for name in _COUNTERS if getattr(now, name) < getattr(before, name)]
-    is_wrap = len(fallen) == 1 and 2**31 <= getattr(before, fallen[0]) < 2**32
-    grown = {name: getattr(now, name) - getattr(before, name) for name in _COUNTERS}
-    for name in fallen:
-        grown[name] = grown[name] + 2**32 if is_wrap else getattr(now, name)
-    totals = {name: getattr(total, name) + grown[name] for name in _COUNTERS}
-    return replace(now, **totals)
+    grown = {name: max(0, getattr(now, name) - getattr(before, name)) for name in _COUNTERS}
+    return replace(now, **{name: getattr(total, name) + more for name, more in grown.items()})

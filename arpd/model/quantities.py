@@ -177,6 +177,11 @@ def format_cell(value: float) -> str:
     return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2}f}"
 
 
+def shortened(value: float) -> float:
+    """Return a number in five digits: more than a reader needs, and short in JSON."""
+    return float(f"{value:.5g}")
+
+
 def _split(text: str, what: str, example: str) -> tuple[str, str]:
     match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
     if match is None:

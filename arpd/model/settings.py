@@ -42,7 +42,7 @@ class Overflow(StrEnum):
     """Treatment of samples above the paced rate."""
 
     LATEST = "latest"  # keep the newest sample only
-    QUEUE = "queue"  # FIFO of at most depth samples; drop and count the oldest
+    QUEUE = "queue"  # FIFO of at most depth samples; withhold the oldest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,7 +98,7 @@ class ProgramSettings:
     Parameters
     ----------
     policy : division of the link among the topics
-    backend : solver that answers first; ``exact`` cross-checks it
+    backend : solver of the program; ``exact`` certifies its answers, and the numbers of ``exact`` are published
     deadline_slack : offered period = slack / R, ≥ 1
     memory_budget_bytes : M, memory that all histories may take (bytes)
     memory_reserve_bytes : memory that histories must leave free on the host (bytes)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from arpd.model.quantities import shortened
 from arpd.report.status import API_VERSION, event_documents
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 SPAN_S = 600.0
 PERIOD_S = 1.0
 MOST_TOPICS = 200
-_DIGITS = 5  # more than any chart shows, and shorter JSON
 _EARLY_S = 0.05  # half a tick: the tick nearest to the full period takes the sample
 
 
@@ -157,46 +157,37 @@ def _rates(publisher: PublisherState, planned: TopicPlan | None) -> array[float]
     return array(
         "d",
         (
-            math.nan if planned is None else _short(planned.rate_hz),
-            _short(publisher.published_rate_hz),
-            _short(publisher.source_rate_hz),
-            _short(publisher.paced_rate_hz),
+            math.nan if planned is None else shortened(planned.rate_hz),
+            shortened(publisher.published_rate_hz),
+            shortened(publisher.source_rate_hz),
+            shortened(publisher.paced_rate_hz),
         ),
     )
 
 
 def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
     return LinkSample(
-        capacity_bytes_per_second=_short(link.capacity_bytes_per_second),
-        available_bytes_per_second=_short(link.available_bytes_per_second),
-        budget_bytes_per_second=_short(snapshot.allocation.capacity_bytes_per_second),
-        level_bytes_per_second=_short(snapshot.decision.plan.level_bytes_per_second),
-        delivery_rate_bytes_per_second=_short(link.delivery_rate_bytes_per_second),
-        foreign_bytes_per_second=_short(link.cross_traffic_bytes_per_second),
-        queue_delay_seconds=_short(link.queue_delay_s),
-        loss_ratio=math.nan if link.loss_ratio is None else _short(link.loss_ratio),
-        gate=_short(snapshot.decision.gate),
+        capacity_bytes_per_second=shortened(link.capacity_bytes_per_second),
+        available_bytes_per_second=shortened(link.available_bytes_per_second),
+        budget_bytes_per_second=shortened(snapshot.allocation.capacity_bytes_per_second),
+        level_bytes_per_second=shortened(snapshot.decision.plan.level_bytes_per_second),
+        delivery_rate_bytes_per_second=shortened(link.delivery_rate_bytes_per_second),
+        foreign_bytes_per_second=shortened(link.cross_traffic_bytes_per_second),
+        queue_delay_seconds=shortened(link.queue_delay_s),
+        loss_ratio=math.nan if link.loss_ratio is None else shortened(link.loss_ratio),
+        gate=shortened(snapshot.decision.gate),
         state=str(link.state),
     )
 
 
-def _short(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def history_document(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
-    """Return the history as a JSON-safe document.
+def history_json(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> bytes:
+    """Return the history as a JSON document, written topic by topic, so that a tick that is due can begin in between.
 
     Parameters
     ----------
     samples : oldest first
     events : of the decision log, oldest first
     """
-    return {**_head(samples, events), "topics": list(_topics(samples))}
-
-
-def history_json(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> bytes:
-    """Return the document as JSON, written topic by topic, so that a tick that is due can begin in between."""
     head = json.dumps(_head(samples, events), allow_nan=False)
     topics = ", ".join(json.dumps(topic, allow_nan=False) for topic in _topics(samples))
     return f'{head[:-1]}, "topics": [{topics}]}}\n'.encode()

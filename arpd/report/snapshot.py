@@ -29,7 +29,7 @@ class Totals:
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
     solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
     cross_check_disagreements : answers of the back end that ``exact`` contradicted
-    levels_by_cause : new plans by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
+    plans_by_cause : plans made, by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``budget``)
     applies_by_result : plans sent to nodes, by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
@@ -45,7 +45,7 @@ class Totals:
     ticks_late: int = 0
     solves_by_outcome: Mapping[tuple[str, str], int] = field(default_factory=lambda: MappingProxyType({}))
     cross_check_disagreements: int = 0
-    levels_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    plans_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     refusals_by_reason: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     applies_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     probes: int = 0

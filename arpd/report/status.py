@@ -1,6 +1,6 @@
 """The status document of ``/api/v1/status``: the last snapshot as JSON.
 
-Every key carries its unit. ``null`` stands for what JSON cannot say:
+Every key carries its unit; measured values have five digits. ``null`` stands for what JSON cannot say:
 
 - in ``rate_hz`` and ``paced_rate_hz`` an unpaced publisher (infinite), in ``deadline_ns`` an infinite DEADLINE,
 - in ``price`` a tick without topics to divide the link among, in its ``share_per_weight`` no limit,
@@ -14,7 +14,7 @@ Every key carries its unit. ``null`` stands for what JSON cannot say:
 - in ``after_seconds`` of ``lease`` a plan that outlives its daemon,
 - in ``loss_ratio`` and ``return_delay_seconds`` what nobody measures.
 
-Within ``v1`` keys are only added; ``arpd/adapters/http/schema/status-v1.json`` describes each.
+Within ``v1`` keys are only added; `arpd.adapters.http.api.status` describes each.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.model.interface import LinkCounters, state_of
+from arpd.model.quantities import shortened
 from arpd.model.settings import OnLost
 from arpd.report.situation import judge, kept_ratio
 from arpd.report.topic_rows import TopicRow, topic_rows
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 API_VERSION = "v1"
-_MOST_EVENTS = 50
+MOST_EVENTS = 50
 
 
 def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
@@ -59,8 +60,8 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         "api_version": API_VERSION,
         "version": snapshot.version,
         "ready": is_ready,
-        "unix_time_seconds": _finite(snapshot.unix_time_s),
-        "age_seconds": None if now_s is None else _finite(max(0.0, now_s - snapshot.finished_at_s)),
+        "unix_time_seconds": _rounded(snapshot.unix_time_s, 3),
+        "age_seconds": None if now_s is None else _rounded(max(0.0, now_s - snapshot.finished_at_s), 2),
         "tick_seconds": _finite(snapshot.tick_s),
         "verdict": _finding(situation.verdict),
         "faults": [_finding(fault) for fault in situation.faults],
@@ -113,7 +114,7 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
         ],
         "totals": _totals(snapshot.totals),
-        "events": event_documents(snapshot.events[-_MOST_EVENTS:]),
+        "events": event_documents(snapshot.events[-MOST_EVENTS:]),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},
     }
 
@@ -134,7 +135,7 @@ def event_documents(events: Iterable[Event]) -> list[dict[str, Any]]:
     return [
         {
             "number": event.number,
-            "unix_time_seconds": _finite(event.unix_time_s),
+            "unix_time_seconds": _rounded(event.unix_time_s, 3),
             "event": str(event.kind),
             "severity": str(event.severity),
             "text": event.text,
@@ -161,7 +162,7 @@ def _link(snapshot: Snapshot) -> dict[str, Any]:
         "loss_ratio": _finite(link.loss_ratio),
         "return_delay_seconds": _finite(link.return_delay_s),
         "radio_bytes_per_second": _finite(radio),
-        "age_seconds": _finite(link.age_s),
+        "age_seconds": _rounded(link.age_s, 2),
         "evidence": link.evidence,
         "events": _sorted(link.events_by_kind),
     }
@@ -189,8 +190,8 @@ def _peers(observation: Observation) -> list[dict[str, Any]]:
         rows.append(
             {
                 "peer": peer,
-                "report_age_seconds": _finite(age_s),
-                "clock_offset_seconds": clock and _finite(clock.offset_s),
+                "report_age_seconds": _rounded(age_s, 2),
+                "clock_offset_seconds": clock and _rounded(clock.offset_s, 6),
                 "clock_uncertainty_seconds": clock and _finite(clock.uncertainty_s),
             }
         )
@@ -212,10 +213,10 @@ def _relay(relay: RelaySummary) -> dict[str, Any]:
 def _price(price: Price) -> dict[str, Any]:
     return {
         "share_per_weight": _finite(price.share_per_weight),
-        "capacity_bytes_per_second": price.capacity_bytes_per_second,
-        "packet_overhead_seconds": price.packet_overhead_s,
+        "capacity_bytes_per_second": _finite(price.capacity_bytes_per_second),
+        "packet_overhead_seconds": _finite(price.packet_overhead_s),
         "yielding_weight": price.yielding_weight,
-        "kept_floor": price.kept_floor,
+        "kept_floor": _finite(price.kept_floor),
     }
 
 
@@ -240,7 +241,7 @@ def _reader(reader: ReaderState, planned: ReaderPlan | None, *, now_s: float) ->
         "refusal": reader.refusal,
         "refusal_reason": str(reader.refusal_reason),
         "refusal_lasts": reader.refusal_reason.is_lasting,
-        "age_seconds": _finite(reader.age_s(now_s)),
+        "age_seconds": _rounded(reader.age_s(now_s), 2),
     }
 
 
@@ -273,7 +274,7 @@ def _topic(row: TopicRow, now_s: float) -> dict[str, Any]:
         "optimal_rate_hz": allocation and _finite(allocation.rate_hz),
         "optimal_depth": allocation and _finite(allocation.depth),
         "share": allocation and _finite(allocation.share),
-        "kept_ratio": kept_ratio(row),
+        "kept_ratio": _finite(kept_ratio(row)),
         "binding": allocation and str(allocation.binding),
         "depth_binding": allocation and str(allocation.depth_binding),
         "source_rate_hz": _finite(publisher.source_rate_hz),
@@ -296,7 +297,7 @@ def _topic(row: TopicRow, now_s: float) -> dict[str, Any]:
         "refusal": publisher.refusal,
         "refusal_reason": str(publisher.refusal_reason),
         "refusal_lasts": publisher.refusal_reason.is_lasting,
-        "age_seconds": _finite(publisher.age_s(now_s)),
+        "age_seconds": _rounded(publisher.age_s(now_s), 2),
     }
 
 
@@ -320,7 +321,7 @@ def _totals(totals: Totals) -> dict[str, Any]:
         "ticks_late": totals.ticks_late,
         "solves": solves,
         "cross_check_disagreements": totals.cross_check_disagreements,
-        "levels": _sorted(totals.levels_by_cause),
+        "levels": _sorted(totals.plans_by_cause),
         "refusals": _sorted(totals.refusals_by_reason),
         "applies": _sorted(totals.applies_by_result),
         "probes": totals.probes,
@@ -336,5 +337,10 @@ def _sorted(values: Mapping[str, _T]) -> dict[str, _T]:
 
 
 def _finite(value: float | None) -> float | None:
-    """Return None for what JSON cannot say; the module's docstring has the meanings."""
-    return None if value is None or not math.isfinite(value) else value
+    """Return a value in five digits, None for what JSON cannot say; the module's docstring has the meanings."""
+    return None if value is None or not math.isfinite(value) else shortened(value)
+
+
+def _rounded(value: float, decimals: int) -> float | None:
+    """Return a time or an age, whose digits before the point count, too."""
+    return round(value, decimals) if math.isfinite(value) else None

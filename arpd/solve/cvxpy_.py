@@ -1,6 +1,6 @@
 """cvxpy: the readable statement of the mathematics, for teaching and cross-checks, not for the tick.
 
-Import this module only on demand: it costs about 2 s and 113 MiB.
+Import this module only on demand: it costs about 2 s, and 82 MiB in `arpd run`.
 """
 
 from __future__ import annotations

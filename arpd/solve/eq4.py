@@ -90,12 +90,12 @@ class Eq4Solution:
     Parameters
     ----------
     status : existence of an optimum
-    rate_hz, depth : the real optimum R*, D* of the back end (Hz, samples)
-    rate_hz_floor, depth_floor : ⌊R*⌋ and ⌊D*⌋ of the exact vertex, the paper's Table 2
+    rate_hz, depth : the real optimum R*, D*, of the exact vertex (Hz, samples)
+    rate_hz_floor, depth_floor : ⌊R*⌋ and ⌊D*⌋, the paper's Table 2
     deadline_ns : ⌈1e9 / R*⌉ (ns)
     depth_applied : depth that keeps (3) at the rate of that whole period (samples)
     binding : the constraints that hold with equality, or the one that cannot be met and why
-    backend : source of the real optimum
+    backend : back end that found it
     agreed : True when the requested back end agreed with the exact vertex; otherwise ``backend`` is ``exact``
     """
 
@@ -112,7 +112,7 @@ class Eq4Solution:
 
 
 def solve_eq4(problem: Eq4Problem, backend: Backend = Backend.EXACT) -> Eq4Solution:
-    """Solve Eq. (4) with ``backend``; the exact vertex decides feasibility and floors, and checks the answer.
+    """Solve Eq. (4) with ``backend``; the exact vertex decides feasibility, checks the answer, and is what is returned.
 
     Feasibility is analytic: R* is the largest rate that (2) allows, and (3) allows the largest depth there, so Eq. (4)
     has a solution if and only if this one point satisfies the lower bounds.
@@ -123,12 +123,12 @@ def solve_eq4(problem: Eq4Problem, backend: Backend = Backend.EXACT) -> Eq4Solut
     rate, depth = problem.vertex()
     if refusal := _refusal(problem, rate, depth):
         return Eq4Solution(status=Eq4Status.INFEASIBLE, binding=refusal)
-    answer, used = _answer(problem, backend)
+    used = backend if _agrees(problem, backend, vertex=(rate, depth)) else Backend.EXACT
     period = period_ns(rate.as_integer_ratio())
     return Eq4Solution(
         status=Eq4Status.OPTIMAL,
-        rate_hz=answer[0],
-        depth=answer[1],
+        rate_hz=float(rate),
+        depth=float(depth),
         rate_hz_floor=math.floor(rate),
         depth_floor=math.floor(depth),
         deadline_ns=period,
@@ -154,15 +154,13 @@ def _refusal(problem: Eq4Problem, rate: Fraction, depth: Fraction) -> str:
     return ""
 
 
-def _answer(problem: Eq4Problem, backend: Backend) -> tuple[tuple[float, float], Backend]:
-    """Return the back end's (R, D) where it agrees with the exact vertex, else the vertex itself."""
-    rate, depth = problem.vertex()
-    exact = float(rate), float(depth)
-    if backend is not Backend.EXACT:
-        outcome: Outcome = import_module(f"arpd.solve.{backend}_").solve_eq4(problem)
-        if isinstance(outcome, Solved):
-            answer = outcome.values[0], outcome.values[1]
-            scales = problem.max_rate_hz, float(problem.max_depth)
-            if all(abs(a - e) <= TOLERANCE * s for a, e, s in zip(answer, exact, scales, strict=True)):
-                return answer, backend
-    return exact, Backend.EXACT
+def _agrees(problem: Eq4Problem, backend: Backend, *, vertex: tuple[Fraction, Fraction]) -> bool:
+    """Return whether the back end solves the problem, and finds the exact vertex."""
+    if backend is Backend.EXACT:
+        return True
+    outcome: Outcome = import_module(f"arpd.solve.{backend}_").solve_eq4(problem)
+    scales = problem.max_rate_hz, problem.max_depth
+    return isinstance(outcome, Solved) and all(
+        abs(found - float(exact)) <= TOLERANCE * scale
+        for found, exact, scale in zip(outcome.values, vertex, scales, strict=True)
+    )

@@ -3,12 +3,15 @@
 Usage: .venv/bin/python -m scripts.bench.adapt [--quick] [--rounds N] [--only LINK,...] [--side SIDE,...] [--json FILE]
        .venv/bin/python -m scripts.bench.adapt --side SIDE,... --into FILE
        .venv/bin/python -m scripts.bench.adapt --report FILE
+       .venv/bin/python -m scripts.bench.adapt --trains N
 
 Needs root, as the simulated link does.
 
 Twelve topics between two network namespaces, real rclpy and Fast DDS, a real rate-limited link. Each side has a run
 and a robot of its own, over the same schedule; the order of sides is random in every round. A sample counts as lost if
 it has not arrived four seconds after the end. Ages are those of the newest sample at the reader, 20 times a second.
+arpd's estimate is compared with the link in every run (adapt_course.py, adapt_estimate.py); --trains measures instead
+what single probe trains read (adapt_trains.py).
 """
 
 from __future__ import annotations
@@ -27,13 +30,16 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
+from scripts.bench.adapt_course import course_of, estimates_over_time, reading
+from scripts.bench.adapt_estimate import estimate_figures
 from scripts.bench.adapt_figures import check, document
 from scripts.bench.adapt_links import SEED, links, quick_link
 from scripts.bench.adapt_plot import draw
-from scripts.bench.adapt_report import table
 from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
+from scripts.bench.adapt_targets import more_tables, report
+from scripts.bench.adapt_trains import measure_trains, trains_report
 from scripts.bench.adapt_watch import Processors, Reassembly
-from scripts.bench.record import conditions, keep, options_of, read
+from scripts.bench.record import conditions, keep, options_of, read, write
 from scripts.netns.simlink import SimLink
 from scripts.robot.oracle import write_course
 from scripts.robot.run import robot, run
@@ -60,6 +66,7 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
     with (
         SimLink(f"adapt-{os.getpid()}-{time.monotonic_ns() % 10**6}", rate_bytes_per_second=start_rate) as wire,
         robot(wire, folder, manner(side_name, link, truth)) as side,
+        reading(side) as readings,
     ):
         reassembly = Reassembly(wire.ceddp)
         topics = run(
@@ -74,11 +81,14 @@ def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
         results = [read(path) for path in (folder / "planner.json", folder / "base_driver.json")]
         final, fragments = side.final, reassembly.figures()
     samples = {topic: values for result in results for topic, values in result["samples"].items()}
+    course = course_of(readings.buckets, readings.beliefs, started_s=side.started_s, duration_s=link.duration_s)
     return {
         **document(topics, samples, link.duration_s),
         "cpu": processors.shares(),
         "swaps": sum(sum(topic["swaps"].values()) for topic in final["topics"]) if final else 0,
         "reassembly": fragments,
+        "estimate": estimate_figures(course, link),
+        "estimates_over_time": estimates_over_time(course),
         "load_average": os.getloadavg()[0],
     }
 
@@ -93,6 +103,7 @@ def measure(
         for number in range(1, rounds + 1)
         for link in rng.sample(chosen, len(chosen))
         for side in rng.sample(sides, len(sides))
+        if not link.sides or side in link.sides
     ]
     began_s = time.monotonic()
     with progress("measuring", total=len(turns)) as shown:
@@ -145,18 +156,24 @@ def assembled(
 def renewed(old: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
     """Return a document in which fresh runs replace those of the same links and sides; its key ``apart`` names them.
 
+    Links that the document does not have are added.
+
     Raises
     ------
     ValueError
         If a link has changed: its sides would not be comparable.
     """
     courses = {link["name"]: json.dumps(link) for link in old["links"]}
-    if other := [link["name"] for link in fresh["links"] if courses.get(link["name"]) != json.dumps(link)]:
+    new = [link for link in fresh["links"] if link["name"] not in courses]
+    if other := [
+        link["name"] for link in fresh["links"] if link not in new and courses[link["name"]] != json.dumps(link)
+    ]:
         raise ValueError(f"{', '.join(other)}: not the links of the document")
     replaced = {(run["link"], run["side"]) for run in fresh["runs"]}
     kept = [run for run in old["runs"] if (run["link"], run["side"]) not in replaced]
     apart = {"sides": list(fresh["sides"]), "conditions": fresh["conditions"]}
-    return {**old, "sides": {**old["sides"], **fresh["sides"]}, "runs": [*kept, *fresh["runs"]], "apart": apart}
+    sides = {**old["sides"], **fresh["sides"]}
+    return {**old, "links": [*old["links"], *new], "sides": sides, "runs": [*kept, *fresh["runs"]], "apart": apart}
 
 
 def main() -> None:
@@ -167,11 +184,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of bursts and order (default %(default)s)")
     parser.add_argument("--logs", type=Path, metavar="DIR", help="folder for logs of runs that fail")
     parser.add_argument("--into", type=Path, metavar="FILE", help="replace the runs of these sides in a document")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing; print the table of this file")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing; print the tables of this file")
+    parser.add_argument("--trains", type=int, metavar="N", help="measure only what N probe trains of each kind read")
     options = parser.parse_args()
+    if options.trains:
+        read_by_trains = {"conditions": conditions(), **measure_trains(options.trains)}
+        print(trains_report(read_by_trains))
+        write(read_by_trains, options.json)
+        return
     if options.report:
         reported = read(options.report)
-        print(table(reported))
+        print(report(reported), more_tables(reported), sep="\n\n")
         if options.plot:
             draw(reported, options.plot)
         return
@@ -189,10 +212,11 @@ def main() -> None:
         options.json = options.into
     is_partial = options.quick or bool(options.only) or bool(options.side)
     if runs:
-        print(table(found))
+        print(report(found), more_tables(found), sep="\n\n")
     wrong = [f"{done['link']}, {done['side']}: {what}" for done in runs for what in check(done)]
-    if len(runs) < rounds * len(chosen) * len(sides):
-        wrong.append(f"only {len(runs)} of {rounds * len(chosen) * len(sides)} runs ended; logs in {logs}")
+    turns = rounds * sum(not link.sides or side in link.sides for link in chosen for side in sides)
+    if len(runs) < turns:
+        wrong.append(f"only {len(runs)} of {turns} runs ended; logs in {logs}")
     if runs:
         keep(found, options, "adapt", is_partial=is_partial, draw=None if wrong else partial(draw, found))
     if wrong:

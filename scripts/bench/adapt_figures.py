@@ -1,8 +1,9 @@
-"""The figures of one run of `adapt.py`, per topic and for all, from the notes of its readers and processes."""
+"""The figures of a run of `adapt.py`, per topic and for all, from the notes of its readers; and over all rounds."""
 
 from __future__ import annotations
 
 import math
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from arpd.adapters.sim.result import TopicResult
 
+FIRST_SWAPS = 12  # the first plan swaps every topic's publisher
 LATE_S = 0.1  # a command later than this is late
 TIMELINE_S = 0.5
 _LARGE = ("/scan/front", "/scan/rear", "/camera/image/compressed", "/points")  # samples of several packets
@@ -132,6 +134,49 @@ def _shared(
         "withheld_ratio": _ratio(sum(t.withheld for t in topics), offered),
         "stalled_ratio": _ratio(max(0, expected - offered), expected),
     }
+
+
+def figures_of(document: Mapping[str, Any]) -> dict[tuple[str, str], dict[str, float]]:
+    """Return the medians over the rounds, by link and side; never is infinite."""
+    durations_s = {link["name"]: link["duration_s"] for link in document["links"]}
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for run in document["runs"]:
+        found.setdefault((run["link"], run["side"]), []).append(_flat(run, durations_s[run["link"]]))
+    return {key: _medians(runs) for key, runs in found.items()}
+
+
+def ranges_of(document: Mapping[str, Any], figure: str) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return the least and the largest value of a figure over the rounds, by link and side; never is infinite."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for run in document["runs"]:
+        value = run["all"][figure]
+        found.setdefault((run["link"], run["side"]), []).append(math.inf if value is None else float(value))
+    return {key: (min(values), max(values)) for key, values in found.items()}
+
+
+def _flat(run: Mapping[str, Any], duration_s: float) -> dict[str, Any]:
+    return {
+        **run["all"],
+        **{f"cpu_{name}": share for name, share in run["cpu"].items()},
+        **{f"{name}/{figure}": value for name, of in run.get("classes", {}).items() for figure, value in of.items()},
+        "swaps": run["swaps"],
+        "swaps_per_minute": max(0, run["swaps"] - FIRST_SWAPS) * 60.0 / duration_s,
+        "unassembled": run["reassembly"]["failed"],
+    }
+
+
+def topics_of(document: Mapping[str, Any], link: str) -> dict[str, dict[str, dict[str, float]]]:
+    """Return the medians of every topic on one link, by topic and side."""
+    found: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for run in document["runs"]:
+        if run["link"] == link:
+            for topic, figures in run["topics"].items():
+                found.setdefault(topic, {}).setdefault(run["side"], []).append(figures)
+    return {topic: {side: _medians(runs) for side, runs in sides.items()} for topic, sides in found.items()}
+
+
+def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
+    return {name: median([math.inf if one[name] is None else float(one[name]) for one in runs]) for name in runs[0]}
 
 
 def check(run: Mapping[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The links of `adapt.py`: each is steady for five seconds, then changes."""
+"""The links of `adapt.py`: two stay as they are; each of the others is steady for five seconds, then changes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ class Link:
     what : its course in words
     losses : probability of loss over time, by ascending start; none before the first
     duration_s : time that the sources publish (s)
+    sides : sides that are measured over it; none = all
     """
 
     name: str
@@ -36,6 +37,7 @@ class Link:
     rates: RateSchedule
     losses: tuple[LossStep, ...] = ()
     duration_s: float = DURATION_S
+    sides: tuple[str, ...] = ()
 
     def loss_at(self, elapsed_s: float) -> float:
         """Return the probability that a packet is lost at this time (0..1)."""
@@ -43,9 +45,24 @@ class Link:
         return self.losses[begun - 1].loss if begun else 0.0
 
     @property
+    def changes_s(self) -> tuple[float, ...]:
+        """Times at which the rate changes (s)."""
+        return tuple(step.start_s for step in self.rates.steps[1:])
+
+    @property
+    def outages(self) -> tuple[tuple[float, float], ...]:
+        """Spans in which nothing passes (s, s)."""
+        ends_s = (*self.changes_s, self.duration_s)
+        return tuple(
+            (step.start_s, end_s)
+            for step, end_s in zip(self.rates.steps, ends_s, strict=True)
+            if step.rate_bytes_per_second <= OUTAGE_BYTES_PER_SECOND
+        )
+
+    @property
     def mean_bytes_per_second(self) -> float:
         """Mean rate over the run (bytes/s)."""
-        ends_s = [*(step.start_s for step in self.rates.steps[1:]), self.duration_s]
+        ends_s = (*self.changes_s, self.duration_s)
         spans = zip(self.rates.steps, ends_s, strict=True)
         return sum(step.rate_bytes_per_second * (end_s - step.start_s) for step, end_s in spans) / self.duration_s
 
@@ -80,6 +97,16 @@ def links(seed: int) -> tuple[Link, ...]:
             what="1.5 to 20 Mbit/s, as a walk away from the access point and back gives it",
             rates=trace.rates,
             losses=trace.losses,
+        ),
+        *(
+            Link(
+                name=f"steady-{mbit}",
+                what=f"{mbit} Mbit/s",
+                rates=_rates((0.0, mbit * MBIT)),
+                duration_s=40.0,
+                sides=("arpd", "oracle"),
+            )
+            for mbit in (20, 5)
         ),
     )
 

@@ -1,12 +1,11 @@
-"""The picture of `adapt.py`: for each link its rate, the age of the newest sample, and the p99 of every side."""
+"""The picture of `adapt.py`: each link with arpd's estimate, the age of the newest sample, and every side's p99."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.adapt_figures import TIMELINE_S
-from scripts.bench.adapt_sides import label
-from scripts.bench.adapt_targets import figures_of
+from scripts.bench.adapt_figures import TIMELINE_S, figures_of
+from scripts.bench.adapt_sides import ARPD, label
 from scripts.bench.picture import picture
 
 if TYPE_CHECKING:
@@ -35,11 +34,12 @@ def draw(document: Mapping[str, Any], path: Path) -> None:
     with picture(path, len(links), 3, figsize=size, squeeze=False, gridspec_kw=ratios) as (figure, rows):
         for link, (rate, age, p99) in zip(links, rows, strict=True):
             _draw_link(link, rate)
+            _draw_estimate(document, link["name"], rate)
             _draw_ages(document, link["name"], age)
             _draw_p99({side: figures[link["name"], side] for side in sides if (link["name"], side) in figures}, p99)
             for axes in (rate, age):
                 axes.set_xlim(0, link["duration_s"])
-        rows[0][0].set_title("link (Mbit/s); red: loss")
+        rows[0][0].set_title("link and arpd's estimate (Mbit/s); red: loss")
         rows[0][1].set_title("age of the newest sample, mean of 12 topics (s)")
         rows[0][2].set_title("p99 (s)   ● latency   ◇ age")
         for axes in rows[-1][:2]:
@@ -59,6 +59,13 @@ def _draw_link(link: Mapping[str, Any], axes: Any) -> None:
             axes.axvspan(start_s, end_s, color="tab:red", alpha=min(1.0, 0.15 + 0.5 * loss), linewidth=0)
     axes.set_ylim(0, 22)
     axes.set_ylabel(link["name"], fontweight="bold")
+
+
+def _draw_estimate(document: Mapping[str, Any], link: str, axes: Any) -> None:
+    for run in document["runs"]:
+        if (run["link"], run["side"], run["round"]) == (link, ARPD, 1):
+            known = [(TIMELINE_S * k, rate * 8e-6) for k, rate in enumerate(run.get("estimates_over_time", [])) if rate]
+            axes.plot([at_s for at_s, _ in known], [rate for _, rate in known], **_STYLES[ARPD])
 
 
 def _draw_ages(document: Mapping[str, Any], link: str, axes: Any) -> None:

@@ -109,6 +109,16 @@ def answer(**fact: Any) -> None:
     print(json.dumps(fact), flush=True)
 
 
+def footprint(pid: int) -> dict[str, int]:
+    """Return a process's resident memory (bytes), and the number of its threads and open files."""
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines())
+    return {
+        "rss_bytes": int(status["VmRSS"].split()[0]) * 1024,
+        "threads": int(status["Threads"]),
+        "files": len(list(Path(f"/proc/{pid}/fd").iterdir())),
+    }
+
+
 def sent_bytes(host: Host, interface: str | None = None) -> int:
     """Return the bytes that an interface of a host has sent; by default its end of the link."""
     name = interface or host.interface

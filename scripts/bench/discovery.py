@@ -31,6 +31,7 @@ import time
 import urllib.request
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,11 +43,11 @@ from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import Child, ChildError
 from scripts.bench.discovery_nodes import TOPICS_PER_NODE
-from scripts.bench.discovery_packets import Capture, is_steady
+from scripts.bench.discovery_packets import KINDS, Capture, is_steady
 from scripts.bench.discovery_packets import document as counted
-from scripts.bench.discovery_report import PLAIN, RELAY, SIDES, markdown
 from scripts.bench.overhead_robot import STATUS_URL
 from scripts.bench.record import REPO, conditions, keep, options_of
+from scripts.bench.report import about, paragraphs, table
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import SimLink
 
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from scripts.bench.discovery_packets import Tally
     from scripts.netns.namespaces import HostName
 
+PLAIN, RELAY = SIDES = ("plain ROS 2", "two-ended relay")
 NODES = (10, 50, 100)
 DOMAIN, LINK_DOMAIN = 0, 77
 _NODES_MODULE = "scripts.bench.discovery_nodes"
@@ -286,6 +288,31 @@ def check(found: dict[str, Any]) -> None:
         raise DiscoveryError(f"{where}: {seen} participants of the robot were on the link")
 
 
+def report(document: dict[str, Any]) -> str:
+    cells = sorted(document["cells"], key=lambda cell: (cell["nodes"], SIDES.index(cell["side"])))
+    link = f"a link of {cells[0]['link_bytes_per_second'] * 8e-6:.0f} Mbit/s at rest for {cells[0]['span_s']:.0f} s"
+    return paragraphs(
+        about(document, f"Packets per second (kB/s with Ethernet headers), both directions together, on {link}"),
+        table(
+            cells,
+            ("nodes", "nodes"),
+            ("", lambda cell: cell["side"] + ("" if cell["is_steady"] else " (not steady)")),
+            ("participants on the link", lambda cell: len(cell["participants"])),
+            ("all", rates),
+            *((kind, partial(rates, kind=kind)) for kind in KINDS),
+            ("MB until at rest", lambda cell: cell["joined_bytes"] * 1e-6, "{:.2f}"),
+            ("far node knows all topics after s", "discovered_s", "{:.1f}"),
+        ),
+    )
+
+
+def rates(cell: dict[str, Any], kind: str | None = None) -> str:
+    """Return packets and in brackets kilobytes per second, of one kind or of all."""
+    flows = [flow for flow in cell["flows"] if kind in (None, flow["kind"])]
+    packets, sizes = (sum(flow[what] for flow in flows) / cell["span_s"] for what in ("packets", "bytes"))
+    return f"{packets:.1f} ({sizes * 1e-3:.2f})" if packets else "0"
+
+
 def _telling(shown: Progress, number: int, cell: str) -> Callable[[str], None]:
     return lambda what: shown.reach(number, f"{cell}: {what}")
 
@@ -316,7 +343,7 @@ def main() -> None:
             print(f"{cell} in {time.monotonic() - began_s:.0f} s", flush=True)
             document["cells"].append(found)
     if document["cells"]:
-        print(markdown(document))
+        print(report(document))
     keep(document, options, "discovery", is_partial=options.quick or bool(options.side or options.nodes))
     if document["failures"]:
         sys.exit(1)

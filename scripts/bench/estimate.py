@@ -26,7 +26,6 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -35,11 +34,11 @@ from arpd.adapters.sim.baselines import Oracle, ThroughputAverage, WindowMaximum
 from arpd.cli.progress import progress
 from arpd.daemon.scenario import ScenarioResult, run
 from scripts.bench.estimate_fluid import flow
-from scripts.bench.estimate_grid import CELLS, grid_table, play_grid
+from scripts.bench.estimate_grid import CELLS, play_grid
 from scripts.bench.estimate_metrics import Metrics, carried, measure
 from scripts.bench.estimate_plot import draw
-from scripts.bench.estimate_report import TARGETS, scenario_table, target_table
 from scripts.bench.estimate_scenarios import FALLS, SCENARIOS
+from scripts.bench.estimate_targets import ARPD, BOUND, FLUID, THROUGHPUT, report, scenario_tables
 from scripts.bench.record import conditions, keep, options_of
 
 if TYPE_CHECKING:
@@ -49,8 +48,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
     from scripts.bench.estimate_grid import Judged
 
-ARPD, BOUND, FLUID = "arpd", "bound", "fluid"
-THROUGHPUT = ("average", "maximum")
 WAYS = (ARPD, BOUND, *THROUGHPUT, FLUID)
 SEEDS = 10
 QUICK_SEEDS = 2
@@ -144,17 +141,6 @@ def document(
             name: {way: [_finite(metrics) for metrics in every] for way, every in ways.items()}
             for name, ways in found.items()
         },
-        "targets": [
-            {
-                "target": target.title,
-                "limit": target.limit,
-                "median": _number(median(values)),
-                "worst": _number(target.worst(values)),
-                "met": target.is_met(values),
-            }
-            for target in TARGETS
-            if (values := target.values(found, ARPD))
-        ],
         "grid": [judged.document() for judged in grid],
     }
 
@@ -200,16 +186,11 @@ def main() -> int:
     found = measure_all(names, ways, seeds, pictures.__setitem__)
     grid = play_grid(cells, processes=PROCESSES)
     took_s = time.monotonic() - started_s
-    if names:
-        print(scenario_table(found, seeds=seeds))
-    if names and ARPD in ways:
-        print("\n" + target_table(found, ARPD))
-    if grid:
-        print("\n" + grid_table(grid))
     if not all(every[0]["carried"] > 0.0 for ways in found.values() for every in ways.values()):
         sys.exit("estimate: nothing was delivered in some scenario")
     is_partial = bool(options.quick or options.only or options.way)
     found_document = {"conditions": noted} | document(found, seeds, took_s, grid)
+    print(scenario_tables(found_document), report(found_document), sep="\n\n")
     keep(found_document, options, "estimate", is_partial=is_partial, draw=partial(draw, pictures))
     return 0
 

@@ -11,11 +11,11 @@ ratio               the largest of the three; 1 = as good as the bound
 from __future__ import annotations
 
 import logging
-import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from random import Random
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.sim.baselines import Oracle
@@ -24,11 +24,11 @@ from arpd.adapters.sim.foreign import ForeignFlow
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.result import percentile
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.cli.columns import aligned
 from arpd.cli.progress import progress
 from arpd.daemon.compare import between
 from arpd.daemon.scenario import run
 from scripts.bench.estimate_scenarios import BUSY_ROBOT, LIGHT_ROBOT, LOCAL_MAP, LOW_FLOORS, MBIT
+from scripts.bench.report import milli, paragraphs, scaled, table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -171,20 +171,26 @@ def play_grid(count: int, *, processes: int) -> list[Judged]:
     return sorted(judged, key=lambda each: each.ratio, reverse=True)
 
 
-def grid_table(judged: Sequence[Judged]) -> str:
-    """Return the worst cells, a row each, arpd's figures beside the bound's."""
-    ordered = sorted(each.ratio for each in judged)
-    middle, tenth = (percentile(ordered, q) or math.nan for q in (0.5, 0.9))
-    rows = [["ratio", "p50 ms", "p99 ms", "Mbit/s", "cell"]]
-    for each in judged[:SHOWN]:
-        pairs = [(each.arpd[name], each.bound[name]) for name in ("p50", "p99", "goodput")]
-        written = [f"{1e3 * ours:.0f} | {1e3 * theirs:.0f}" for ours, theirs in pairs[:2]]
-        written.append(f"{pairs[2][0] / MBIT:.2f} | {pairs[2][1] / MBIT:.2f}")
-        rows.append([f"{each.ratio:.2f}", *written, each.cell.text])
-    head = (
-        f"grid of {len(judged)} cells, arpd | bound: ratio {middle:.2f} in the median, {tenth:.2f} at p90; the worst:"
+def grid_report(judged: Sequence[dict[str, Any]]) -> str:
+    """Return the worst cells, which are the first, arpd's figures beside the bound's."""
+    if not judged:
+        return ""
+    pairs = (("queue p50 ms", "p50", milli), ("queue p99 ms", "p99", milli), ("Mbit/s", "goodput", scaled(8e-6, ".1f")))
+    return paragraphs(
+        f"A grid of links and disturbances, {len(judged)} cells at random (`scripts/bench/estimate_grid.py`): queue or "
+        f"goodput is {median([each['ratio'] for each in judged]):.2f} times as bad as the bound's in the median. The "
+        "worst cells:",
+        table(
+            judged[:SHOWN],
+            ("", "cell"),
+            ("ratio", "ratio", "{:.1f}"),
+            *(
+                (head if side == "arpd" else "bound's", f"{side}_{name}", form)
+                for head, name, form in pairs
+                for side in ("arpd", "bound")
+            ),
+        ),
     )
-    return "\n".join([head, "", *aligned(rows, words=1)])
 
 
 def _play(cell: Cell) -> tuple[dict[str, float], dict[str, float]]:

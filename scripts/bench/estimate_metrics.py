@@ -83,7 +83,7 @@ def measure(
         **carried(scenario, result),
         "goodput": summary.goodput_bytes_per_second,
         "lost": sum(topic.lost for topic in result.topics),
-        "levels": summary.levels_per_minute,
+        "levels": summary.plans_per_minute,
         "swaps": summary.swaps_per_minute,
         "measuring": summary.measuring_share,
     }

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from scripts.bench.fuzz_target import Fuzzable
 
-INSTRUMENTED = ["arpd", "yaml", "json", "h11"]
+INSTRUMENTED = ["arpd", "yaml", "json", "tornado"]
 _PROGRESS = re.compile(r"^#(\d+)\s.*cov: (\d+) ft: (\d+) corp: (\d+)", re.MULTILINE)
 _RSS_MIB = 2048  # libFuzzer ends a target with more memory than this,
 _TIMEOUT_S = 30  # or with an input that takes longer than this

@@ -28,6 +28,8 @@ import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,17 +39,31 @@ from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.child import ChildError
 from scripts.bench.overhead_cases import case_of
-from scripts.bench.overhead_report import markdown
 from scripts.bench.overhead_robot import Robot
 from scripts.bench.overhead_sides import AFTER, BEFORE, Side, side_of
-from scripts.bench.overhead_targets import DEMO_TOPICS, runs_of, went_wrong
+from scripts.bench.overhead_targets import (
+    CONTROL,
+    DEMO_TOPICS,
+    PHASES,
+    bytes_for_all,
+    control,
+    cpu,
+    discovery_bytes,
+    judge,
+    runs_of,
+    spans_of,
+    went_wrong,
+)
 from scripts.bench.record import conditions, keep, options_of
+from scripts.bench.report import NEVER, about, kilo, mbit, mib, paragraphs, percent, shown, spread, table, targets
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from scripts.bench.overhead_cases import Case
+    from scripts.bench.overhead_targets import Run, Span
+    from scripts.bench.report import Column, Form
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
 SIZES = (DEMO_TOPICS, 100, 500, 1000)
@@ -195,6 +211,107 @@ def _said(found: dict[str, Any]) -> str:
     return "; failed: ".join([f"{found['took_s']:.0f} s", *why])
 
 
+def report(document: dict[str, Any]) -> str:
+    rates = document["rates_bytes_per_second"]
+    first = {run["topics"]: run for run in reversed(document["runs"])}
+    sizes = sorted(first)
+
+    def both(topics: int, say: Callable[[list[Run]], str]) -> str:
+        """Return what both sides have; one of which every run failed has nothing."""
+        said = [say(runs) or NEVER for side in (BEFORE, AFTER) if (runs := runs_of(document, side, topics))]
+        return " → ".join(said) if set(said) != {NEVER} else NEVER
+
+    def cost(head: str, figure: Callable[[Span], float], form: Form) -> Column:
+        return head, lambda row: both(
+            row[0], lambda runs: spread([figure(span) for span in spans_of(runs, row[1])], form)
+        )
+
+    def memory(runs: list[Run], phase: str) -> str:
+        sizes_of = [span["rss_bytes"] for span in spans_of(runs, phase)]
+        kinds = (*CONTROL, "relay") if sizes_of else ()
+        return ", ".join(
+            mib(max(size for each in sizes_of for name, size in each.items() if name.startswith(kind)))
+            for kind in kinds
+        )
+
+    def counted(what: str) -> Column:
+        def of(runs: list[Run], topics: int) -> str:
+            number = min(run.get(what, 0) for run in runs)
+            after = spread([run.get(f"{what}_s") for run in runs], "{:.1f} s")
+            return f"{number}, {after}" if number >= topics else str(number)
+
+        return what, lambda topics: both(topics, lambda runs: of(runs, topics))
+
+    def plan(head: str, figure: Callable[[Run, Any], float | None], form: Form, *causes: str) -> Column:
+        return head, lambda topics: both(
+            topics,
+            lambda runs: spread(
+                [figure(run, each) for run in runs for each in run["plans"] if each["cause"] in causes], form
+            ),
+        )
+
+    every = ("start", "fall")
+    before = f"{document['before'][:12]} → this tree, by turns; " if document["before"] else ""
+    rounds = max(len(runs_of(document, AFTER, topics)) for topics in sizes)
+    busy = [
+        span for run in document["runs"] for span in run["spans"] if run["side"] == AFTER and span["phase"] != "rest"
+    ]
+    return paragraphs(
+        about(
+            document,
+            f"{before}median (worst) of {rounds} rounds. 12 topics are the demo robot's, otherwise all are alike. CPU "
+            "in percent of one core, all relays together; memory of the largest. Link bytes of run and peer, both "
+            f"ways; the link has {mbit(rates['fast'])}, in *paced* {mbit(rates['slow'])} Mbit/s",
+        ),
+        table(
+            product(sizes, PHASES),
+            ("topics", lambda row: row[0] if row[1] == "rest" else ""),
+            ("offered", lambda row: _offered(first[row[0]]) if row[1] == "rest" else ""),
+            ("", lambda row: PHASES[row[1]]),
+            *(cost(f"{name} CPU %", partial(_cpu, name), percent) for name in (*CONTROL, "relay")),
+            ("run, peer, relay MiB", lambda row: both(row[0], lambda runs: memory(runs, row[1]))),
+            cost("link kB/s", control, kilo),
+            cost("% of link", lambda span: 100 * control(span) / span["link_bytes_per_second"], "{:.2f}"),
+        ),
+        "Publishers that arpd finds, plans and confirms in the worst run, and when all are (found: from the start of "
+        "run and peer; the others: from the first message). Then the seconds from the change of the link, "
+        f"{mbit(rates['fast'])} → {mbit(rates['slow'])} Mbit/s. Discovery of a plan: all of the link, and what one "
+        "process of the robot receives; for all: by the bytes per swap, if every topic is swapped.",
+        table(
+            sizes,
+            ("topics", str),
+            *map(counted, ("found", "planned", "confirmed")),
+            plan("price s", lambda _, each: each["price_s"], "{:.2f}", "fall"),
+            plan("plan s", lambda _, each: each["plan_s"], "{:.1f}", "fall"),
+            plan("confirmed s", lambda _, each: each["confirmed_s"], "{:.1f}", "fall"),
+            plan("swaps", lambda _, each: float(each["swaps"]), "{:.0f}", *every),
+            plan("discovery kB", discovery_bytes, kilo, *every),
+            plan("to one process kB", partial(discovery_bytes, where="listener_bytes"), kilo, *every),
+            ("kB for all", lambda topics: both(topics, lambda runs: shown(bytes_for_all(runs), kilo))),
+        ),
+        targets(judge(document)),
+        f"In {len(busy)} spans under load in which nothing changed: {sum(span['plans'] for span in busy)} plans, "
+        f"{sum(span['swaps'] for span in busy):.0f} swaps.",
+        "\n".join(f"- {failure}" for failure in _failures(document)),
+    )
+
+
+def _cpu(name: str, span: Span) -> float:
+    return cpu(span, name)
+
+
+def _offered(run: Run) -> str:
+    return f"{run['offered_hz']:.0f} Hz, {mbit(run['offered_bytes_per_second'])} Mbit/s"
+
+
+def _failures(document: dict[str, Any]) -> list[str]:
+    found = []
+    for run in [*document["runs"], *filter(None, [document.get("steady")])]:
+        why = [run["failed"]] if "failed" in run else run.get("complaints", ())
+        found += [f"{run['topics']} topics, {run['side']}: failed: {each}." for each in why]
+    return list(dict.fromkeys(found))
+
+
 def main() -> None:
     parser = options_of(__doc__, "overhead", quick="twelve topics, once: 50 seconds for each side")
     parser.add_argument("--before", metavar="REV", help="revision whose arpd is measured too, by turns")
@@ -229,8 +346,8 @@ def main() -> None:
         "runs": runs,
         "steady": steady,
     }
-    print(markdown(document))
     keep(document, options, "overhead", is_partial=options.quick or bool(options.only))
+    print(report(document))
     if any(map(went_wrong, [run for run in runs if run["side"] == AFTER])):
         sys.exit(1)
 

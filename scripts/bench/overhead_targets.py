@@ -7,9 +7,10 @@ from statistics import linear_regression, median
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.overhead_sides import AFTER
+from scripts.bench.report import Target
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
 CONTROL = ("run", "peer")
 PHASES = {"rest": "at rest", "load": "all carried", "paced": "paced"}
@@ -93,101 +94,68 @@ def fitted(document: dict[str, Any], side: str, *, least_topics: int = 1) -> flo
     return exponent(list(found), list(found.values())) if len(found) > 1 else None
 
 
-def verdicts(document: dict[str, Any]) -> list[str]:
-    """Return for every target whether this tree meets it; for a missed one, its parts, the largest first."""
-    sizes = sorted({run["topics"] for run in document["runs"]})
-    said = [sentence for topics in sizes for sentence in _of_size(topics, runs_of(document, AFTER, topics))]
-    slope = fitted(document, AFTER, least_topics=MANY)
-    if slope is not None:
-        what = f"Exponent of a plan's discovery bytes over the topics, from {MANY} on"
-        said.append(_judged(what, slope, MOST_EXPONENT, "{:.2f}"))
+def judge(document: dict[str, Any]) -> list[Target]:
+    """Return every target of this tree; a missed one has its parts, the largest first."""
+    found = []
+    for topics in sorted({run["topics"] for run in document["runs"]}):
+        runs = runs_of(document, AFTER, topics)
+        whole = [run for run in runs if "failed" not in run]
+        if wrong := sum(map(went_wrong, runs)):
+            found.append(Target(f"{topics} topics: runs that failed", wrong, 0))
+        if not whole:
+            continue
+        if topics == DEMO_TOPICS:
+            found += _of_twelve(whole)
+        if topics in MOST_RUN_CPU_SHARE:
+            used = median(cpu(span, "run") for span in spans_of(whole, "load"))
+            found.append(Target(f"{topics} topics: CPU of run, of a core", used, MOST_RUN_CPU_SHARE[topics], "{:.1%}"))
+        least = min(run.get(what, 0) for run in runs for what in ("found", "planned", "confirmed"))
+        found.append(Target(f"{topics} topics: confirmed in the worst run", least, topics, at_least=True))
+        prices = [plan["price_s"] for run in runs for plan in run["plans"] if plan["cause"] == "fall"]
+        price_s = max(prices) if prices and None not in prices else None
+        found.append(Target(f"{topics} topics: price after 20 → 5 Mbit/s", price_s, MOST_PRICE_S, "{:.2f} s"))
+    if (slope := fitted(document, AFTER, least_topics=MANY)) is not None:
+        what = f"exponent of a plan's discovery over the topics, from {MANY} on"
+        found.append(Target(what, slope, MOST_EXPONENT, "{:.2f}"))
     if (steady := document.get("steady")) and "steady" in steady:
-        found = steady["steady"]
-        causes = {cause: count for cause, count in found["plans"].items() if cause != "budget"}
-        words = ", ".join(f"{count} by {cause}" for cause, count in sorted(found["plans"].items())) or "none"
-        said.append(
-            f"In {found['lasted_s'] / 60:.0f} minutes after a fall nothing flaps with {steady['topics']} topics: plans "
-            f"{words}; {found['swaps']} swaps that the fall had left, at most {found['most_swaps']} of a topic; "
-            f"{met(is_met=not causes and found['most_swaps'] <= 1)}."
-        )
-    return said
+        calm = steady["steady"]
+        where = f"{steady['topics']} topics, {calm['lasted_s'] / 60:.0f} minutes after a fall"
+        causeless = sum(count for cause, count in calm["plans"].items() if cause != "budget")
+        found.append(Target(f"{where}: plans but those for swaps that it left", causeless, 0))
+        found.append(Target(f"{where}: swaps of one topic", calm["most_swaps"], 1))
+    return found
 
 
-def _of_size(topics: int, runs: Sequence[Run]) -> list[str]:
-    if not runs or all("failed" in run for run in runs):
-        return [f"{topics} topics: failed."]
-    said = _of_twelve(runs) if topics == DEMO_TOPICS else []
-    if wrong := sum(map(went_wrong, runs)):
-        said.append(f"{topics} topics: {wrong} of {len(runs)} runs failed; missed.")
-    if topics in MOST_RUN_CPU_SHARE:
-        used = median(cpu(span, "run") for span in spans_of(runs, "load"))
-        said.append(_judged(f"CPU of run with {topics} topics", used, MOST_RUN_CPU_SHARE[topics], "{:.1%} of a core"))
-    counted = {what: min(run.get(what, 0) for run in runs) for what in ("found", "planned", "confirmed")}
-    words = ", ".join(f"{number} {what}" for what, number in counted.items())
-    said.append(f"Of {topics} publishers in the worst run: {words}; {met(is_met=min(counted.values()) >= topics)}.")
-    falls = [plan for run in runs for plan in run["plans"] if plan["cause"] == "fall"]
-    if falls and all(plan["price_s"] is not None for plan in falls):
-        worst = max(plan["price_s"] for plan in falls)
-        said.append(
-            _judged(f"Price after 20 to 5 Mbit/s with {topics} topics", worst, MOST_PRICE_S, "at most {:.2f} s")
-        )
-    else:
-        said.append(f"Price after 20 to 5 Mbit/s with {topics} topics: not in every run; missed.")
-    return said
-
-
-def _of_twelve(runs: Sequence[Run]) -> list[str]:
-    processors, link = [], []
+def _of_twelve(runs: Sequence[Run]) -> list[Target]:
+    found = []
+    name = f"{DEMO_TOPICS} topics"
     for phase, words in PHASES.items():
         if spans := spans_of(runs, phase):
             used = median(cpu(span, *CONTROL) for span in spans)
-            parts = {name: median(cpu(span, name) for span in spans) for name in CONTROL}
-            what = f"CPU of run and peer with {DEMO_TOPICS} topics, {words}"
-            processors.append(_judged(what, used, MOST_CPU_SHARE[phase], "{:.1%} of a core", parts, part="{:.1%}"))
+            parts = _ranked({each: median(cpu(span, each) for span in spans) for each in CONTROL}, "{:.1%}")
+            what = f"{name}, {words}: CPU of run and peer, of a core"
+            found.append(Target(what, used, MOST_CPU_SHARE[phase], "{:.1%}", parts=parts))
             share = median(control(span) / span["link_bytes_per_second"] for span in spans)
-            form = f"{{:.2%}} of {spans[0]['link_bytes_per_second'] * 8e-6:g} Mbit/s"
-            what = f"Bytes of run and peer on the link with {DEMO_TOPICS} topics, {words}"
-            link.append(_judged(what, share, MOST_LINK_SHARE, form, _by_kind(spans), part="{:.1f} kB/s"))
+            kinds = spans[0]["control_bytes_per_second"]
+            middle = {kind: median(span["control_bytes_per_second"][kind] for span in spans) / 1e3 for kind in kinds}
+            what = f"{name}, {words}: bytes of run and peer, of the link"
+            found.append(Target(what, share, MOST_LINK_SHARE, "{:.2%}", parts=_ranked(middle, "{:.1f} kB/s")))
     spans = [span for run in runs for span in run["spans"]]
-    mib = {name: max(span["rss_bytes"][name] for span in spans) / MIB for name in CONTROL}
-    what = f"RSS of run and of peer with {DEMO_TOPICS} topics"
-    memory = _judged(what, max(mib.values()), MOST_RSS_BYTES / MIB, "at most {:.0f} MiB", mib, part="{:.0f} MiB")
-    has_cvxpy = any(span["has_cvxpy"] for span in spans)
+    sizes = {each: max(span["rss_bytes"][each] for span in spans) for each in CONTROL}
+    parts = _ranked({each: size / MIB for each, size in sizes.items()}, "{:.0f} MiB")
+    loaded = sum(bool(span["has_cvxpy"]) for span in spans)
     return [
-        *processors,
-        memory,
-        f"cvxpy: {'loaded' if has_cvxpy else 'not loaded'}; {met(is_met=not has_cvxpy)}.",
-        *link,
+        *found,
+        Target(
+            f"{name}: RSS of run and of peer",
+            max(sizes.values()) / MIB,
+            MOST_RSS_BYTES / MIB,
+            "{:.0f} MiB",
+            parts=parts,
+        ),
+        Target(f"{name}: spans with cvxpy loaded", loaded, 0),
     ]
 
 
-def _by_kind(spans: Sequence[Span]) -> dict[str, float]:
-    kinds = spans[0]["control_bytes_per_second"]
-    return {kind: median(span["control_bytes_per_second"][kind] for span in spans) / 1e3 for kind in kinds}
-
-
-def _judged(
-    what: str, value: float, most: float, form: str, parts: dict[str, float] | None = None, *, part: str = ""
-) -> str:
-    """Judge a value, written as ``form`` has it; a missed target names its parts, the largest first."""
-    ranked = sorted((parts or {}).items(), key=lambda part: -part[1])
-    why = ", ".join(f"{name} {part.format(size)}" for name, size in ranked)
-    allowed = f"allowed {form.removeprefix('at most ').format(most)}"
-    verdict = "met" if value <= most else f"missed ({'; '.join(filter(None, (allowed, why)))})"
-    return f"{what}: {form.format(value)}; {verdict}."
-
-
-def met(*, is_met: bool) -> str:
-    """Return the word for a target."""
-    return "met" if is_met else "missed"
-
-
-def spread(values: Sequence[float | None], show: Callable[[float], str]) -> str:
-    """Return median and worst; a value that never came is the worst."""
-    known = sorted(value for value in values if value is not None)
-    if not values:
-        return ""
-    if len(known) < len(values):
-        return f"never in {len(values) - len(known)} of {len(values)}"
-    middle, worst = show(median(known)), show(known[-1])
-    return middle if len(known) == 1 or middle == worst else f"{middle} ({worst})"
+def _ranked(parts: dict[str, float], form: str) -> str:
+    return ", ".join(f"{name} {form.format(size)}" for name, size in sorted(parts.items(), key=lambda part: -part[1]))

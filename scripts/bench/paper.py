@@ -39,8 +39,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from arpd.cli.progress import progress
 from scripts.bench.child import ChildError
 from scripts.bench.paper_cells import (
+    ARPD,
+    DEFAULT,
+    FIGURES,
+    HEARTBEAT_S,
     LIVE,
+    LOSS,
     RMAX_HZ,
+    SENSORS,
     WIFI,
     WIRED,
     figure_turns,
@@ -52,14 +58,28 @@ from scripts.bench.paper_cells import (
 )
 from scripts.bench.paper_figures import draw
 from scripts.bench.paper_live_robot import LiveRobot
-from scripts.bench.paper_report import nonsense, table, voids
 from scripts.bench.paper_robot import Robot
+from scripts.bench.paper_summary import REACHED_RATIO
+from scripts.bench.paper_verdict import (
+    LIKE,
+    cells,
+    milliseconds,
+    named,
+    nonsense,
+    percent,
+    rounds,
+    short,
+    verdicts,
+    voids,
+)
 from scripts.bench.record import conditions, keep, options_of
+from scripts.bench.report import about, details, paragraphs, table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from scripts.bench.paper_cells import LinkProfile, Turn
+    from scripts.bench.paper_verdict import Cell, Verdict
 
 ROUNDS, SECONDS = 2, 4.0
 
@@ -76,7 +96,7 @@ def measure(turns: list[Turn], rounds: int, seconds: float) -> Iterator[dict[str
         shown = stack.enter_context(progress("measuring", total=rounds * len(turns)))
         for number in range(1, rounds + 1):
             for turn in shuffled(turns, seed=number):
-                shown.step(f"round {number}: {describe(turn)}")
+                shown.step(f"round {number}: {_named(turn)}")
                 robot = robots[_robot_of(turn)]
                 about = {
                     "experiment": turn.experiment,
@@ -102,18 +122,14 @@ def _played(robot: Robot | LiveRobot, turn: Turn, seconds: float) -> dict[str, A
             return robot.play(turn, seconds=seconds)
         except ChildError as error:
             failed = str(error)
-            print(f"{describe(turn)}: {failed}", file=sys.stderr, flush=True)
+            print(f"{_named(turn)}: {failed}", file=sys.stderr, flush=True)
             robot.close()
             robot.open()
     return {"failed": failed}
 
 
-def describe(turn: Turn) -> str:
-    """Name a turn in a few words."""
-    cell = turn.configuration
-    if turn.experiment == LIVE:
-        return f"{turn.link.name}, {cell.payload_bytes} B under arpd"
-    return f"{turn.link.name}, {cell.payload_bytes} B at {cell.deadline_hz} Hz, DEPTH {cell.depth}"
+def _named(turn: Turn) -> str:
+    return named({"experiment": turn.experiment, "link": turn.link.name, **asdict(turn.configuration)})
 
 
 def line(run: dict[str, Any]) -> str:
@@ -131,12 +147,127 @@ def line(run: dict[str, Any]) -> str:
     )
 
 
+def report(document: dict[str, Any]) -> str:
+    figures, judged = cells(document, FIGURES), verdicts(document)
+    links = "; ".join(
+        f"{link['name']} {link['rate_bytes_per_second'] * 8 / 1e6:g} Mbit/s, queue {link['queue_bytes'] / 1e3:g} kB, "
+        f"loss {percent(link['loss'])} %"
+        for link in document["links"]
+    )
+    slowed = sum((cell.middle("reached_ratio") or 1.0) < REACHED_RATIO for cell in figures)
+    what = (
+        f"{rounds(document)} a configuration; {links}. Latency is end to end, sensor → planner → actuator, in ms "
+        "(range over rounds); lost: of all samples of the twelve topics. Void: this machine could not generate the "
+        "load, or not answer it"
+    )
+    return paragraphs(
+        about(document, what),
+        "The optimum for each payload and Rmax beside every fixed configuration. p99: below that of all that lose "
+        f"nothing. Loss: not above that of any with a like latency (p99 within a factor {LIKE:g}).",
+        table(
+            dict.fromkeys(each.optimum.link for each in judged),
+            ("link", str),
+            ("optima with the lower p99", partial(_won, judged, lambda each: each.slower_than)),
+            ("with no more loss", partial(_won, judged, lambda each: each.lossier_than)),
+        ),
+        f"Of {len(figures)} configurations, publish() kept {slowed} below {percent(REACHED_RATIO)} % of their rate, a "
+        f"reader's socket overflowed in {sum(cell.overflows > 0 for cell in figures)}, which is this machine's fault, "
+        f"and {sum(not cell.runs for cell in figures)} are void.",
+        details(
+            "Every optimum beside the fixed configurations at its Rmax",
+            "Quicker: the best fixed configuration that loses nothing and has no higher p99, at any rate. Where "
+            "neither fills the link, nothing queues.",
+            table(
+                judged,
+                ("link", lambda each: each.optimum.link),
+                ("payload B", lambda each: each.optimum.payload_bytes),
+                ("Rmax Hz", lambda each: each.rmax_hz),
+                ("optimum", lambda each: each.optimum.name_in_link),
+                ("p50", lambda each: each.optimum.p50_s, milliseconds),
+                ("p99", lambda each: each.optimum.shown_p99),
+                ("lost %", lambda each: each.optimum.lost_ratio, percent),
+                ("link % full", lambda each: each.optimum.used_ratio, percent),
+                ("DEPTH 1 at Rmax: p99", partial(_at_rmax, 1, lambda cell: cell.shown_p99)),
+                ("lost %", partial(_at_rmax, 1, lambda cell: cell.lost_ratio), percent),
+                ("DEPTH 5000 at Rmax: p99", partial(_at_rmax, 5000, lambda cell: cell.shown_p99)),
+                ("lost %", partial(_at_rmax, 5000, lambda cell: cell.lost_ratio), percent),
+                ("rate reached %", partial(_at_rmax, 5000, lambda cell: cell.middle("reached_ratio")), percent),
+                ("quicker", _quicker),
+            ),
+        ),
+        _of_a_lost_packet(cells(document, LOSS)),
+        _under_arpd(cells(document, LIVE), document["conditions"]["seconds"]),
+    )
+
+
+def _at_rmax(depth: int, figure: Callable[[Cell], Any], verdict: Verdict) -> Any:
+    """Return a figure of the fixed configuration at the optimum's Rmax; the short form has not every one."""
+    return next((figure(cell) for cell in verdict.at_rmax if cell.depth == depth), "")
+
+
+def _quicker(verdict: Verdict) -> str:
+    if not verdict.slower_than:
+        return ""
+    best = min(verdict.slower_than, key=lambda cell: cell.p99_s or 0.0)
+    return f"{best.name_in_link}: {best.shown_p99}, link {percent(best.used_ratio)} % full"
+
+
+def _won(judged: list[Verdict], better: Callable[[Verdict], tuple[Cell, ...]], link: str) -> str:
+    here = [each for each in judged if each.optimum.link == link and each.optimum.runs]
+    return f"{sum(not better(each) for each in here)} of {len(here)}"
+
+
+def _of_a_lost_packet(found: list[Cell]) -> str:
+    if not found:
+        return ""
+    return paragraphs(
+        f"The cost of a lost packet, {found[0].payload_bytes} B over {found[0].link}, with rclpy's heartbeat of "
+        f"{HEARTBEAT_S[DEFAULT]:g} s and the {milliseconds(HEARTBEAT_S[ARPD])} ms of arpd's Fast DDS profile:",
+        table(
+            sorted(found, key=lambda cell: (cell.link_loss, cell.depth, cell.heartbeat == ARPD)),
+            ("packets lost %", lambda cell: cell.link_loss, percent),
+            ("R, D", lambda cell: cell.name_in_link),
+            ("heartbeat", lambda cell: cell.heartbeat),
+            ("p50 ms", lambda cell: cell.p50_s, milliseconds),
+            ("p99 ms (range over rounds)", lambda cell: cell.shown_p99),
+        ),
+    )
+
+
+def _under_arpd(found: list[Cell], seconds: float) -> str:
+    if not found:
+        return ""
+    return paragraphs(
+        f"The same robot under `arpd run` with `policy: uniform`, which measures Rmax, and with arpd's Fast DDS "
+        f"profile. Its sources publish at {found[0].deadline_hz} Hz; what pacing withholds is not lost:",
+        table(
+            found,
+            ("link", lambda cell: cell.link),
+            ("payload B", lambda cell: cell.payload_bytes),
+            ("Rmax Hz", lambda cell: cell.middle("uniform", "max_rate_hz"), short),
+            ("R Hz", lambda cell: cell.middle("uniform", "rate_hz"), short),
+            ("D", lambda cell: cell.middle("uniform", "depth"), "{:.0f}"),
+            ("of one sensor at the planner Hz", lambda cell: _came_hz(cell, seconds), short),
+            ("p50 ms", lambda cell: cell.p50_s, milliseconds),
+            ("p99 ms", lambda cell: cell.shown_p99),
+            ("sensing p99 ms", lambda cell: cell.middle("sensing", "p99_s"), milliseconds),
+            ("lost %", lambda cell: cell.lost_ratio, percent),
+            ("link % full", lambda cell: cell.used_ratio, percent),
+        ),
+    )
+
+
+def _came_hz(cell: Cell, seconds: float) -> float | None:
+    count = cell.middle("sensing", "count")
+    return None if count is None else count / SENSORS / seconds
+
+
 def main() -> None:
     parser = options_of(__doc__, "paper", quick="three configurations and arpd on one link: a minute", has_plot=True)
     parser.add_argument("--rounds", type=int, metavar="N", help=f"default {ROUNDS}")
     parser.add_argument("--seconds", type=float, metavar="S", help=f"of load in each turn (default {SECONDS:g})")
     options = parser.parse_args()
-    rounds = options.rounds or (1 if options.quick else ROUNDS)
+    number = options.rounds or (1 if options.quick else ROUNDS)
     seconds = options.seconds or (2.0 if options.quick else SECONDS)
     turns = quick_turns() if options.quick else [*figure_turns(), *loss_turns(), *live_turns()]
     document: dict[str, Any] = {
@@ -147,15 +278,15 @@ def main() -> None:
     }
     started_s = time.monotonic()
     with suppress(KeyboardInterrupt):  # the turns so far are kept
-        for run in measure(turns, rounds, seconds):
+        for run in measure(turns, number, seconds):
             document["runs"].append(run)
             print(f"{time.monotonic() - started_s:5.0f} s {line(run)}", flush=True)
     if len(document["runs"]) < len(turns):
         sys.exit("paper: interrupted before a round was whole; nothing is kept")
     if faults := [*nonsense(document), *(voids(document) if options.quick else [])]:
         sys.exit("\n".join(f"paper: {fault}" for fault in faults))
-    print(f"\n{table(document)}\n")
     keep(document, options, "paper", is_partial=options.quick, draw=partial(draw, document))
+    print(report(document))
 
 
 if __name__ == "__main__":

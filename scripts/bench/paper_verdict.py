@@ -1,4 +1,4 @@
-"""The paper's claims for its optimum, checked against every fixed configuration, with a reason for each miss."""
+"""The paper's claims for its optimum, checked against every fixed configuration, and what makes a document void."""
 
 from __future__ import annotations
 
@@ -9,18 +9,30 @@ from itertools import groupby
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.paper_cells import FIGURES, FIXED_DEPTHS, HEARTBEAT_S
+from scripts.bench.paper_cells import FIGURES, FIXED_DEPTHS, LIVE
+from scripts.bench.report import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 LIKE = 2.0  # two latencies are alike within this factor
-FULL = "the optimum fills the link itself, which has less than this Rmax for samples of that size"
-SPREAD = "the two differ by less than the rounds do"
-UNFILLED = "the fixed configuration does not fill the link either, so nothing queues"
-UNKNOWN = "these figures give no reason"
-_FULL_RATIO = 0.9  # of a link; above this, samples queue
-_STALL_S = 0.1  # longer than any queue of a link that is not full
+
+
+def short(value: float) -> str:
+    """Write two significant digits, or all before the point, so that only zero shows as zero."""
+    if value == 0.0:
+        return "0"
+    digits = max(0, 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def milliseconds(value_s: float) -> str:
+    return short(value_s * 1e3)
+
+
+def percent(ratio: float) -> str:
+    return short(ratio * 100.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,6 +73,14 @@ class Cell:
     def p99_s(self) -> float | None:
         """End-to-end latency at p99 (s)."""
         return self.middle("end_to_end", "p99_s")
+
+    @property
+    def shown_p99(self) -> str:
+        """End-to-end latency at p99 in ms, of several rounds with their range in brackets; or why it is void."""
+        if not self.runs:
+            return self.why_void
+        between = "–".join(shown(value, milliseconds) for value in self.p99_range_s)
+        return shown(self.p99_s, milliseconds) + (f" ({between})" if len(self.runs) > 1 else "")
 
     @property
     def p99_range_s(self) -> tuple[float | None, float | None]:
@@ -183,63 +203,46 @@ def _is_like(one_s: float | None, other_s: float | None) -> bool:
     return one_s is not None and other_s is not None and max(one_s, other_s) <= LIKE * min(one_s, other_s)
 
 
-def misses(document: dict[str, Any], judged: Sequence[Verdict]) -> Iterator[str]:
-    """Yield a sentence for every reason why optima miss a target, with the worst case and both its numbers."""
-    losses = {link["name"]: link["loss"] for link in document["links"]}
-    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
-    for verdict in judged:
-        best = verdict.optimum
-        if verdict.slower_than:
-            other = min(verdict.slower_than, key=lambda cell: cell.p99_s or 0.0)
-            ours, theirs = milliseconds(best.p99_s), milliseconds(other.p99_s)
-            by = (best.p99_s or math.inf) - (other.p99_s or 0.0)
-            pair = f"{best.name} {ours} ms against {other.name_in_link} {theirs} ms"
-            found.setdefault(("p99", why_slower(best, other, losses[best.link])), []).append((by, pair))
-        if verdict.lossier_than:
-            other = min(verdict.lossier_than, key=lambda cell: cell.lost_ratio or 0.0)
-            ours, theirs = percent(best.lost_ratio), percent(other.lost_ratio)
-            by = (best.lost_ratio or 0.0) - (other.lost_ratio or 0.0)
-            pair = f"{best.name} {ours} % against {other.name_in_link} {theirs} %"
-            found.setdefault(("loss", why_lossier(best)), []).append((by, pair))
-    for (what, why), pairs in sorted(found.items(), key=lambda item: item[0][0] == "loss"):
-        worst = max(pairs)[1]
-        yield f"{what}, {why}: {worst if len(pairs) == 1 else f'{len(pairs)} optima, most {worst}'}."
+def nonsense(document: dict[str, Any]) -> list[str]:
+    """Return the faults that make the document worthless; void turns are not faults."""
+    if not document["runs"]:
+        return ["no turn came to its end"]
+    found = []
+    for run in document["runs"]:
+        name = named(run)
+        if "failed" in run:
+            found.append(f"{name}: {run['failed']}")
+            continue
+        if not run["sensing"]["count"]:
+            found.append(f"{name}: nothing arrived")
+        elif not run["end_to_end"]["count"] and run["sensing"]["lost_ratio"] < 0.5:
+            found.append(f"{name}: nothing was answered")
+        if run["robot_sent_bytes"] < run["sensing"]["count"] * run["payload_bytes"]:
+            found.append(f"{name}: more arrived than the link carried; it was bypassed")
+        if any(not math.isfinite(number) for number in _numbers(run)):
+            found.append(f"{name}: a figure is not a number")
+    return found
 
 
-def why_slower(best: Cell, other: Cell, link_loss: float) -> str:
-    """Return why the p99 of an optimum is not below that of a fixed configuration without loss."""
-    if best.used_ratio >= _FULL_RATIO:
-        return FULL
-    low, high = best.p99_range_s[0], other.p99_range_s[1]
-    if low is not None and high is not None and low < high:
-        return SPREAD
-    if best.p99_s is not None and best.p99_s > _STALL_S and (link_loss > 0.0 or best.overflows):
-        lost = "a lost packet" if link_loss > 0.0 else "a packet that a full socket of this machine dropped"
-        return f"{lost} is sent again only after a heartbeat of {HEARTBEAT_S[best.heartbeat]:g} s"
-    return UNFILLED if other.used_ratio < _FULL_RATIO else UNKNOWN
+def voids(document: dict[str, Any]) -> list[str]:
+    """Return the void turns, and the processes without CPU time."""
+    return [
+        f"{named(run)}, round {run['round']}: the {run['void']} could not keep up"
+        for run in document["runs"]
+        if run.get("void")
+    ]
 
 
-def why_lossier(best: Cell) -> str:
-    """Return why an optimum loses more than a fixed configuration with a similar latency."""
-    if best.used_ratio >= _FULL_RATIO:
-        return FULL
-    return f"sockets of this machine overflowed ({best.overflows} datagrams)" if best.overflows else UNKNOWN
+def named(run: dict[str, Any]) -> str:
+    """Name a turn in a few words."""
+    if run["experiment"] == LIVE:
+        return f"{run['link']}, {run['payload_bytes']} B under arpd"
+    return f"{run['link']}, {run['payload_bytes']} B at {run['deadline_hz']} Hz, DEPTH {run['depth']}"
 
 
-def milliseconds(value_s: float | None) -> str:
-    """Write a time (s) in milliseconds."""
-    return "–" if value_s is None else short(value_s * 1e3)
-
-
-def percent(ratio: float | None) -> str:
-    """Write a share in per cent."""
-    return "–" if ratio is None else short(ratio * 100.0)
-
-
-def short(value: float) -> str:
-    """Write two significant digits, or all before the point, so that only zero shows as zero."""
-    if value == 0.0:
-        return "0"
-    digits = max(0, 1 - math.floor(math.log10(abs(value))))
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from _numbers(each)
+    elif isinstance(value, float):
+        yield value

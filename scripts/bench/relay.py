@@ -25,6 +25,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import count
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -34,14 +35,16 @@ from arpd.cli.progress import progress
 from scripts.bench.child import Child
 from scripts.bench.picture import picture
 from scripts.bench.record import REPO, conditions, keep, options_of
-from scripts.bench.relay_report import BARE, DIRECT, ONE_END, RELAYS, TWO_ENDS, cpu_us, row, table
+from scripts.bench.report import about, paragraphs, table
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from scripts.netns.namespaces import HostName
 
+DIRECT = "direct"
+BARE, ONE_END, TWO_ENDS = "bare relay", "one end", "two ends"
 OTHER_ONE, OTHER_TWO = "other tree, one end", "other tree, two ends"
 _PREFIXES = {
     ONE_END: "/ours",
@@ -51,6 +54,7 @@ _PREFIXES = {
     OTHER_ONE: "/other",
     OTHER_TWO: "/others",
 }
+TARGET = 1.1  # CPU per message of one end over that of the bare relay
 _TURN_S = 1.5
 _WARM_UP_S = 0.5
 _RATE_BYTES_PER_SECOND = 125e6  # 1 Gbit/s
@@ -162,7 +166,7 @@ class Bench:
     def turn(self, side: str, for_s: float) -> dict[str, Any]:
         """Send messages through one side; return the figures of the turn, and what the others spend at rest."""
         way = self.ways[side]
-        way.sink.send(prefix=self._out(side))
+        way.sink.send(prefix=self._out(side), since_ns=time.time_ns())
         before = {each: way.cpu() for each, way in self.ways.items()}
         began_s = time.monotonic()
         sent = way.source.ask(
@@ -283,10 +287,62 @@ def measure(
     return tallies
 
 
+def cpu_us(cell: dict[str, Any], side: str, *, process: int | None = None) -> float:
+    """Return the CPU per message of a side's relay, or of one process of it (us)."""
+    turns = cell["sides"][side]["cpu_s"]
+    return float(1e6 * median(sum(turn) if process is None else turn[process] for turn in turns))
+
+
+def added_ms(cell: dict[str, Any], side: str, figure: str = "latency_s") -> float:
+    """Return the latency that a side adds to no relay: of medians, or with ``p95_s`` of 95th percentiles (ms)."""
+    return float(1e3 * (median(cell["sides"][side][figure]) - median(cell["sides"][DIRECT][figure])))
+
+
+def report(document: dict[str, Any]) -> str:
+    cells = document["cells"]
+    sides = [side for side in cells[0]["sides"] if side != DIRECT]
+
+    def cost(side: str) -> Callable[[dict[str, Any]], str]:
+        return lambda cell: " + ".join(
+            f"{cpu_us(cell, side, process=process):.0f}" for process in range(len(cell["sides"][side]["cpu_s"][0]))
+        )
+
+    def latency(side: str) -> Callable[[dict[str, Any]], str]:
+        return lambda cell: f"{added_ms(cell, side):.2f} ({added_ms(cell, side, 'p95_s'):.2f})"
+
+    def ratio(cell: dict[str, Any]) -> float:
+        return cpu_us(cell, ONE_END) / cpu_us(cell, BARE)
+
+    rests = {
+        side: median(share for cell in cells for share in cell["sides"][side]["rest"]) for side in (ONE_END, TWO_ENDS)
+    }
+    return paragraphs(
+        about(
+            document,
+            "CPU in µs per message, of two ends robot + CEDDP; latency in ms beyond that of no relay (p95 in brackets)",
+        ),
+        f"Target: one end takes at most {TARGET} times the CPU of the bare relay; met in "
+        f"{sum(ratio(cell) <= TARGET for cell in cells)} of {len(cells)} rows. At rest, one end takes "
+        f"{rests[ONE_END]:.1%} of a core, both {rests[TWO_ENDS]:.1%}.",
+        table(
+            cells,
+            ("bytes", "payload_bytes", "{:,}"),
+            ("topics", "topics"),
+            ("Hz", "rate_hz"),
+            *((f"CPU, {side}", cost(side)) for side in sides),
+            ("one end / bare", lambda cell: f"{ratio(cell):.2f}{' ✗' * (ratio(cell) > TARGET)}"),
+            *((f"latency, {side}", latency(side)) for side in sides),
+            ("lost", lambda cell: sum(each["sent"] - each["received"] for each in cell["sides"].values())),
+        ),
+        "CPU contains what a relay spends at rest. Relays, the bare one too, write in parts of 1392 bytes, as arpd's "
+        "Fast DDS profile says; the source writes in parts of 64 kB.",
+    )
+
+
 def draw(cells: Sequence[dict[str, Any]], path: Path) -> None:
     """Draw the CPU per message of every relay; for two ends, the parts of the robot and of the CEDDP."""
     with picture(path, figsize=(9, 4.5)) as (_, axes):
-        for k, side in enumerate(RELAYS):
+        for k, side in enumerate((BARE, ONE_END, TWO_ENDS)):
             xs = [number + 0.27 * (k - 1) for number in range(len(cells))]
             total = [cpu_us(cell, side) for cell in cells]
             bars = axes.bar(xs, total, width=0.26, label=side)
@@ -310,7 +366,7 @@ def main() -> None:
     if options.against:
         trees[OTHER_ONE, OTHER_TWO] = options.against.resolve()
     measured: list[dict[str, Any]] = []
-    noted, started_s = conditions(), time.monotonic()
+    noted = conditions()
     cells = QUICK if options.quick else DEFAULT
     with (
         SimLink(
@@ -325,10 +381,9 @@ def main() -> None:
             shown.step(f"{cell.topics} topics of {cell.payload_bytes} bytes")
             tallies = measure(cell, link, Path(workdir), trees, options.rounds)
             measured.append({**asdict(cell), "sides": {side: asdict(tally) for side, tally in tallies.items()}})
-            print(f"{time.monotonic() - started_s:5.0f} s {row(measured[-1])}", flush=True)
-    print(table(measured))
     document = {"conditions": noted, "cells": measured}
     keep(document, options, "relay", is_partial=options.quick, draw=partial(draw, measured))
+    print(report(document))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ _DEPTH = 10  # of a relay's writers, as in `arpd relay` before the first plan
 _RECEIVE_DEPTH = 100  # of a relay's readers, as in `arpd relay`
 _SINK_DEPTH = 1000
 _MATCH_TIMEOUT_S = 40.0
+_SILENT_S = 5.0  # a machine that is busy with other work may hold samples up for a second
 _DIGITS = 20
 
 
@@ -94,20 +95,25 @@ def sink() -> None:
             everyone = [subscription for group in groups.values() for subscription in group]
             answer(matched=_all_matched([subscription.get_publisher_count for subscription in everyone]))
         else:
-            _listen(groups[order["prefix"]], orders)
+            _listen(groups[order["prefix"]], orders, since_ns=order["since_ns"])
 
 
-def _listen(subscriptions: list[Any], orders: queue.SimpleQueue[dict[str, Any] | None]) -> None:
-    """Take until the parent says how many were sent; then until they are there, or nothing comes for a second."""
+def _listen(subscriptions: list[Any], orders: queue.SimpleQueue[dict[str, Any] | None], *, since_ns: int) -> None:
+    """Take until the parent says how many were sent; then until they are there, or nothing comes for a while.
+
+    Parameters
+    ----------
+    since_ns : samples that left before come late from an earlier turn, and do not count (Unix time, ns)
+    """
     ages_ns: list[int] = []
     expected: int | None = None
     last_s = time.monotonic()
-    while expected is None or (len(ages_ns) < expected and time.monotonic() - last_s < 1.0):
+    while expected is None or (len(ages_ns) < expected and time.monotonic() - last_s < _SILENT_S):
         before = len(ages_ns)
         for subscription in subscriptions:
-            ages_ns += [
-                about["received_timestamp"] - int(sample[8 : 8 + _DIGITS]) for sample, about in taken(subscription)
-            ]
+            for sample, about in taken(subscription):
+                if (sent_ns := int(sample[8 : 8 + _DIGITS])) >= since_ns:
+                    ages_ns.append(about["received_timestamp"] - sent_ns)
         if len(ages_ns) > before:
             last_s = time.monotonic()
         with suppress(queue.Empty):

@@ -38,14 +38,13 @@ import yaml
 from pyroute2 import IPRoute
 
 from arpd.cli.progress import progress
-from scripts.bench.child import Child, ChildError
+from scripts.bench.child import Child, ChildError, footprint
 from scripts.bench.node import becomes_true
 from scripts.bench.record import REPO, RESULTS, conditions, keep, options_of, read
 from scripts.bench.reliability_course import CALM_S, HOUR_MINUTES, Event, schedule
+from scripts.bench.reliability_figures import report
 from scripts.bench.reliability_nodes import DEPTH as APP_DEPTH
 from scripts.bench.reliability_nodes import KINDS, RATE_HZ, TOPICS, topic_name
-from scripts.bench.reliability_report import markdown
-from scripts.bench.soak import footprint
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_ARPD
@@ -367,7 +366,7 @@ def main() -> None:
                 sys.exit(f"reliability: {error}")
         document["security"] = security_scores()
         keep(document, options, "reliability", is_partial=options.quick)
-    print(markdown(document, read(options.fuzz) if options.fuzz.exists() else None))
+    print(report(document, read(options.fuzz) if options.fuzz.exists() else None))
 
 
 if __name__ == "__main__":

@@ -29,12 +29,20 @@ from arpd.solve.problem import ShareProblem, Solved, disagreement
 from arpd.solve.program import Program
 from scripts.bench.picture import picture
 from scripts.bench.record import conditions, keep, options_of
-from scripts.bench.solve_report import PAPER
+from scripts.bench.report import about, mib, paragraphs, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-DPP, OSQP, EXACT = "cvxpy, parameters", "OSQP, direct", "exact"
+PAPER, DPP, OSQP, EXACT = SIDES = "cvxpy, built anew", "cvxpy, parameters", "OSQP, direct", "exact"
+WAYS = {
+    PAPER: "the paper's way: cvxpy, built for each solve, its default solver",
+    DPP: "cvxpy, parametrised (DPP)",
+    OSQP: "OSQP, direct",
+    EXACT: "exact, whole numbers",
+    "whole program, osqp": "*the whole program: (G1), (G2), rounding; osqp*",
+    "whole program, exact": "*the whole program: (G1), (G2), rounding; exact*",
+}
 #: topics → turns; in each turn every side solves `TURN` instances
 TURNS = {1: 30, 12: 40, 100: 20, 1000: 10, 10_000: 7}
 QUICK = {1: 5, 12: 15}
@@ -175,25 +183,33 @@ def footprint(backend: Backend) -> dict[str, Any]:
     }
 
 
-def table(races: Sequence[dict[str, Any]], footprints: dict[str, dict[str, Any]]) -> str:
-    names = list(races[0]["median_s"])
-    lines = ["median re-solve, ms (x = times faster than the paper's way; ! = answers that failed or were off)", ""]
-    lines.append(f"{'topics':>24}" + "".join(f"{race['topics']:>20}" for race in races))
-    for name in names:
-        cells = []
-        for race in races:
-            spent = race["median_s"][name]
-            ratio = race["median_s"][PAPER] / spent
-            wrong = race["failed_or_wrong"][name]
-            note = f"{ratio:>6.0f}x" if name != PAPER else " " * 7
-            cells.append(f"{spent * 1e3:10.3f}{note}{f'!{wrong}' if wrong else '':<3}")
-        lines.append(f"{name:>24}" + "".join(f"{cell:>20}" for cell in cells))
-    lines += ["", f"{'back end':>24}{'import s':>12}{'peak RSS MiB':>16}"]
-    lines += [
-        f"{name:>24}{found['import_s']:>12.2f}{found['peak_rss_bytes'] / 2**20:>16.1f}"
-        for name, found in footprints.items()
-    ]
-    return "\n".join(lines)
+def report(document: dict[str, Any]) -> str:
+    return paragraphs(
+        about(document, "Median ms of a re-solve of N topics; ×: times as fast as the paper's way"),
+        table(
+            WAYS,
+            ("", WAYS.__getitem__),
+            *((f"N = {race['topics']:,}", partial(_time, race)) for race in document["races"]),
+        ),
+        table(
+            document["footprints"].items(),
+            ("a process that solves, without ROS", 0),
+            ("MiB", lambda found: found[1]["peak_rss_bytes"], mib),
+            ("imports in s", lambda found: found[1]["import_s"], "{:.2f}"),
+            ("imports cvxpy", lambda found: "yes" if found[1]["loads_cvxpy"] else "no"),
+        ),
+    )
+
+
+def _time(race: dict[str, Any], way: str) -> str:
+    spent_ms = race["median_s"][way] * 1e3
+    text = f"{spent_ms:.0f}" if spent_ms >= 100.0 else f"{spent_ms:.3g}"
+    if way in SIDES[1:]:  # these solve the same problem as the paper's way
+        times = race["median_s"][PAPER] / race["median_s"][way]
+        text += f" ({times:.0f}×)" if times >= 1.0 else " (slower)"
+    if wrong := race["failed_or_wrong"][way]:
+        text += f", {wrong} of {race['instances']} off"
+    return text
 
 
 def draw(races: Sequence[dict[str, Any]], path: Path) -> None:
@@ -224,9 +240,9 @@ def main() -> None:
         for backend in Backend:
             shown.step(f"footprint of {backend}")
             footprints[str(backend)] = footprint(backend)
-    print(table(races, footprints))
     document = {"conditions": noted, "races": races, "footprints": footprints}
     keep(document, options, "solve", is_partial=options.quick, draw=partial(draw, races))
+    print(report(document))
 
 
 if __name__ == "__main__":

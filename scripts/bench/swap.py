@@ -1,6 +1,6 @@
 """Measure a change of QoS: messages lost, doubled and reordered, the longest gap, CPU and bytes.
 
-Usage: .venv/bin/python scripts/bench/swap.py [--quick | --full] [--only TEXT] [--json FILE]
+Usage: .venv/bin/python scripts/bench/swap.py [--quick | --full] [--only TEXT] [--minutes M] [--json FILE]
 
 Needs root, as the simulated link does.
 
@@ -10,6 +10,9 @@ are processes of their own; the time of an arrival is that of its reception by D
 All run with arpd's Fast DDS profile (heartbeat of 50 ms), which helps destroy+create too: lost samples are resent
 sooner. CPU and bytes of a swap are the difference between the phase with swaps and the still phase of the same turn.
 "local" is one host of the simulated link, over UDP. Only ratios within one run mean anything.
+
+Then twelve topics are swapped without a pause for some minutes (swap_soak.py): what grows, and whether a subscriber is
+lost.
 """
 
 from __future__ import annotations
@@ -17,32 +20,37 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from math import sqrt
 from pathlib import Path
+from statistics import quantiles
 from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
+from arpd.model.wire import MTU_BYTES
 from scripts.bench.child import Child, ChildError, sent_bytes
 from scripts.bench.node import becomes_true
-from scripts.bench.picture import picture
 from scripts.bench.record import conditions, keep, options_of
-from scripts.bench.swap_report import ADAPTIVE, EVENTS, WAYS, beyond, verdict
+from scripts.bench.report import Column, about, details, milli, paragraphs, scaled, table
+from scripts.bench.swap_soak import soak, soak_report
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from scripts.bench.swap_report import Ways
     from scripts.netns.namespaces import HostName
 
+STILL, ADAPTIVE, RECREATE = WAYS = ("no swaps", "adaptive", "destroy+create")
+EVENTS = ("lost", "doubled", "reordered")
+PROMISED_DEPTH = 10  # deep enough to lose nothing
+SOAK = "soak"
 LINK_BYTES_PER_SECOND = 100e6 / 8
 WIRE_OVERHEAD = 180  # bytes of headers around a payload
 MOST_DELIVERIES_HZ = 4000  # limit of a writer and its readers on two cores
-STILL_S, SPACING_S, REQUESTS = 1.0, 0.5, 6
+STILL_S, SPACING_S, REQUESTS, QUICK_REQUESTS = 1.0, 0.5, 6, 1
 # An adaptive swap settles for so long. The others go on publishing for as long, because time alone causes some losses:
 # IP fragments of large samples fill the kernel's reassembly memory within half a minute, with or without swaps.
 SETTLE_S = 3.2
@@ -96,7 +104,7 @@ def cells(which: str) -> list[Cell]:
         ]
 
     if which == "quick":
-        return [*some(LINK, [(1000, 10)]), *some(LOSS_10, [(100, 10)])]
+        return some(LINK, [(100, 10)])
     rates, depths = (10, 100, 1000), (1, 10, 100, 5000)
     whole = list(itertools.product(rates, depths))
     if which == "full":
@@ -169,14 +177,14 @@ class Tally:
 class Bench:
     """The writer and the readers of one setting."""
 
-    def __init__(self, link: SimLink, setting: Setting) -> None:
-        self._link, self._setting = link, setting
+    def __init__(self, link: SimLink, setting: Setting, requests: int) -> None:
+        self._link, self._setting, self._requests = link, setting, requests
         self._readers: list[Child] = []
         self._turns = itertools.count()
         link.set_loss(setting.loss)
         self._writer = Child(link, "robot", "scripts.bench.swap_nodes", "writer")
 
-    def end(self) -> None:
+    def close(self) -> None:
         for child in (self._writer, *self._readers):
             child.end()
 
@@ -197,7 +205,7 @@ class Bench:
             depth=cell.depth,
             payload_bytes=cell.payload_bytes,
             still_s=max(STILL_S, 10 / cell.rate_hz),
-            swaps=REQUESTS,
+            swaps=self._requests,
             spacing_s=SPACING_S if way == ADAPTIVE else SPACING_S + SETTLE_S,
         )
         self._writer.receive()
@@ -231,73 +239,104 @@ def measure(cell: Cell, bench: Bench, rounds: int, turn: int) -> dict[str, Tally
     return tallies
 
 
-def as_ways(tallies: dict[str, Tally]) -> Ways:
-    return {way: asdict(tally) for way, tally in tallies.items()}
+def beyond(ways: Mapping[str, Mapping[str, Any]], way: str) -> list[str]:
+    """Return the events that a way shows more often than the baseline, beyond the scatter of the baseline's own."""
+    found = []
+    longer = ways[way]["expected"] / max(1, ways[STILL]["expected"])  # a phase with slow swaps has more samples
+    for event in EVENTS:
+        ours, still = ways[way][event], ways[STILL][event] * longer
+        if ours > still + (3 * sqrt(ours + still) if still else 0):
+            found.append(event)
+    return found
 
 
-def as_cells(measured: list[tuple[Cell, dict[str, Tally]]]) -> list[dict[str, Any]]:
-    return [{**asdict(cell), "ways": as_ways(tallies)} for cell, tallies in measured]
+def report(document: dict[str, Any]) -> str:
+    """Return each way over all combinations, the soak, and every combination."""
+    cells, soaked = document["cells"], document.get("soak")
+    deep = [cell for cell in cells if cell["depth"] >= PROMISED_DEPTH]
+    often = [cell for cell in cells if cell["rate_hz"] >= 100]
+    slow = [cell for cell in cells if cell["rate_hz"] <= 100 and cell["payload_bytes"] <= MTU_BYTES]
+    losses = sorted({f"{100 * cell['setting']['loss']:g}" for cell in cells}, key=float)
 
+    def total(key: str) -> Column:
+        return (key, lambda way: sum(cell["ways"][way][key] for cell in deep), "{:,}")
 
-def table(measured: list[tuple[Cell, dict[str, Tally]]], skipped: dict[Cell, str]) -> str:
-    def events(tally: Tally) -> str:
-        return "/".join(str(getattr(tally, event)) for event in EVENTS)
+    def gap(head: str, among: Sequence[dict[str, Any]]) -> Column:
+        return (head, lambda way: max((cell["ways"][way]["gap_s"] for cell in among), default=None), milli)
 
-    def results(tally: Tally) -> str:
-        short = {"ok": "ok", "reorder_possible": "late", "superseded": "super", "undelivered": "undeliv"}
-        return " ".join(f"{count} {short.get(key, key)}" for key, count in sorted(tally.results.items()))
+    def spent(way: str) -> str | None:
+        spent_ms = [1e3 * of["cpu_s"] / of["swaps"] for of in (cell["ways"][way] for cell in slow) if of["swaps"]]
+        low, _, high = quantiles(spent_ms, n=4) if len(spent_ms) > 1 and way != STILL else (0.0, 0.0, 0.0)
+        return f"{round(low)} to {round(high)}" if high else None
 
-    lines = [
-        "lost/doubled/reordered; ! = beyond what the baseline shows; gap: longest between two arrivals",
-        "",
-        f"{'':>38}{'lost/doubled/reordered':^44}{'gap ms':^21}{'CPU ms/swap':^16}{'kB/swap':^14}",
-        f"{'setting':>14}{'rd':>3}{'Hz':>5}{'depth':>6}{'bytes':>6}{'expected':>9}"
-        + "".join(f"{way:>15}" for way in WAYS)
-        + "".join(f"{way:>7}" for way in ("still", "adapt", "d+c"))
-        + "".join(f"{way:>7}" for way in ("adapt", "d+c"))
-        + "".join(f"{way:>7}" for way in ("adapt", "d+c"))
-        + "  swaps of adaptive",
-    ]
-    for cell, tallies in measured:
-        tested = [tallies[way] for way in WAYS[1:]]
-        flags = {way: "!" if beyond(as_ways(tallies), way) else "" for way in WAYS}
-        lines.append(
-            f"{cell.setting!s:>14}{cell.readers:>3}{cell.rate_hz:>5}{cell.depth:>6}{cell.payload_bytes:>6}"
-            f"{tallies[ADAPTIVE].expected:>9}"
-            + "".join(f"{events(tallies[way]) + flags[way]:>15}" for way in WAYS)
-            + "".join(f"{tallies[way].gap_s * 1e3:>7.0f}" for way in WAYS)
-            + "".join(f"{tally.cpu_s / tally.swaps * 1e3:>7.1f}" for tally in tested)
-            + "".join(f"{tally.wire_bytes / tally.swaps * 1e-3:>7.1f}" for tally in tested)
-            + f"  {results(tallies[ADAPTIVE])}"
+    parts = [soak_report(soaked)] if soaked else []
+    if cells:
+        what = (
+            f"{len(deep)} combinations with DEPTH ≥ {PROMISED_DEPTH}, on one host and over a link with "
+            f"{', '.join(losses)} % loss, {_range(cells, 'rate_hz')} Hz, {_range(cells, 'readers')} readers; gaps "
+            "between two samples at 100 Hz and more; CPU at up to 100 Hz, the middle half of the combinations"
         )
-    lines += [
-        f"skipped: {cell.setting} {cell.rate_hz} Hz {cell.payload_bytes} B: {why}" for cell, why in skipped.items()
-    ]
-    return "\n".join([*lines, "", *verdict(as_cells(measured))])
+        over_all = table(
+            WAYS,
+            ("", str),
+            ("swaps", lambda way: None if way == STILL else sum(cell["ways"][way]["swaps"] for cell in deep)),
+            *map(total, ("expected", *EVENTS)),
+            ("combinations worse", lambda way: sum(bool(beyond(cell["ways"], way)) for cell in deep)),
+            gap("longest gap ms", [cell for cell in often if not cell["setting"]["loss"]]),
+            gap("with loss ms", [cell for cell in often if cell["setting"]["loss"]]),
+            ("CPU ms per swap", spent),
+        )
+        legend = (
+            "Lost/doubled/reordered of the samples expected by an adaptive publisher's readers; ! = beyond what the "
+            "scatter of the run without swaps explains."
+        )
+        parts = [about(document, what), over_all, *parts, details("All combinations", legend, table(cells, *_CELL))]
+    return paragraphs(*parts)
 
 
-def draw(measured: list[tuple[Cell, dict[str, Tally]]], path: Path) -> None:
-    """Draw messages lost, doubled and reordered per swap, one row per cell that shows any."""
-    shown = [pair for pair in measured if any(t.lost or t.reordered or t.doubled for t in pair[1].values())]
-    labels = [f"{c.setting}, {c.readers} rd, {c.rate_hz} Hz, depth {c.depth}, {c.payload_bytes} B" for c, _ in shown]
-    with picture(path, figsize=(9, 1.5 + 0.34 * max(1, len(shown)))) as (_, axes):
-        for k, way in enumerate(WAYS):
-            values = [(t[way].lost + t[way].doubled + t[way].reordered) / max(1, t[way].swaps) for _, t in shown]
-            axes.barh([row + 0.27 * (k - 1) for row in range(len(shown))], values, height=0.26, label=way)
-        axes.set_yticks(range(len(shown)), labels)
-        axes.invert_yaxis()
-        axes.set_xscale("symlog", linthresh=0.1)
-        axes.set_xlabel("messages lost, doubled or reordered per swap, or in its time")
-        axes.set_title(f"{len(measured) - len(shown)} of {len(measured)} cells without any are not shown", fontsize=9)
-        axes.legend()
+def _events(way: str) -> Column:
+    def shown(cell: dict[str, Any]) -> str:
+        events = "/".join(str(cell["ways"][way][event]) for event in EVENTS)
+        return events + ("!" if beyond(cell["ways"], way) else "")
+
+    return (way, shown)
+
+
+def _of_way(head: str, way: str, key: str, form: Any, *, per_swap: bool = False) -> Column:
+    def value(cell: dict[str, Any]) -> float:
+        tally = cell["ways"][way]
+        return float(tally[key] / tally["swaps"] if per_swap else tally[key])
+
+    return (f"{head}, {way}", value, form)
+
+
+_CELL: tuple[Column, ...] = (
+    ("setting", lambda cell: str(Setting(**cell["setting"]))),
+    ("readers", "readers"),
+    ("Hz", "rate_hz"),
+    ("depth", "depth"),
+    ("bytes", "payload_bytes"),
+    _of_way("expected", ADAPTIVE, "expected", "{:.0f}"),
+    *map(_events, WAYS),
+    *(_of_way("gap ms", way, "gap_s", milli) for way in WAYS),
+    *(_of_way("CPU ms/swap", way, "cpu_s", scaled(1e3, ".1f"), per_swap=True) for way in WAYS[1:]),
+    *(_of_way("kB/swap", way, "wire_bytes", scaled(1e-3, ".1f"), per_swap=True) for way in WAYS[1:]),
+    ("swaps", lambda cell: " ".join(f"{n} {key}" for key, n in sorted(cell["ways"][ADAPTIVE]["results"].items()))),
+)
+
+
+def _range(cells: Sequence[dict[str, Any]], key: str) -> str:
+    values = sorted({cell[key] for cell in cells})
+    return " to ".join(dict.fromkeys(map(str, (values[0], values[-1])))) if values else ""
 
 
 def main() -> None:
-    parser = options_of(__doc__, "swap", quick="two cells, a minute", has_plot=True)
+    parser = options_of(__doc__, "swap", quick="one cell and a soak of six seconds")
     parser.add_argument("--full", action="store_true", help="every cell, hours")
     parser.add_argument("--rounds", type=int, default=1, metavar="N", help="turns of each way per cell (default 1)")
+    parser.add_argument("--minutes", type=float, default=3.0, metavar="M", help="length of the soak (default 3)")
     parser.add_argument(
-        "--only", default="", metavar="TEXT", help="cells whose setting contains this: local, link, loss"
+        "--only", default="", metavar="TEXT", help="cells whose setting contains this: local, link, loss; or soak"
     )
     options = parser.parse_args()
     if options.quick and options.full:
@@ -305,37 +344,51 @@ def main() -> None:
     which = "quick" if options.quick else "full" if options.full else "default"
     wanted = [cell for cell in cells(which) if options.only in str(cell.setting)]
     skipped = {cell: why for cell in wanted if (why := cell.why_not())}
-    measured: list[tuple[Cell, dict[str, Tally]]] = []
-    noted, started_s = conditions(), time.monotonic()
-    with (
-        SimLink(
-            f"swap-{time.monotonic_ns() % 10**9}", rate_bytes_per_second=LINK_BYTES_PER_SECOND, queue_bytes=1_000_000
-        ) as link,
-        progress("measuring", total=len(wanted) - len(skipped)) as shown,
-    ):
-        for setting, group in itertools.groupby((c for c in wanted if c not in skipped), key=lambda c: c.setting):
-            with ExitStack() as stack:
-                bench = Bench(link, setting)
-                stack.callback(bench.end)
+    possible = [cell for cell in wanted if cell not in skipped]
+    document: dict[str, Any] = {
+        "conditions": conditions(),
+        "cells": [],
+        "skipped": [{**asdict(cell), "why": why} for cell, why in skipped.items()],
+    }
+    failed: list[str] = []
+    run_id = f"swap-{time.monotonic_ns() % 10**9}"
+    with SimLink(run_id, rate_bytes_per_second=LINK_BYTES_PER_SECOND, queue_bytes=1_000_000) as link:
+        for cell, tallies in measured(possible, link, options.rounds, QUICK_REQUESTS if options.quick else REQUESTS):
+            document["cells"].append({**asdict(cell), "ways": {way: asdict(tally) for way, tally in tallies.items()}})
+        if options.only in ("", SOAK):
+            link.set_loss(0.0)
+            try:
+                document["soak"] = soak(link, 0.1 if options.quick else options.minutes)
+            except ChildError as error:
+                failed.append(f"soak: {error}")
+    is_partial = options.quick or bool(options.only)
+    keep(document, options, "swap", is_partial=is_partial)
+    print(report(document))
+    if len(document["cells"]) < len(possible):
+        failed.append("not every cell could be measured")
+    if failed:
+        sys.exit(f"swap: {'; '.join(failed)}")
+
+
+def measured(
+    wanted: Sequence[Cell], link: SimLink, rounds: int, requests: int
+) -> Iterator[tuple[Cell, dict[str, Tally]]]:
+    """Yield every cell as it is measured; after a child has failed, the rest of its setting is left out."""
+    turn, started_s = 0, time.monotonic()
+    with progress("measuring", total=len(wanted)) as shown:
+        for setting, group in itertools.groupby(wanted, key=lambda cell: cell.setting):
+            with closing(Bench(link, setting, requests)) as bench:
                 for cell in group:
                     shown.step(f"{cell.setting}: {cell.readers} readers, {cell.rate_hz} Hz, depth {cell.depth}")
                     try:
-                        tallies = measure(cell, bench, options.rounds, len(measured))
+                        tallies = measure(cell, bench, rounds, turn)
                     except ChildError as error:
                         print(f"{cell}: {error}", file=sys.stderr)
                         break
-                    measured.append((cell, tallies))
-                    print(f"{time.monotonic() - started_s:5.0f} s", table([(cell, tallies)], {}).splitlines()[4])
-    print(table(measured, skipped))
-    document = {
-        "conditions": noted,
-        "cells": as_cells(measured),
-        "skipped": [{**asdict(cell), "why": why} for cell, why in skipped.items()],
-    }
-    is_partial = options.quick or bool(options.only)
-    keep(document, options, "swap", is_partial=is_partial, draw=partial(draw, measured))
-    if len(measured) < len(wanted) - len(skipped):
-        sys.exit("swap: not every cell could be measured")
+                    turn += 1
+                    lost = ", ".join(f"{tally.lost} {way}" for way, tally in tallies.items())
+                    print(f"{time.monotonic() - started_s:5.0f} s  {cell}: lost {lost}", flush=True)
+                    yield cell, tallies
 
 
 if __name__ == "__main__":

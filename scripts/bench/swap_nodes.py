@@ -19,10 +19,12 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher
 from scripts.bench.child import answer, commands, number_of, sample_of
 from scripts.bench.node import becomes_true, plain_node, raw_readers, taken
-from scripts.bench.swap_report import ADAPTIVE, RECREATE, STILL
+from scripts.bench.swap import ADAPTIVE, RECREATE, STILL
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from arpd.apply.endpoint.writer_swap import SwapTiming
 
 _READ_DEPTH = 5000
 _POLL_S = 0.002
@@ -35,8 +37,8 @@ _SETTLE_S = 0.6  # after the last swap, so that its drain is measured with it
 class Adaptive:
     """An AdaptivePublisher whose depth changes by a writer swap."""
 
-    def __init__(self, node: Any, topic: str, depth: int) -> None:
-        self._publisher = AdaptivePublisher(node, String, topic, depth)
+    def __init__(self, node: Any, topic: str, depth: int, timing: SwapTiming | None = None) -> None:
+        self._publisher = AdaptivePublisher(node, String, topic, depth, swap_timing=timing)
         self.publish: Callable[[bytes], None] = self._publisher.publish
         self.matched = self._publisher.get_subscription_count
         self.destroy = self._publisher.destroy

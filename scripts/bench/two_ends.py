@@ -38,9 +38,8 @@ from scripts.bench.reliability_course import CALM_S, Event, schedule
 from scripts.bench.two_ends_account import Death, Reading
 from scripts.bench.two_ends_address import Addresses, SharingHosts, widen
 from scripts.bench.two_ends_calls import ACTION, GOAL_FAILED_S, SERVICE
-from scripts.bench.two_ends_findings import Course, calls_of, demand_of, latched_of, sets_of_three, topics_of
+from scripts.bench.two_ends_findings import Course, calls_of, demand_of, latched_of, report, sets_of_three, topics_of
 from scripts.bench.two_ends_nodes import SET_TOPICS, STREAMS
-from scripts.bench.two_ends_report import markdown
 from scripts.netns.simlink import SimLink
 from scripts.robot.manner import WITH_TWO_ENDS
 from scripts.robot.proxy import window
@@ -356,7 +355,7 @@ def main() -> None:
             except (ChildError, DemoError) as error:
                 sys.exit(f"two_ends: {error}")
         keep(document, options, "two_ends", is_partial=options.quick or options.ip_change)
-    print(markdown(document))
+    print(report(document))
 
 
 if __name__ == "__main__":

@@ -1,16 +1,20 @@
-"""What `two_ends.py` found, from what each process and arpd's status said."""
+"""What `two_ends.py` found, from what each process and arpd's status said, and its report for docs/results.md."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from scripts.bench.record import described
+from scripts.bench.reliability_figures import loud_lines
+from scripts.bench.report import paragraphs, table
 from scripts.bench.two_ends_account import Death, Reading, gaps, reachable, row, sets_of, unfolded
 from scripts.bench.two_ends_calls import summary
 from scripts.bench.two_ends_nodes import DEMAND, LATCHED, SET_TOPICS, STREAMS, VISIT_S
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     Readings = Mapping[tuple[str, str], Sequence[Reading]]  # by topic and host
 
@@ -122,3 +126,107 @@ def latched_of(found: dict[str, Any], course: Course) -> list[dict[str, Any]]:
         )
         each["complete_s"] = max((at_s for _, at_s in newest.values()), default=visit["at_s"]) - visit["at_s"]
     return rows
+
+
+def report(document: dict[str, Any]) -> str:
+    if "addresses" in document:
+        return _addresses(document)
+    events = ", ".join(f"{count} × {kind}" for kind, count in document["events"].items())
+    return paragraphs(
+        f"{document['minutes']:g} minutes ({described(document)}): {events}.",
+        table(
+            _streams(document),
+            ("writer", "writer"),
+            ("sent", "sent", "{:,}"),
+            ("received", "received", "{:,}"),
+            ("withheld by pacing", lambda row: row.get("withheld", "")),
+            ("while the near end was dead", "while_near_dead"),
+            ("while the far end was dead", "while_far_dead"),
+            ("lost", lambda row: row.get("lost", "")),
+            ("doubled", "doubled"),
+            ("out of order", "reordered"),
+            ("flows again after s, at most", lambda row: max(row["again_s"], default=None), "{:.1f}"),
+            ("not again", "never_again"),
+        ),
+        table(
+            document["calls"].items(),
+            ("from the CEDDP", lambda row: {"calls": "service calls", "goals": "action goals"}[row[0]]),
+            *((what, lambda row, key=key: row[1][key], "{:,}") for what, key in _CALLS.items()),
+            ("median s", lambda row: row[1]["median_s"], "{:.2f}"),
+            ("longest s", lambda row: row[1]["longest_s"], "{:.1f}"),
+        )
+        if document["calls"]
+        else "",
+        table(_others(document), ("", 0), ("", 1)),
+    )
+
+
+_CALLS = {
+    "made": "made",
+    "answered": "answered",
+    "failed": "failed",
+    "of these begun as the ends did not hear each other": "failed_meanwhile",
+    "failed but ran": "failed_but_ran",
+    "answered and failed": "both",
+    "neither": "neither",
+    "answered twice": "answered_twice",
+    "wrong": "wrong",
+    "ran twice": "ran_twice",
+    "answered but never ran": "answered_but_never_ran",
+}
+
+
+def _addresses(document: dict[str, Any]) -> str:
+    def again(one: dict[str, Any] | None) -> str:
+        if one is None:
+            return ""
+        return f"not: {', '.join(one['silent'])}" if one["again_s"] is None else f"{one['again_s']:.1f} s"
+
+    return paragraphs(
+        f"{described(document)}:",
+        table(
+            document["addresses"],
+            ("new address of the", "host"),
+            ("processes that ended themselves, after", lambda one: _listed(one["ended_s"])),
+            ("all topics flow again after", again),
+            ("a new plain process sees its host's nodes", lambda one: "yes" if one["is_visible"] else "no"),
+            ("with these nodes started again, all topics flow after", lambda one: again(one.get("after_nodes"))),
+        ),
+    )
+
+
+def _listed(ended_s: dict[str, float]) -> str:
+    return ", ".join(f"{name} {at_s:.1f} s" for name, at_s in ended_s.items()) or "none"
+
+
+def _streams(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each writer; what only the topic's counters know stands in the row of its last writer."""
+    for one in document["topics"].values():
+        *others, last = one["writers"]
+        yield from others
+        together = f"{last['writer']} (withheld, lost: of all)" if others else last["writer"]
+        yield {**last, "writer": together, "withheld": one["withheld"], "lost": one["lost"]}
+    yield {**document["sets"], "writer": "sets of three"}
+
+
+def _others(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    sets = document["sets"]
+    of = f"{sets['incomplete']} of {sets['received'] + sets['incomplete']:,} incomplete"
+    yield "sets with one stamp that arrived", f"{of}, {sets['incomplete_beside_a_death']} of these as an end died"
+    for words, group in {
+        "no loss": [visit for visit in document["demand"] if not visit["meanwhile"] and not visit["is_lossy"]],
+        "1 % loss": [visit for visit in document["demand"] if not visit["meanwhile"] and visit["is_lossy"]],
+        "an outage or a kill meanwhile or up to 5 s before": [v for v in document["demand"] if v["meanwhile"]],
+    }.items():
+        waited = [visit["waited_s"] for visit in group if visit["waited_s"] is not None]
+        value = f"median {median(waited):.2f} s, longest {max(waited):.2f} s; " if waited else ""
+        value += f"{len(waited)} of {len(group)} came"
+        yield f"first sample of a topic that nobody read before, {words}", value
+    latched = document["latched"]
+    lacking = [visit for visit in latched if visit["lacks"]]
+    value = f"{len(latched) - len(lacking)} of {len(latched)}"
+    if lacking:
+        value += f"; {sum(bool(visit['meanwhile']) for visit in lacking)} of the others beside an outage or a kill"
+    yield "late readers of a latched topic that got the newest sample of both its writers", value
+    yield "processes that ended themselves", "; ".join(document["ended_themselves"]) or "none"
+    yield loud_lines(document)

@@ -91,7 +91,6 @@ def choice(name: str, metric: str, matchers: str = "", *, label: str, is_multipl
     return {
         **(many if is_multiple else {}),
         "datasource": DATASOURCE,
-        "definition": source,
         "hide": 0,
         "includeAll": is_multiple,
         "label": label,
@@ -137,7 +136,6 @@ def _datasource_variable() -> Json:
         "name": "datasource",
         "options": [],
         "query": "prometheus",
-        "queryValue": "",
         "refresh": 1,
         "regex": "",
         "skipUrlSync": False,

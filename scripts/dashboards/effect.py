@@ -24,7 +24,7 @@ _DROPPED = "sum(rate(arpd_interface_transmit_dropped_packets_total{}[$__rate_int
 
 
 def effect() -> Section:
-    """Return the section on the samples: kept, dropped, lost, late."""
+    """Return the section on the samples: kept, withheld, lost, late."""
     numbers = (
         (4, _OUTAGE_SHARE),
         (4, _WORST_DELAY),
@@ -38,7 +38,7 @@ def effect() -> Section:
         lines=(
             (4, numbers),
             (11, evenly(_TOPICS)),
-            (9, evenly(_KEPT, _DROPS)),
+            (9, evenly(_KEPT, _WITHHELD)),
             (8, evenly(_DEADLINES_MISSED, _COMMANDS, _LOST, _WAITING)),
         ),
     )
@@ -184,12 +184,12 @@ _KEPT = timeseries(
     is_table=True,
 )
 
-_DROPS = timeseries(
-    "Drops by cause",
-    [query(f"sum by (cause) (rate(arpd_topic_drops_total{{{_TOPIC}}}[$__rate_interval]))", "{{cause}}")],
+_WITHHELD = timeseries(
+    "Withheld by cause",
+    [query(f"sum by (cause) (rate(arpd_topic_withheld_messages_total{{{_TOPIC}}}[$__rate_interval]))", "{{cause}}")],
     Scale("cps", 1),
-    shows="Messages not sent, by cause: the price of the link, the ceiling (rate), a writer that blocked, a write that "
-    "failed, a publisher that closed.",
+    shows="Messages that publishers withheld, by cause: the price of the link, the ceiling (rate), a writer that "
+    "blocked, a write that failed, a publisher that closed.",
     bad="any blocked or failed. price and rate are arpd at work.",
     then="blocked: a reader does not keep up, or the link loses what RELIABLE repeats. failed: the node's log.",
     is_stacked=True,
@@ -249,7 +249,7 @@ _WAITING = timeseries(
     Scale("short", 2),
     shows="Messages in the pacing queues, and the time that publishers spent inside publish().",
     bad="blocked above 0.1 s per second: the middleware's queues are full.",
-    then="see 'Queue delay' and 'Drops by cause'; a reader that stopped reading blocks RELIABLE writers.",
+    then="see 'Queue delay' and 'Withheld by cause'; a reader that stopped reading blocks RELIABLE writers.",
     colours={"messages waiting": BLUE, "blocked, seconds per second": VERMILLION},
 )
 

@@ -33,7 +33,7 @@ def remedies() -> Section:
     """Return the section on what arpd does."""
     return Section(
         title="What arpd does about it",
-        lines=((8, evenly(_PLANS, _KEPT, _DROPS)), (8, evenly(_FAILURES, _DEADLINES_MISSED, _EVENTS))),
+        lines=((8, evenly(_PLANS, _KEPT, _WITHHELD)), (8, evenly(_FAILURES, _DEADLINES_MISSED, _EVENTS))),
     )
 
 
@@ -99,7 +99,7 @@ def _often(title: str, metric: str, matchers: str = "", **advice: Unpack[Advice]
 
 _PLANS = _often(
     "New plans of each robot",
-    "arpd_levels_total",
+    "arpd_plans_total",
     shows="Plans made, for any cause.",
     bad="more than two a minute for minutes: that robot's plan flaps.",
     then="click a robot to open it and see 'New plans'.",
@@ -115,13 +115,13 @@ _KEPT = _lines(
     then="click a robot to open it at this time.",
 )
 
-_DROPS = _lines(
-    "Drops that arpd did not choose",
-    f'sum by ({ROBOT}) (rate(arpd_topic_drops_total{{cause=~"blocked|failed"}}[$__rate_interval]))',
+_WITHHELD = _lines(
+    "Withheld by a writer that blocked or failed",
+    f'sum by ({ROBOT}) (rate(arpd_topic_withheld_messages_total{{cause=~"blocked|failed"}}[$__rate_interval]))',
     Scale("cps", 2),
-    shows="Messages not sent because a writer blocked or a write failed.",
+    shows="Messages withheld because a writer blocked or a write failed; arpd did not choose that.",
     bad="any, for more than a few seconds.",
-    then="click a robot to open it and see 'Drops by cause'.",
+    then="click a robot to open it and see 'Withheld by cause'.",
 )
 
 _FAILURES = _often(

@@ -70,7 +70,7 @@ _ESTIMATOR_EVENTS = bars(
 
 _NEW_PLANS = bars(
     "New plans",
-    [query("sum by (cause) (increase(arpd_levels_total{}[$__rate_interval]))", "{{cause}}")],
+    [query("sum by (cause) (increase(arpd_plans_total{}[$__rate_interval]))", "{{cause}}")],
     shows="Plans made, by cause.",
     bad="down and up in turn, more than two a minute: depths and deadlines flap.",
     then="rates do not need plans; lengthen governor.dwell and governor.hold, so that fewer writers are swapped.",

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.adapters.host.netlink import read_backlog, read_device
+from arpd.adapters.host.interface import read_counters
 from arpd.adapters.sim.baselines import Oracle, Truth
 from arpd.adapters.sim.loss import LossStep, loss_at
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
@@ -113,11 +113,9 @@ class Witness:
         now_s = time.monotonic()
         waiting_bytes = 0
         with suppress(OSError):
-            index = socket.if_nametoindex(INTERFACE)
-            if backlog := read_backlog(index):
-                waiting_bytes = backlog.waiting_bytes
-            if device := read_device(index):
-                self._left.append((now_s, device.tx_bytes))
+            if counters := read_counters(socket.if_nametoindex(INTERFACE)):
+                waiting_bytes = counters.backlog_bytes or 0
+                self._left.append((now_s, counters.tx_bytes))
         return self._course.truth(now_s, waiting_bytes=waiting_bytes, delivered_bytes_per_second=self._rate(now_s))
 
     def _rate(self, now_s: float) -> float:

@@ -22,9 +22,10 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
+from rich.screen import Screen
 
 from arpd.adapters.sim.schedule import RateSchedule
-from arpd.cli.frame import View, frame
+from arpd.cli.frame import Frame
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
 from scripts.netns.simlink import SimLink, available
@@ -105,7 +106,7 @@ def _page(
     page = context.new_page()
     page.goto(url)
     page.wait_for_function("() => document.body.dataset.freshness === 'live' && document.querySelector('canvas')")
-    page.wait_for_timeout(1500)  # one or two polls, so that the charts are up to date
+    page.wait_for_timeout(1500)  # one or two events, so that the charts are up to date
     if below:
         page.locator(below).evaluate("(title) => scrollTo(0, title.getBoundingClientRect().top + scrollY - 16)")
     _write(path, page.screenshot())
@@ -115,8 +116,9 @@ def _page(
 def _top(browser: Browser, url: str, path: Path) -> None:
     """Draw a frame of `arpd top` as a terminal would."""
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
-    view = View(width=_COLUMNS, height=_LINES, url="http://robot.local:9464")
-    console.print(frame(_get(f"{url}/api/v1/status"), _get(f"{url}/api/v1/history"), view))
+    status, history = _get(f"{url}/api/v1/status"), _get(f"{url}/api/v1/history")
+    frame = Frame(status=status, history=history, url="http://robot.local:9464", is_on_screen=True)
+    console.print(Screen(frame))
     # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)
     page = browser.new_context(device_scale_factor=1).new_page()

@@ -265,7 +265,7 @@ def make_snapshot() -> Snapshot:
                 {("osqp", "solved"): 8990, ("exact", "solved"): 10, ("osqp", "failed"): 9}
             ),
             cross_check_disagreements=1,
-            levels_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
+            plans_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
             refusals_by_reason=MappingProxyType({"dwell": 40}),
             applies_by_result=MappingProxyType({"ok": 6, "refused": 1}),
             probes=120,

@@ -21,21 +21,13 @@ NAME = re.compile(r"\b(?:(?:instance|topic):)?(?:arpd|process|python)_[a-z0-9_]+
 SELECTOR = re.compile(r"\b([a-z]+:)?(arpd_[a-z0-9_:]+)\{([^}]*)\}")
 
 
-@pytest.fixture(scope="module")
-def promtool():
-    found = subprocess.run([REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False)
-    if found.returncode != 0:
-        pytest.skip(f"promtool is not installed: {found.stderr.strip()}")
-    return found.stdout.strip()
-
-
 def rules(path):
     return [rule for group in yaml.safe_load(path.read_text())["groups"] for rule in group["rules"]]
 
 
 def exposed():
     """Return the names of the golden exposition's series, each with its label sets."""
-    series = {}
+    series: dict[str, list[dict[str, str]]] = {}
     for line in (REPO / "tests/golden/exposition.txt").read_text().splitlines():
         if line.startswith("#"):
             kind = line.split()
@@ -87,10 +79,10 @@ def test_rules_say_and_alerts_do_what_their_unit_tests_want(promtool, path):
 
 def test_every_alert_is_seen_to_fire_and_to_clear():
     """The unit tests check each alert before it fires, while it fires and after it has cleared."""
-    told = {}
+    told: dict[str, set[str]] = {}
     for path in UNIT_TESTS:
         for case in yaml.safe_load(path.read_text())["tests"]:
-            seen = {}
+            seen: dict[str, list[tuple[bool, bool]]] = {}
             for check in case.get("promql_expr_test", ()):
                 if match := ALERTS.fullmatch(check["expr"]):
                     for name in match[1].split("|"):

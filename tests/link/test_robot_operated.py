@@ -1,7 +1,6 @@
 """A live robot under operation: scrape, reload, kill and stop of its daemon. No test here compares times."""
 
 import signal
-import subprocess
 import time
 import urllib.request
 
@@ -11,7 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.netns.simlink import available
-from scripts.robot.run import PREFIX, REPO
+from scripts.robot.run import PREFIX
 from scripts.robot.sensors import SENSORS
 from tests.link.live_robot import HEAVY, SLOW, is_confirmed, live_robot, received, topics
 from tests.waiting import eventually
@@ -37,21 +36,11 @@ def side(tmp_path_factory):
         yield side
 
 
-def test_metrics_of_a_live_robot_are_clean(side):
-    """The metrics of a live daemon pass promtool and name every managed topic."""
-    promtool = subprocess.run(
-        [REPO / "scripts/get-prometheus", "promtool"], capture_output=True, text=True, check=False
-    )
-    if promtool.returncode != 0:
-        pytest.skip(f"promtool is not installed: {promtool.stderr.strip()}")
+def test_metrics_of_a_live_robot_name_every_topic(side):
+    """The metrics of a live daemon name every managed topic, and it says that it is healthy and ready."""
     confirmed(side)
     with urllib.request.urlopen(f"{side.url}/metrics", timeout=5) as answer:
-        exposition = answer.read()
-    checked = subprocess.run(
-        [promtool.stdout.strip(), "check", "metrics"], input=exposition, capture_output=True, check=False
-    )
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    text = exposition.decode()
+        text = answer.read().decode()
     for topic in (*(PREFIX + name for name in SENSORS), COMMAND_TOPIC):
         assert f'topic="{topic}"' in text
     for path in ("/-/healthy", "/-/ready"):
@@ -89,7 +78,7 @@ def test_the_daemon_may_die_and_return(side):
     """After kill -9 data flows under the last plan; a new daemon takes over, and a clean stop restores the QoS."""
     confirmed(side)
     side.link.set_rate(SLOW)
-    shown(side, lambda status: status["link"]["capacity_bytes_per_second"] < 1.5 * SLOW)
+    shown(side, lambda status: status["level_bytes_per_second"] < SLOW)
     confirmed(side)
     before = topics(side)
     generation = max(topic["confirmed"]["generation"] for topic in before.values())
@@ -98,14 +87,19 @@ def test_the_daemon_may_die_and_return(side):
     side.processes["run"].kill()
     side.processes.pop("run").wait()
     assert side.status() is None
-    time.sleep(3.0)
+    # Its last price may have been that of a full link; five seconds later each topic keeps its DEADLINE all the same.
+    time.sleep(8.0)
     assert all(received(side, topic) > 0 for topic in ("/scan/front", "/imu", "/odom"))
 
     side.start_daemon()
-    confirmed(side)
+    confirmed(side)  # what runs may be what is planned; the plan itself comes a little later
+
+    def is_taken_over(topic):
+        return topic["topic"] not in HEAVY or topic["confirmed"]["generation"] > generation
+
+    shown(side, lambda status: len(status["topics"]) == 12 and all(map(is_taken_over, status["topics"])))
     after = topics(side)
     assert set(after) == set(before)
-    assert all(topic["confirmed"]["generation"] > generation for topic in after.values() if topic["topic"] in HEAVY)
     assert all(after[name]["offered"] > before[name]["offered"] for name in before)  # the same publishers
     assert {name: topic["baseline"] for name, topic in after.items()} == baseline
 

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import KeyValue
 from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.announcement import from_status, reader_from_status, reader_to_status, to_status
-from arpd.model.endpoints import Direction, DropCause, RefusalReason, SwapPhase, SwapRecord, SwapResult
+from arpd.model.endpoints import Direction, RefusalReason, SwapPhase, SwapRecord, SwapResult, WithheldCause
 from tests.sample_publishers import publisher, reader
 
 pytestmark = pytest.mark.ros
@@ -32,7 +32,7 @@ REPLACED = publisher(
     rate_hz=12.5,
     paced_rate_hz=7.5,
     withheld=1300,
-    withheld_by_cause={cause.value: 100 * number for number, cause in enumerate(DropCause, start=1)},
+    withheld_by_cause={cause.value: 100 * number for number, cause in enumerate(WithheldCause, start=1)},
     deadlines_missed=4,
     swaps_begun=3,
     swaps_by_result={"ok": 2},
@@ -161,7 +161,7 @@ def test_unknown_causes_and_phases_make_no_labels():
     status.values = [pair for pair in status.values if pair.key not in invented]
     status.values += [KeyValue(key=key, value=value) for key, value in invented.items()]
     state = from_status(status)
-    assert state.withheld_by_cause == {DropCause.PRICE: 2}
+    assert state.withheld_by_cause == {WithheldCause.PRICE: 2}
     assert state.swap_seconds_by_phase == {SwapPhase.HOLDING: 0.5}
     assert state.last_swap == SwapRecord(
         number=7, result="moon", depth=1, deadline_ns=0, seconds_by_phase={SwapPhase.PROVING: 2.0}

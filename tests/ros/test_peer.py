@@ -254,6 +254,8 @@ def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
     asked = []
 
     class Radio:
+        cell = "02:00:00:00:00:01"
+
         def read(self, interface, index):
             asked.append((interface, index))
             return 8_125_000.0
@@ -264,6 +266,7 @@ def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
     assert (first.counters.interface, first.counters.state) == ("lo", InterfaceState.UP)
     eventually(lambda: world.observe(time.monotonic()).radio_bytes_per_second == 8_125_000.0)
     eventually(lambda: asked[-1] == ("lo", index_of("lo")))
+    assert world.observe(time.monotonic()).cell == Radio.cell
 
 
 def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, eventually, tmp_path):

@@ -335,6 +335,20 @@ def test_the_graph_confirms_the_nodes_it_shows():
     assert crossing.requests_of("/reader") == ()
 
 
+def test_an_endpoint_without_a_name_is_nobodys_that_has_one():
+    """An endpoint whose node is unknown may be that of any node that the graph does not name, and of no other."""
+    crossing = Crossing(direction="sensing", remote_readers=1, requests=(("", 0),), writers=frozenset({""}))
+    graph = Graph(
+        crossings={"/t": crossing},
+        announcers=frozenset({"/other"}),
+        reader_announcers=frozenset({"/other", ""}),
+        peers=0,
+    )
+    assert not graph.shows_writer("/nameless", "/t"), "every node that announces publishers has a name"
+    assert graph.shows_reader("/nameless", "/t")
+    assert not graph.shows_reader("/other", "/t"), "the graph names its endpoints, and this is none of them"
+
+
 def test_in_a_flood_subscriptions_rest_most_of_the_time():
     """The shared pause takes most of the time, for any number of subscriptions."""
     now_s, slept = [0.0], []

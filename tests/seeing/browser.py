@@ -25,7 +25,7 @@ _SWITCHES = (
     "--disable-sync",
 )
 PHONE = {"width": 390, "height": 844}
-DESKTOP = {"width": 1280, "height": 900}
+DESKTOP = {"width": 1440, "height": 900}
 # Contrast that text needs against its background (WCAG 2.2 AA, 1.4.3 and 1.4.11).
 LEAST_CONTRAST = 4.5
 
@@ -67,18 +67,16 @@ class Visit:
         return [" ".join(text.split()) for text in self.page.locator(selector).all_inner_texts()]
 
     def last_status(self) -> dict[str, Any]:
-        """Cut the page off, and return its last status document, which it goes on showing."""
+        """Cut the page off, from the stream first, and return its last status document, which it goes on showing."""
         answers: list[Any] = []
         self.page.on("response", lambda answer: answer.url.endswith("/api/v1/status") and answers.append(answer.json()))
+        # Without the stream, whose events playwright cannot read, the page asks for each document.
+        self.page.route("**/api/v1/stream", lambda route: route.abort())
         with self.page.expect_response("**/api/v1/status"):
-            pass
+            self.page.reload()
         self.page.context.set_offline(True)
         self.wait_for("document.body.dataset.freshness === 'lost'")
         return answers[-1]
-
-    def fields(self) -> dict[str, list[str]]:
-        """Return the text of each field of the page, by path, without times, which depend on the zone."""
-        return self.page.evaluate(_FIELDS)
 
     def least_contrast(self) -> tuple[float, str]:
         """Return the lowest contrast of any text against its background, and the text."""
@@ -110,15 +108,6 @@ def visit(browser: Browser, url: str, *, size: dict[str, int] | None = None, **o
     finally:
         context.close()
 
-
-_FIELDS = """() => {
-  const found = {};
-  for (const element of document.querySelectorAll("[data-field]")) {
-    if (element.dataset.format === "time") continue;
-    (found[element.dataset.field + "|" + element.dataset.format] ??= []).push(element.textContent);
-  }
-  return found;
-}"""
 
 _DRAWN = """(selector) => {
   const canvas = document.querySelector(selector);

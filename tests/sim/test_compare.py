@@ -72,7 +72,7 @@ def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
     without = falling().without
     summary = summarize(without, start_s=10.0, end_s=30.0)
     assert summary.error_median is None
-    assert summary.levels_per_minute == summary.swaps_per_minute == summary.measuring_share == 0.0
+    assert summary.plans_per_minute == summary.swaps_per_minute == summary.measuring_share == 0.0
     assert summary.queue_peak_s > 0.9 * LinkModel().queue_bytes / (2 * MBIT)
     assert events(without) == ()
 
@@ -206,7 +206,7 @@ def test_a_summary_is_of_its_span():
     assert summary.goodput_bytes_per_second == 50.0
     assert summary.queue_peak_s == summary.queue_p99_s == 0.5
     assert summary.error_median == summary.error_p90 == pytest.approx(0.1)
-    assert summary.levels_per_minute == pytest.approx(4.0)
+    assert summary.plans_per_minute == pytest.approx(4.0)
     assert summary.swaps_per_minute == 12.0
     assert summary.measuring_share == pytest.approx(200 / 20_000)
 

@@ -10,7 +10,7 @@ from arpd.adapters.sim import world
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule
-from arpd.daemon import scenario
+from arpd.daemon import plant
 from arpd.govern.classes import class_of_deadline
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
@@ -209,7 +209,7 @@ def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(monkeypatch, step_s
 
     def step(_daemon):
         monkeypatch.setattr(world, "_PEER_CLOCK_S", world._PEER_CLOCK_S + step_s)
-        monkeypatch.setattr(scenario, "_UNIX_S", scenario._UNIX_S - step_s)
+        monkeypatch.setattr(plant, "_UNIX_S", plant._UNIX_S - step_s)
 
     undisturbed, played = (play(do=do, duration_s=20.0).between(10.0, 20.0) for do in ({}, {10.0: step}))
     assert played[-1].snapshot.unix_time_s == pytest.approx(undisturbed[-1].snapshot.unix_time_s - step_s, abs=1.0)

@@ -11,6 +11,7 @@ from datetime import timedelta
 from typing import Any
 
 import promql_parser
+from grafana_foundation_sdk.models import units
 
 from tests.seeing.dashboards import fill_in, marks, panels, queries
 
@@ -23,8 +24,6 @@ SENTINELS = {
     "__rate_interval": f"{RATE_INTERVAL.total_seconds():.0f}s",
     "__range": f"{RANGE.total_seconds():.0f}s",
 }
-# What grafana/grafana knows under these names (packages/grafana-data, valueFormats/categories.ts).
-UNITS = {"short", "percentunit", "bytes", "bps", "s", "hertz", "cps", "reqps", "dtdurations"}
 
 
 def parsed(query):
@@ -114,7 +113,7 @@ def panel_title_description_rule(document):
 
 def panel_units_rule(document):
     for panel in panels(document):
-        if panel["type"] != "alertlist" and panel["fieldConfig"]["defaults"].get("unit") not in UNITS:
+        if panel["type"] != "alertlist" and panel["fieldConfig"]["defaults"].get("unit") not in vars(units).values():
             yield f"{panel['title']}: unit {panel['fieldConfig']['defaults'].get('unit')}"
 
 

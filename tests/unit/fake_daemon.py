@@ -19,6 +19,15 @@ from arpd.report.snapshot import Snapshot, Totals
 from arpd.report.status import status_document
 from tests.sample_publishers import publisher
 
+HISTORY = {
+    "api_version": "v1",
+    "link": {
+        "capacity_bytes_per_second": [None] * 100 + [2.5e6] * 250 + [6e5] * 250,
+        "queue_delay_seconds": [0.0] * 349 + [0.35] + [0.0] * 250,
+    },
+    "gate": [1.0] * 350 + [0.5] + [1.0] * 249,
+}
+
 
 @contextmanager
 def serving(body, code=200, *, history=None):
@@ -173,3 +182,18 @@ def event(number, text, *, kind="plan", severity="info", at_s=1e9):
         "node": "",
         "details": {},
     }
+
+
+def busy():
+    """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
+    answered = calm(publishers=demo_robot())
+    by_name = {topic["topic"]: topic for topic in answered["topics"]}
+    for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
+        topic = by_name[name]
+        topic |= {"binding": "link", "share": 0.3, "kept_ratio": ratio}
+        topic["planned"] = {"rate_hz": topic["source_rate_hz"] * ratio, "depth": 10, "deadline_ns": None}
+    by_name["/link/odom"] |= {"refusal": "depth 16: no match", "refusal_lasts": False}
+    by_name["/link/imu"]["deadlines_missed"] = 3
+    answered["verdict"] = {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
+    answered["events"] = [event(number, f"event {number}") for number in range(30)]
+    return answered

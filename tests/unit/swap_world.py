@@ -54,6 +54,7 @@ class World:
         self.refuses = False
         self.writers = []
         self.results = []
+        self.results_of = []  # the QoS that each result is of
         self.log = []  # what was written, by whichever writer
 
     def create(self, qos):
@@ -62,8 +63,9 @@ class World:
         self.writers.append(Writer(qos, self))
         return self.writers[-1]
 
-    def note(self, result, _qos):
+    def note(self, result, qos):
         self.results.append(result)
+        self.results_of.append(qos)
 
     @property
     def live(self):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
+import os
 import re
 import socket
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from arpd.adapters.host.netlink import read_backlog, read_device
+from arpd.adapters.host.netlink import read_backlog
 from arpd.model.interface import InterfaceState, LinkCounters, continue_counters, state_of
 from arpd.model.observation import MemoryState
 from arpd.model.settings import AUTO
@@ -21,6 +24,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _SYS_NET = Path("/sys/class/net")
 _PROC_ROUTE = Path("/proc/net/route")
+_TRIES = 2  # a rename between two questions costs one
+# linux/sockios.h, linux/if.h
+_GET_FLAGS = 0x8913
+_REQUEST = struct.Struct("16sH22x")  # name, flags
+_UP, _RUNNING = 0x1, 0x40
 
 
 def likeliest_interface(
@@ -51,22 +59,38 @@ def likeliest_interface(
 def read_counters(index: int) -> LinkCounters | None:
     """Return the kernel's counters of an interface, by its number; None if there is none.
 
-    They include the drops of the queue, which drivers do not count.
+    They include the drops of the queue, which drivers do not count. psutil reads all interfaces at once: 25 µs with
+    one, 180 µs with 30. Its ``nowrap`` is off because it goes by name, so two interfaces that swap names would jump;
+    `InterfaceReader` goes by number.
     """
-    if (device := read_device(index)) is None:
-        return None
-    queue = read_backlog(index)
-    without_carrier = InterfaceState.NO_CARRIER if device.is_up else InterfaceState.DOWN
-    return LinkCounters(
-        interface=device.name,
-        rx_bytes=device.rx_bytes,
-        tx_bytes=device.tx_bytes,
-        rx_packets=device.rx_packets,
-        tx_packets=device.tx_packets,
-        tx_dropped=device.tx_dropped + (queue.dropped_packets if queue else 0),
-        backlog_bytes=queue.waiting_bytes if queue else None,
-        state=InterfaceState.UP if device.is_running else without_carrier,
-    )
+    for _ in range(_TRIES):
+        try:
+            name = socket.if_indextoname(index)
+            device = psutil.net_io_counters(pernic=True, nowrap=False)[name]
+            flags = _read_flags(name)
+        except (OSError, KeyError):
+            continue
+        queue = read_backlog(index)
+        without_carrier = InterfaceState.NO_CARRIER if flags & _UP else InterfaceState.DOWN
+        return LinkCounters(
+            interface=name,
+            rx_bytes=device.bytes_recv,
+            tx_bytes=device.bytes_sent,
+            rx_packets=device.packets_recv,
+            tx_packets=device.packets_sent,
+            tx_dropped=device.dropout + (queue.dropped_packets if queue else 0),
+            backlog_bytes=queue.waiting_bytes if queue else None,
+            state=InterfaceState.UP if flags & _RUNNING else without_carrier,
+        )
+    return None
+
+
+def _read_flags(name: str) -> int:
+    """Return the flags of an interface (netdevice(7)), without what `psutil.net_if_stats` asks all drivers besides."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        answer = fcntl.ioctl(asked, _GET_FLAGS, _REQUEST.pack(os.fsencode(name), 0))
+    _, flags = _REQUEST.unpack(answer)
+    return int(flags)
 
 
 def hardware_address(name: str) -> str:
@@ -241,9 +265,10 @@ def list_interfaces() -> list[str] | None:
 
 
 def _is_running(name: str) -> bool:
-    index = index_of(name)
-    device = None if index is None else read_device(index)
-    return device is not None and device.is_running
+    try:
+        return bool(_read_flags(name) & _RUNNING)
+    except OSError:
+        return False
 
 
 def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import gzip
+import hashlib
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from html import escape
 from http import HTTPStatus
-from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.http.bundle import ASSETS_PATH, Bundle
-from arpd.adapters.http.page import render_page
 from arpd.report.history import History, history_json
 from arpd.report.status import API_VERSION, status_document
 
@@ -21,13 +20,24 @@ if TYPE_CHECKING:
     from arpd.adapters.http.exposition import Exposition
     from arpd.report.snapshot import Snapshot
 
-_NAMES = ("status-v1.json", "history-v1.json")
-SCHEMAS_BY_PATH = {
-    f"/api/v1/schema/{name}": files("arpd.adapters.http").joinpath("schema", name).read_bytes() for name in _NAMES
-}
+SCHEMA_PATHS = MappingProxyType({f"/api/v1/schema/{name}-v1.json": name for name in ("status", "history")})
 HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
-PATHS = frozenset({"/", "/metrics", "/-/healthy", "/-/ready", "/api/v1/status", "/api/v1/history", *SCHEMAS_BY_PATH})
-_IMMUTABLE = MappingProxyType({"Cache-Control": "private, max-age=31536000, immutable", "Vary": "Accept-Encoding"})
+ASSETS = Path(__file__).parent / "assets"
+_PAGE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+ASSETS_PATH = "/assets/"
+PATHS = frozenset(
+    {
+        "/",
+        "/metrics",
+        "/-/healthy",
+        "/-/ready",
+        "/api/v1/status",
+        "/api/v1/stream",
+        "/api/v1/history",
+        *SCHEMA_PATHS,
+    }
+)
+_KEPT = MappingProxyType({"Cache-Control": "no-cache"})  # the client may keep it, and asks each time whether it changed
 _SCHEMA = "application/schema+json"
 _TEXT = "text/plain; charset=utf-8"
 _JSON = "application/json"
@@ -61,7 +71,7 @@ class Answers:
     clock : monotonic clock of the snapshots (s)
     started_at_s : when serving began, on that clock (s)
     history : the last ten minutes
-    assets : scripts and styles of the page
+    assets : path of the page's scripts and styles, which changes with their content
     """
 
     snapshot: Callable[[], Snapshot | None]
@@ -70,18 +80,19 @@ class Answers:
     clock: Callable[[], float]
     started_at_s: float
     history: History = field(default_factory=History)
-    assets: Bundle = field(default_factory=Bundle)
+    assets: str = field(default_factory=lambda: f"{ASSETS_PATH}{digest_of(ASSETS)}/")
 
-    def answer(self, path: str, accept: str) -> Answer:
+    def answer(self, path: str, accept: str, *, asked_s: float | None = None) -> Answer:
         """Return the answer for a path.
 
         Parameters
         ----------
         accept : the request's Accept header, which chooses the format of the metrics
+        asked_s : see `Exposition.answer`
         """
         answers = {
             "/": self._page,
-            "/metrics": lambda: self._metrics(accept),
+            "/metrics": lambda: self._metrics(accept, asked_s),
             "/-/healthy": self._healthy,
             "/-/ready": self._ready,
             "/api/v1/status": self._status_answer,
@@ -92,10 +103,14 @@ class Answers:
         return self._file(path)
 
     def _page(self) -> Answer:
-        return _ok(_HTML, render_page(self._status(), assets=self.assets.base))
+        status = self.status()
+        verdict = "Starting: no tick has finished yet" if status is None else status["verdict"]["text"]
+        # Scripts fill in the rest; the verdict comes last, so that nothing in it is a place.
+        page = _PAGE.replace("{{assets}}", self.assets.removeprefix("/")).replace("{{verdict}}", escape(verdict))
+        return _ok(_HTML, page, _KEPT)
 
-    def _metrics(self, accept: str) -> Answer:
-        body, content_type = self.exposition.answer(accept)
+    def _metrics(self, accept: str, asked_s: float | None) -> Answer:
+        body, content_type = self.exposition.answer(accept, asked_s=asked_s)
         return Answer(status=HTTPStatus.OK, content_type=content_type, body=body)
 
     def _history(self) -> Answer:
@@ -104,21 +119,21 @@ class Answers:
         return Answer(status=HTTPStatus.OK, content_type=_JSON, body=body)
 
     def _file(self, path: str) -> Answer:
-        if (schema := SCHEMAS_BY_PATH.get(path)) is not None:
-            return Answer(status=HTTPStatus.OK, content_type=_SCHEMA, body=schema)
-        if (asset := self.assets.get(path)) is not None:
-            body, kind = asset.body, asset.content_type
-            return Answer(status=HTTPStatus.OK, content_type=kind, body=body, headers=_IMMUTABLE)
+        if (name := SCHEMA_PATHS.get(path)) is not None:
+            from arpd.adapters.http.api.schemas import schema_of  # noqa: PLC0415 - few ask
+
+            return Answer(status=HTTPStatus.OK, content_type=_SCHEMA, body=schema_of(name), headers=_KEPT)
         return bare(HTTPStatus.NOT_FOUND)
 
-    def _status(self) -> dict[str, Any] | None:
+    def status(self) -> dict[str, Any] | None:
+        """Return the status document, None before the first tick."""
         snapshot = self.snapshot()
         if snapshot is None:
             return None
         return status_document(snapshot, is_ready=self.is_ready(), now_s=self.clock())
 
     def _status_answer(self) -> Answer:
-        document = self._status()
+        document = self.status()
         if document is None:
             text = json.dumps({"api_version": API_VERSION, "ready": False})
             return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_JSON, body=f"{text}\n".encode())
@@ -146,6 +161,14 @@ def label(path: str) -> str:
     return ASSETS_PATH if path.startswith(ASSETS_PATH) else "other"
 
 
+def digest_of(folder: Path) -> str:
+    """Return a name that changes with the content of a folder."""
+    digest = hashlib.sha256()
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        digest.update(f"{file.relative_to(folder)}\0".encode() + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
 def bare(status: HTTPStatus, explanation: str = "") -> Answer:
     """Return an answer with its code and phrase, and nothing of the request."""
     text = f"{status.value} {status.phrase}"
@@ -153,21 +176,9 @@ def bare(status: HTTPStatus, explanation: str = "") -> Answer:
     return Answer(status=status, content_type=_TEXT, body=body.encode())
 
 
-def _ok(content_type: str, text: str) -> Answer:
-    return Answer(status=HTTPStatus.OK, content_type=content_type, body=text.encode())
+def _ok(content_type: str, text: str, headers: Mapping[str, str] = MappingProxyType({})) -> Answer:
+    return Answer(status=HTTPStatus.OK, content_type=content_type, body=text.encode(), headers=headers)
 
 
 def _unavailable(text: str) -> Answer:
     return Answer(status=HTTPStatus.SERVICE_UNAVAILABLE, content_type=_TEXT, body=text.encode())
-
-
-_LEAST_BYTES = 1024  # a packet holds that much anyway
-_LEVEL = 1  # already a tenth of the size; higher levels cost the robot more time than they save the link
-
-
-def compressed(answer: Answer) -> Answer:
-    """Return the answer in gzip, or unchanged where gzip does not pay."""
-    if len(answer.body) < _LEAST_BYTES:
-        return answer
-    body = gzip.compress(answer.body, compresslevel=_LEVEL, mtime=0)
-    return replace(answer, body=body, headers={**answer.headers, "Content-Encoding": "gzip"})

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_by, gauge_of
 from arpd.model.allocation import Binding
-from arpd.model.endpoints import DropCause, ReaderSwapResult, SwapPhase, SwapResult
+from arpd.model.endpoints import ReaderSwapResult, SwapPhase, SwapResult, WithheldCause
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -82,7 +82,6 @@ _PUBLISHER_GAUGES: tuple[tuple[str, str, Callable[[PublisherState], float]], ...
 _PUBLISHER_COUNTERS: tuple[tuple[str, str, Callable[[PublisherState], float]], ...] = (
     ("arpd_topic_offered_messages", "Messages that the application published.", lambda p: p.offered),
     ("arpd_topic_published_messages", "Messages written to the link.", lambda p: p.published),
-    ("arpd_topic_withheld_messages", "Messages that arpd did not send.", lambda p: p.withheld),
     ("arpd_topic_publish_blocked_seconds", "Time spent in the middleware's publish().", lambda p: p.blocked_s),
     (
         "arpd_topic_deadlines_missed",
@@ -103,10 +102,10 @@ _BINDINGS: tuple[tuple[str, str, Callable[[TopicAllocation], Binding]], ...] = (
 
 _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[PublisherState], Mapping[str, float]]], ...] = (
     (
-        "arpd_topic_drops",
-        "Messages withheld by cause: ceiling (rate), price, writer that blocked or failed, publisher that closed.",
+        "arpd_topic_withheld_messages",
+        "Messages not sent, by cause: ceiling (rate), price, writer that blocked or failed, publisher that closed.",
         "cause",
-        tuple(DropCause),
+        tuple(WithheldCause),
         lambda p: p.withheld_by_cause,
     ),
     (

@@ -59,7 +59,7 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
 
 _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Mapping[str, int]]], ...] = (
     ("arpd_events", "Lines of the decision log.", "event", tuple(EventKind), lambda t: t.events_by_kind),
-    ("arpd_levels", "New plans.", "cause", _CAUSES, lambda t: t.levels_by_cause),
+    ("arpd_plans", "Plans made.", "cause", _CAUSES, lambda t: t.plans_by_cause),
     (
         "arpd_refusals",
         "Plans and swaps that were due and had to wait.",

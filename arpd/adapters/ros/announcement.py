@@ -16,7 +16,15 @@ from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
 from arpd.adapters.ros.counters import MOST_INTEGER
 from arpd.adapters.ros.names import is_full_name
 from arpd.adapters.ros.plan_message import MOST_WORDS, PlanAnswer, plain
-from arpd.model.endpoints import Direction, DropCause, PublisherState, ReaderState, RefusalReason, SwapPhase, SwapRecord
+from arpd.model.endpoints import (
+    Direction,
+    PublisherState,
+    ReaderState,
+    RefusalReason,
+    SwapPhase,
+    SwapRecord,
+    WithheldCause,
+)
 from arpd.model.plan import MOST_GENERATION
 from arpd.observe.registry import Tag
 
@@ -156,7 +164,7 @@ def from_status(status: Any) -> PublisherState:
         published_rate_hz=_number(_PUBLISHED_RATE, values.get(_PUBLISHED_RATE, "0")),
         paced_rate_hz=_number(_PACED_RATE, values.get(_PACED_RATE, values["rate_hz"])),
         swaps_by_result=_counts(values, _WRITER_RESULTS),
-        withheld_by_cause=_by_name(_CAUSES, values.get(_CAUSES, "").split(), DropCause, _bounded),
+        withheld_by_cause=_by_name(_CAUSES, values.get(_CAUSES, "").split(), WithheldCause, _bounded),
         swaps_begun=_bounded(_BEGUN, values.get(_BEGUN, "0")),
         swap_seconds_by_phase=_by_name(_PHASES, values.get(_PHASES, "").split(), SwapPhase, _seconds),
         last_swap=_record(values[_LAST_RESULT]) if _LAST_RESULT in values else None,

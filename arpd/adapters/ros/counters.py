@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from arpd.adapters.ros.bounds import MOST_LEASE_S
 from arpd.adapters.ros.names import is_full_name
 from arpd.adapters.ros.plan_message import MOST_WORDS, PlanAnswer, plain
-from arpd.model.endpoints import DropCause, PublisherState
+from arpd.model.endpoints import PublisherState, WithheldCause
 from arpd.model.plan import MOST_GENERATION
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _VERSION = 1
 _HEAD = struct.Struct("<BQQIdHHH")
 _ROW = struct.Struct("<IBH")  # number of the publisher, serial of its last status, mask of the numbers that follow
 _SUMS = ("offered", "published", "deadlines_missed")  # grow only; told as what they grew by since the status
-_CAUSES = tuple(cause.value for cause in DropCause)  # the same, of ``withheld_by_cause``, whose sum is ``withheld``
+_CAUSES = tuple(cause.value for cause in WithheldCause)  # the same, of ``withheld_by_cause``, whose sum is ``withheld``
 _MOST_HZ = 1e5  # of a source
 _MOST_SECONDS = 1e9  # 30 years
 _INFINITY = float("inf")

@@ -66,17 +66,23 @@ class Graph:
     def shows_writer(self, node: str, topic: str) -> bool:
         """Return whether a node may announce a publisher of the topic, and writes it."""
         crossing = self.crossings.get(topic)
-        return crossing is not None and is_among(node, crossing.writers) and is_among(node, self.announcers)
+        return crossing is not None and _may_speak(node, crossing.writers, self.announcers)
 
     def shows_reader(self, node: str, topic: str) -> bool:
         """Return whether a node may announce a reader of the topic, and reads it."""
         crossing = self.crossings.get(topic)
-        return crossing is not None and is_among(node, crossing.readers) and is_among(node, self.reader_announcers)
+        return crossing is not None and _may_speak(node, crossing.readers, self.reader_announcers)
 
 
-def is_among(node: str, nodes: Collection[str]) -> bool:
-    """Return whether a node is one of these, or may be: an endpoint with an unknown node may be anybody's."""
-    return node in nodes or "" in nodes
+def _may_speak(node: str, endpoints: Collection[str], announcers: Collection[str]) -> bool:
+    """Return whether a node may have one of these endpoints, and may announce it.
+
+    An endpoint whose node is unknown may be that of any node that the graph does not name. It stays so where a process
+    returned after an outage that it did not notice: it sees no reason to name its nodes again.
+    """
+    if node in endpoints:
+        return node in announcers or "" in announcers
+    return node not in announcers and "" in announcers and "" in endpoints
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -58,7 +58,7 @@ class AdaptivePublisher:
     event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
         swap prepares or retires; the counts in the events start again with every swap
     qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named, and stay writable
-    overflow : which samples are dropped when they come faster than the paced rate
+    overflow : which samples are withheld when they come faster than the paced rate
     swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
         old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
     swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten

@@ -10,7 +10,7 @@ from arpd.apply.endpoint.link_clock import MOST_PACKETS, LinkClock
 from arpd.apply.endpoint.meters import DeadlineCount, SampleRate
 from arpd.apply.endpoint.pacing import Pacer
 from arpd.apply.endpoint.writer_swap import SwapTiming, WriterSwap
-from arpd.model.endpoints import DropCause, FlowState, SwapResult, Writer, WriterQos
+from arpd.model.endpoints import FlowState, SwapResult, WithheldCause, Writer, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import Overflow
 from arpd.model.wire import FRAGMENT_BYTES
@@ -37,7 +37,7 @@ class Flow(Generic[W]):
     ----------
     create : makes a writer with the given QoS
     qos : QoS of the first writer
-    overflow : which samples are dropped when they come faster than they may leave
+    overflow : which samples are withheld when they come faster than they may leave
     clock : monotonic clock (s)
     on_swap : called with the result of every swap and the QoS it was about
     timing : timeouts of a swap
@@ -176,7 +176,7 @@ class Flow(Generic[W]):
         try:
             self._writer.publish(sample)
         except Exception:
-            self._on_withheld(1, DropCause.FAILED)  # it has left the queue and reached no reader
+            self._on_withheld(1, WithheldCause.FAILED)  # it has left the queue and reached no reader
             raise
         after_s = self._clock()
         took_s = after_s - before_s
@@ -290,10 +290,10 @@ class Flow(Generic[W]):
         )
 
     def close(self) -> None:
-        """Drop the samples that wait, and destroy every writer."""
+        """Withhold the samples that wait, and destroy every writer."""
         self._pacer.clear()
         if self._held:
-            self._on_withheld(len(self._held), DropCause.CLOSED)
+            self._on_withheld(len(self._held), WithheldCause.CLOSED)
         self._held.clear()
         self._replay.clear()
         self._swap.close()
@@ -331,10 +331,10 @@ class Flow(Generic[W]):
         self._is_slow = self._slow_start.holds(now_s)
         if self._is_slow:
             rate_hz = min(rate_hz, SLOW_START_HZ)
-        limit = DropCause.PRICE if rate_hz < self._plan.rate_hz else DropCause.RATE
+        limit = WithheldCause.PRICE if rate_hz < self._plan.rate_hz else WithheldCause.RATE
         self._pacer.retune(rate_hz=rate_hz, depth=self._plan.depth, now_s=now_s, limit=limit)
 
-    def _on_withheld(self, samples: int, cause: DropCause) -> None:
+    def _on_withheld(self, samples: int, cause: WithheldCause) -> None:
         self._withheld[cause.value] += samples
 
     def _on_result(self, result: SwapResult, qos: WriterQos) -> None:

@@ -1,4 +1,4 @@
-"""Pacing of one publisher: a token bucket decides when a sample leaves, and which one is dropped."""
+"""Pacing of one publisher: a token bucket decides when a sample leaves, and which one is withheld."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import DropCause
+from arpd.model.endpoints import WithheldCause
 from arpd.model.settings import Overflow
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ class Pacer:
 
     Parameters
     ----------
-    overflow : which samples are dropped when they come faster than they may leave
+    overflow : which samples are withheld when they come faster than they may leave
     depth : most samples the queue holds (samples); ``latest`` holds one
-    on_withheld : called with the number of dropped samples and the cause, once per call that drops any
+    on_withheld : called with the number of withheld samples and the cause, once per call that withholds any
     source_of : names the source of a sample; ``latest`` then keeps the newest of each, and none drives another out
 
     Notes
@@ -48,7 +48,7 @@ class Pacer:
         *,
         overflow: Overflow,
         depth: int,
-        on_withheld: Callable[[int, DropCause], None],
+        on_withheld: Callable[[int, WithheldCause], None],
         source_of: Callable[[bytes], bytes] | None = None,
     ) -> None:
         self._overflow = overflow
@@ -56,7 +56,7 @@ class Pacer:
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
-        self._limit = DropCause.RATE
+        self._limit = WithheldCause.RATE
         self._credit = _LEAST_BURST
         self._at_s = -math.inf
         self._queue: deque[bytes] = deque()
@@ -72,12 +72,12 @@ class Pacer:
         """Rate in force, ``inf`` = unpaced (Hz)."""
         return self._rate_hz
 
-    def retune(self, *, rate_hz: float, depth: int, now_s: float, limit: DropCause = DropCause.RATE) -> None:
+    def retune(self, *, rate_hz: float, depth: int, now_s: float, limit: WithheldCause = WithheldCause.RATE) -> None:
         """Change rate and queue bound at once; credit earned so far stays.
 
         Parameters
         ----------
-        limit : cause of the drops from now on, `rate` or `price`, by the origin of this rate
+        limit : why samples are withheld from now on, `rate` or `price`, by the origin of this rate
         """
         self._earn(now_s)
         self._rate_hz = rate_hz
@@ -86,7 +86,7 @@ class Pacer:
         self._shed()
 
     def offer(self, sample: bytes, now_s: float) -> None:
-        """Queue a sample; ``latest`` keeps only the newest, ``queue`` drops the oldest beyond the depth."""
+        """Queue a sample; ``latest`` keeps only the newest, ``queue`` withholds the oldest beyond the depth."""
         self._earn(now_s)
         self._note_arrival(now_s)
         self._queue.append(sample)
@@ -123,11 +123,11 @@ class Pacer:
         return self._queue.popleft()
 
     def clear(self) -> None:
-        """Drop everything that waits, counted as withheld."""
+        """Withhold everything that waits."""
         withheld = len(self._queue)
         self._queue.clear()
         if withheld:
-            self._on_withheld(withheld, DropCause.CLOSED)
+            self._on_withheld(withheld, WithheldCause.CLOSED)
 
     def _note_arrival(self, now_s: float) -> None:
         gap_s = now_s - self._arrived_s
@@ -167,13 +167,13 @@ class Pacer:
         if self._may_replace:
             # Samples that are due wait only for the thread that writes them, as unpaced ones do: keep those.
             bound = max(1, int(self._credit)) if self._is_due else 1
-        if (excess := self._drop_oldest(bound)) > 0:
+        if (excess := self._withhold_oldest(bound)) > 0:
             # At full credit the next sample has been due for a whole period, so pacing does not hold it.
             is_held = self._rate_hz <= 0 or self._credit < self._most_credit or self._waits_for_fresher
-            self._on_withheld(excess, self._limit if is_held else DropCause.BLOCKED)
+            self._on_withheld(excess, self._limit if is_held else WithheldCause.BLOCKED)
 
-    def _drop_oldest(self, bound: int) -> int:
-        """Keep the newest ones, or the newest ones of each source; return how many are dropped."""
+    def _withhold_oldest(self, bound: int) -> int:
+        """Keep the newest ones, or the newest ones of each source; return how many are withheld."""
         excess = len(self._queue) - bound
         if excess <= 0:
             return 0

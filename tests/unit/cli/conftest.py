@@ -4,7 +4,28 @@ from __future__ import annotations
 
 import pytest
 
+from arpd.adapters.host.interface import MemoryReader
 from arpd.cli import main as cli
+from arpd.model.observation import MemoryState
+
+
+@pytest.fixture(autouse=True)
+def host_memory(monkeypatch):
+    """Give the host 16 GiB; returns a function that gives it another amount (bytes)."""
+
+    def give(total_bytes):
+        memory = MemoryState(total_bytes=total_bytes, available_bytes=total_bytes)
+        monkeypatch.setattr(MemoryReader, "read", lambda _: memory)
+
+    give(16 * 2**30)
+    return give
+
+
+@pytest.fixture(autouse=True)
+def _piped(monkeypatch):
+    """Let what is printed be as wide as it is, and plain: pytest-xdist gives its workers a width, CI often colours."""
+    for name in ("COLUMNS", "FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture

@@ -168,11 +168,49 @@ def test_check_speaks_json(run, config):
     path = config("{}")
     code, out, _ = run("check", "--json", path)
     assert code == 0
-    assert json.loads(out) == {"ok": True, "file": str(path), "settings": flatten(Settings())}
+    assert json.loads(out) == {"ok": True, "file": str(path), "warnings": [], "settings": flatten(Settings())}
     path = config("")
     code, out, err = run("check", "--json", path)
     assert (code, err) == (78, "")
     assert json.loads(out)["faults"] == [f"{path}:1:1: file: is empty; a minimal one is `link: {{interface: auto}}`"]
+
+
+OSQP, CVXPY = "link: {}\nprogram:\n  backend: osqp\n", "program: {backend: cvxpy}"
+
+
+@pytest.mark.parametrize(
+    ("text", "host_mib", "warning"),
+    [
+        (OSQP, 906, "osqp takes 14 MiB more than exact, 1.5 % of"),
+        ("{}", 906, "osqp takes 14 MiB more than exact, 1.5 % of"),
+        (CVXPY, 3800, "cvxpy takes 82 MiB more than exact, 2.2 % of"),
+    ],
+)
+def test_check_warns_of_a_solver_that_takes_much_of_the_memory(run, config, host_memory, *, text, host_mib, warning):
+    """A solver that takes more than a hundredth of the host's memory is no fault, but a warning."""
+    host_memory(host_mib * 2**20)
+    path = config(text)
+    expected = f"{path}: program.backend: warning: {warning} this host's memory, for the same plans; write exact\n"
+    code, out, err = run("check", path)
+    assert (code, out[:4], err) == (0, "OK (", expected)
+    code, out, err = run("check", "--json", path)
+    assert (code, json.loads(out)["warnings"], err) == (0, [expected[:-1]], "")
+
+
+@pytest.mark.parametrize(
+    ("text", "host_mib"), [(OSQP, 1906), (CVXPY, 15800), ("program: {backend: exact}", 400), (CVXPY, 0)]
+)
+def test_check_does_not_warn_of_a_solver_that_the_host_can_afford(run, config, host_memory, text, host_mib):
+    """A host with memory for its solver, or of unknown memory, is not nagged."""
+    host_memory(host_mib * 2**20)
+    assert run("check", config(text))[2] == ""
+
+
+@pytest.mark.parametrize("option", ["--far", "--no-interfaces"])
+def test_check_warns_only_on_the_robot(run, config, host_memory, option):
+    """The memory of a computer that will not solve the program does not matter."""
+    host_memory(400 * 2**20)
+    assert run("check", option, config(CVXPY))[2] == ""
 
 
 @pytest.fixture

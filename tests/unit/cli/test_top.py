@@ -1,11 +1,10 @@
-"""`arpd top`: one frame at any size, and the terminal it is drawn on."""
+"""`arpd top`: the terminal that it draws on."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
 import fcntl
-import io
 import json
 import os
 import pty
@@ -19,138 +18,11 @@ import termios
 import time
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from rich.console import Console
 
 from arpd.cli import main as cli
-from arpd.cli.frame import BLOCKS, View, frame, sparkline
-from tests.unit.cli.test_status import HOSTILE, broken_documents
-from tests.unit.fake_daemon import calm, demo_robot, document, event, serving
+from tests.unit.fake_daemon import HISTORY, busy, serving
 
 ENTER, LEAVE = "\x1b[?1049h", "\x1b[?1049l"
-HISTORY = {
-    "api_version": "v1",
-    "link": {
-        "capacity_bytes_per_second": [None] * 100 + [2.5e6] * 250 + [6e5] * 250,
-        "queue_delay_seconds": [0.0] * 349 + [0.35] + [0.0] * 250,
-    },
-    "gate": [1.0] * 350 + [0.5] + [1.0] * 249,
-}
-
-
-def drawn(status, history=HISTORY, **view):
-    """Draw a frame; returns its lines."""
-    view = {"width": 110, "height": 40} | view
-    written = io.StringIO()
-    Console(width=view["width"], height=view["height"], file=written).print(frame(status, history, View(**view)))
-    return written.getvalue().split("\n")[:-1]
-
-
-def busy():
-    """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
-    answered = calm(publishers=demo_robot())
-    by_name = {topic["topic"]: topic for topic in answered["topics"]}
-    for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
-        topic = by_name[name]
-        topic |= {"binding": "link", "share": 0.3, "kept_ratio": ratio}
-        topic["planned"] = {"rate_hz": topic["source_rate_hz"] * ratio, "depth": 10, "deadline_ns": None}
-    by_name["/link/odom"] |= {"refusal": "depth 16: no match", "refusal_lasts": False}
-    by_name["/link/imu"]["deadlines_missed"] = 3
-    answered["verdict"] = {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
-    answered["events"] = [event(number, f"event {number}") for number in range(30)]
-    return answered
-
-
-def test_a_frame_answers_the_four_questions():
-    """It has the verdict, the link's ten minutes, the plan and its reason, the topics, and the last decisions."""
-    lines = drawn(busy(), url="http://robot:9464")
-    text = "\n".join(lines)
-    assert lines[0].startswith(" arpd 1.2.3 on wlan0, http://robot:9464")
-    assert lines[1] == "The link is the limit: so"
-    assert re.search(r"^link +5 Mbit/s  peer, congested +[▁▂▃▄▅▆▇█ ]{20,} ≤ 20 Mbit/s$", text, re.MULTILINE)
-    assert re.search(r"^queue .*█.* ≤ 350 ms$", text, re.MULTILINE)
-    assert re.search(r"^admitted .*▅.* ≥ 50 %$", text, re.MULTILINE)
-    assert "plan     3 for 4.25 Mbit/s: 0 of 0 publishers confirmed" in lines
-    assert "         held: dwell; refused up: dwell" in lines
-    topics = [line.split()[0] for line in lines if line.startswith("/")]
-    assert topics[:3] == ["/link/odom", "/link/camera/image/compressed", "/link/points"]
-    assert len(topics) == 12
-    assert lines[-1].endswith("event 29")
-
-
-@pytest.mark.parametrize("width", [60, 80, 132, 250])
-@pytest.mark.parametrize("height", [10, 24, 60])
-def test_a_frame_fits_its_terminal(width, height):
-    """No line is too many or too long, and the verdict is always there."""
-    lines = drawn(busy(), width=width, height=height)
-    assert len(lines) <= height
-    assert max(map(len, lines)) <= width
-    assert "The link is the limit" in lines[1]
-
-
-def test_topics_that_do_not_fit_are_summed_up():
-    """The last line has their number, and the number of those that the link slows."""
-    lines = drawn(busy(), width=80, height=18)
-    shown = [line for line in lines if line.startswith(("/", "…")) and "more" not in line]
-    assert f"… and {12 - len(shown)} more" in "\n".join(lines)
-    everything = calm(publishers=demo_robot() * 1)
-    for topic in everything["topics"]:
-        topic["kept_ratio"] = 0.01
-    assert "of them slowed" in "\n".join(drawn(everything, width=80, height=18))
-
-
-def test_a_daemon_without_history_has_no_sparklines():
-    """An older daemon without history has numbers only."""
-    text = "\n".join(drawn(busy(), None))
-    assert not set(BLOCKS) & set(text)
-    assert "queue    120 ms" in text
-
-
-def test_a_silent_daemon_is_said_to_be_silent():
-    """The frame says for how long, and from when its contents are."""
-    lines = drawn(busy(), why_silent="no daemon answers", silent_s=12.4)
-    at = time.strftime("%H:%M:%S", time.localtime(1e9))
-    assert lines[1] == f"no answer for 12 s, this is from {at}: no daemon answers"
-
-
-def test_a_daemon_before_its_first_tick_has_a_frame():
-    """The frame says that it is not ready."""
-    assert "Not ready" in drawn({"api_version": "v1", "ready": False})[1]
-
-
-def test_a_terminal_with_ascii_only_gets_nothing_else():
-    """Sparklines, ellipses and arrows have a plain form."""
-    assert "".join(drawn(busy(), width=60, is_ascii=True)).isascii()
-
-
-@settings(max_examples=40)
-@given(broken_documents(), st.sampled_from([None, HISTORY, {"link": 3}, {"gate": [HOSTILE[0], None, 1e999]}]))
-def test_whatever_answers_neither_breaks_a_frame_nor_steers_the_terminal(answered, history):
-    """Keys that are missing or hold something else leave a gap; control characters are shown, not sent."""
-    lines = drawn(answered, history, width=70, height=20, url=HOSTILE[0], why_silent=HOSTILE[1])
-    assert len(lines) <= 20
-    assert all(character.isprintable() for line in lines for character in line)
-
-
-@pytest.mark.parametrize(
-    ("samples", "columns", "shown"),
-    [
-        ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], 8, "▁▂▃▄▅▆▇█"),
-        ([1.0, 9.0, 1.0, 1.0], 2, "█▁"),
-        ([None, None, 4.0, 8.0], 2, " █"),
-        ([2.0], 40, "█"),
-        ([0.0, 0.0], 2, "▁▁"),
-        ([None], 3, " "),
-        ([], 5, ""),
-    ],
-)
-def test_a_sparkline_keeps_the_worst_of_what_shares_a_column(samples, columns, shown):
-    """A queue of one second in ten minutes is visible."""
-    assert sparkline(samples, columns, pick=max) == shown
-
-
-# -- the command
 
 
 @pytest.fixture
@@ -161,37 +33,33 @@ def daemon():
         yield url, answers
 
 
-def test_once_prints_a_frame_into_a_pipe(daemon):
-    """The frame has all topics and no control codes."""
-    environment = {name: value for name, value in os.environ.items() if name not in {"COLUMNS", "LINES", "FORCE_COLOR"}}
-    done = subprocess.run(
-        [sys.executable, "-m", "arpd.cli", "top", "--once", "--url", daemon[0]],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**environment, "TERM": "xterm"},
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "\x1b" not in done.stdout
-    assert done.stdout.count("\n/") == 12
+def test_once_prints_what_status_prints(capsys, daemon):
+    """The option is the other command, with its exit codes."""
+    shown = []
+    for command in (["status"], ["top", "--once"]):
+        assert cli.main([*command, "--url", daemon[0]]) == 0
+        shown.append(capsys.readouterr())
+    assert shown[0] == shown[1]
+    assert "▁█▁" in shown[0].out
 
 
-def test_a_daemon_that_keeps_no_history_is_watched_too(capsys):
-    """It answers 404 to what it does not know."""
-    with serving(json.dumps(document())) as url:
-        assert cli.main(["top", "--once", "--url", url]) == 0
-    assert "queue    120 ms" in capsys.readouterr().out
+@pytest.mark.parametrize(("variable", "is_coloured"), [("LANG", True), ("NO_COLOR", False)])
+def test_status_has_colours_on_a_terminal_unless_told_otherwise(start, daemon, variable, is_coloured):
+    """NO_COLOR is respected."""
+    screen = start("status", "--url", daemon[0], environment={variable: "C.UTF-8"})
+    written = screen.await_text("event 29")
+    assert ("\x1b[31m/link/odom" in written) == is_coloured
+    assert ENTER not in written
+    assert max(len(re.sub(r"\x1b\[[0-9;]*m", "", line)) for line in written.split("\r\n")) <= 100
 
 
-def test_top_exits_69_when_nothing_answers_at_the_start(capsys, top):
+def test_top_exits_69_when_nothing_answers_at_the_start(top):
     """The error is that of status, and the terminal stays as it was."""
     with serving("{}") as url:
         pass
     screen = top(url)
     assert screen.process.wait(60) == 69
     assert ENTER not in screen.await_text("no daemon answers")
-    assert cli.main(["top", "--once", "--url", url]) == 69
-    assert capsys.readouterr().err.startswith(f"arpd: no daemon answers at {url} (")
 
 
 @pytest.mark.parametrize("interval", ["0", "nan", "1e9"])
@@ -203,17 +71,17 @@ def test_an_interval_out_of_range_exits_2(capsys, interval):
 
 @pytest.mark.parametrize(("is_terminal", "kind"), [(False, "xterm"), (True, "dumb")])
 def test_live_needs_a_terminal_that_can_be_drawn_on(capsys, monkeypatch, is_terminal, kind):
-    """For a pipe or a dumb terminal the error names --once."""
+    """For a pipe or a dumb terminal the error names the other command."""
     monkeypatch.setattr(sys.stdout, "isatty", lambda: is_terminal)
     monkeypatch.setenv("TERM", kind)
     assert cli.main(["top"]) == 2
-    assert "top needs a terminal; --once" in capsys.readouterr().err
+    assert "top needs a terminal; arpd status" in capsys.readouterr().err
 
 
 class Screen:
     """A terminal with ``arpd`` on it."""
 
-    def __init__(self, *arguments, columns=100, lines=30):
+    def __init__(self, *arguments, columns=100, lines=30, environment=None):
         self._master, slave = pty.openpty()
         self.resize(columns, lines)
         self.before = termios.tcgetattr(slave)
@@ -223,7 +91,7 @@ class Screen:
             stdin=slave,
             stdout=slave,
             stderr=slave,
-            env={**os.environ, "TERM": "xterm-256color"},
+            env={**os.environ, "TERM": "xterm-256color", **(environment or {})},
             start_new_session=True,
         )
         self.written = ""
@@ -256,17 +124,23 @@ class Screen:
 
 
 @pytest.fixture
-def top():
-    """Start ``arpd top`` on a terminal."""
+def start():
+    """Start ``arpd`` on a terminal."""
     screens = []
 
-    def top(url, *options):
-        screens.append(Screen("top", "--url", url, *options))
+    def start(*arguments, **given):
+        screens.append(Screen(*arguments, **given))
         return screens[-1]
 
-    yield top
+    yield start
     for screen in screens:
         screen.close()
+
+
+@pytest.fixture
+def top(start):
+    """Start ``arpd top`` on a terminal."""
+    return lambda url, *options: start("top", "--url", url, *options)
 
 
 @pytest.mark.parametrize("end", ["q", signal.SIGINT, signal.SIGTERM])

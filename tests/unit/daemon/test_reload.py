@@ -32,12 +32,14 @@ LATE_S = 15.0  # a third topic comes
 TWO_ENDS: dict[str, Any] = {
     "relay": {"link_domain": 77, "robot": "10.0.0.1", "ceddp": "10.0.0.2", "groups": [{"topics": ["/left", "/right"]}]}
 }
+FLEET: dict[str, Any] = {"fleet": {"robots": [{"domain": 11, "name": "rover"}]}}
 CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.interface": ("wlan7", {}),
     "link.capacity": ("4mbit", {}),
     "link.initial_capacity": ("4mbit", {}),
     "link.headroom": (0.5, {}),
     "link.packet_overhead": ("2ms", {}),
+    "link.cell": ("hall", {}),
     "program.policy": ("uniform", {}),
     "program.backend": ("exact", {}),
     "program.deadline_slack": (3, {}),
@@ -82,6 +84,11 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "relay.topics.name": ("/imu", {}),
     "relay.topics.overflow": ("queue", {}),
     "relay.topics.depth": (77, {}),
+    "fleet.airtime": (0.5, {}),
+    "fleet.robots.domain": (12, FLEET),
+    "fleet.robots.name": ("arm", FLEET),
+    "fleet.robots.weight": (3, FLEET),
+    "fleet.robots.address": ("10.0.0.3", FLEET),
     "on_stop": ("keep", {}),
     "on_lost": ("baseline", {}),
     "lost_after": ("9s", {"on_lost": "baseline"}),
@@ -124,6 +131,9 @@ class World:
         self.sent += ((now_s, step.topics, step.lease_s) for step in transitions)
 
     def set_price(self, price):
+        pass
+
+    def ask(self, ask):
         pass
 
     def probe(self, request):

@@ -76,6 +76,9 @@ class World:
     def set_price(self, price):
         self.prices.append(price)
 
+    def ask(self, ask):
+        pass
+
     def probe(self, request):
         self.probes.append(request)
 

@@ -72,6 +72,9 @@ class World:
     def set_price(self, price):
         self.price = price
 
+    def ask(self, ask):
+        pass
+
     def probe(self, request):
         pass
 

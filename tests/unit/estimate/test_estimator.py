@@ -148,6 +148,15 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert estimate.standing_delay_s > 0.1
 
 
+def test_bytes_that_wait_here_are_a_queue_before_a_ping_shows_it():
+    """What stands before the interface delays by the time in which it leaves, though every ping so far met none."""
+    link = Link().measured()
+    for _ in range(2):
+        link.sent += 0.08 * FIRST
+        estimate = link.tick(counters=replace(INTERFACE, tx_bytes=round(link.sent), backlog_bytes=200_000))
+    assert estimate.queue_delay_s == about(200_000 / (0.8 * FIRST))
+
+
 def test_one_late_ping_is_no_fall():
     """A single delayed ping changes little."""
     link = Link().measured()
@@ -297,6 +306,54 @@ def test_its_own_probes_are_no_cross_traffic():
     assert sent > 6 * 40_000
 
 
+# -- whether pings and looks meet a queue
+
+CAMERA = publisher("/camera", "/image", payload_bytes=30_000)  # 15 ms of the link, so its queue shows in pings
+BUSY = 0.8 * FIRST
+
+
+def believed(publishers, *, late, had_queue=False):
+    """Return what is believed of a busy link: pings are late in so many of ten ticks, and a queue here is over."""
+    link = Link().measured()
+    for tick in range(100):
+        link.sent += 0.1 * BUSY
+        backlog = (200_000 if tick < 5 else 0) if had_queue else None
+        counters = replace(INTERFACE, tx_bytes=round(link.sent), backlog_bytes=backlog)
+        delay_s = 0.03 if tick % 10 < late else 0.02
+        estimate = link.tick(rate=BUSY, delay_s=delay_s, publishers=publishers, counters=counters)
+    return estimate.capacity_bytes_per_second
+
+
+def test_a_busy_link_that_shows_no_queue_carries_more():
+    """Where large samples would queue, pings that meet none show room, as does an empty queue that stood before."""
+    assert BUSY < believed([CAMERA], late=9) < FIRST
+    assert believed([CAMERA], late=0) > 1.5 * FIRST
+    assert believed([CAMERA], late=9, had_queue=True) > 1.5 * FIRST
+    assert believed([], late=0) == believed([], late=9)  # small samples leave no queue for a ping
+
+
+# -- between two updates
+
+
+def test_only_what_may_be_news_is_worth_an_update():
+    """A backlog longer than a burst, a late ping and a probe that is due are; an idle queue and a burst are not."""
+    link = Link().measured()
+    link.ticks(20)
+    looks = {backlog: link.estimator.needs_look(link.now_s, backlog) for backlog in (None, 0, 15_000, 15_001)}
+    assert looks == {None: False, 0: False, 15_000: False, 15_001: True}
+    assert link.estimator.needs_look(link.now_s + 0.2, 0)  # the next ping is due
+    link.tick(silent=True)
+    assert [link.estimator.needs_look(link.now_s + late_s, 0) for late_s in (0.0, 0.07)] == [False, True]
+
+
+@pytest.mark.parametrize("trouble", [{"silent": True, "counters": None}, FALLEN, {"silent": True}])
+def test_a_link_in_trouble_is_always_worth_an_update(trouble):
+    """While it is out or a queue stands, no look is spared."""
+    link = Link().measured()
+    link.ticks(20, **trouble)
+    assert link.estimator.needs_look(link.now_s, 0)
+
+
 # -- no peer
 
 
@@ -319,6 +376,12 @@ def test_alone_the_queue_of_this_host_shows_the_capacity(how):
     assert estimate.capacity_bytes_per_second == about(300_000, 0.15)
     assert "queue of this host" in estimate.evidence
     assert estimate.events_by_kind.keys() <= {EstimatorEvent.LOCAL, EstimatorEvent.OUTAGE}
+
+
+@pytest.mark.parametrize(("backlog", "state"), [(0, LinkState.APP_LIMITED), (200_000, LinkState.CONGESTED)])
+def test_alone_a_queue_of_this_host_is_a_congested_link(backlog, state):
+    """Without a peer the queue before the interface tells the state."""
+    assert sent_alone(Link(), 30, backlog=backlog).state is state
 
 
 def test_a_host_that_lost_its_peer_learns_alone():

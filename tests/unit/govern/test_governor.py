@@ -54,6 +54,7 @@ class Run:
         self.generation = generation
         self.newest = newest
         self.requested_ns = 0
+        self.memory = MEMORY
         self.now_s = 100.0
 
     def announced(self, name):
@@ -71,8 +72,8 @@ class Run:
         return self.governor.decide(
             self.now_s,
             state=state,
-            rates=self.program.solve(capacity, self.topics, MEMORY),
-            lasting=self.program.solve(capacity if lasting is None else lasting, self.topics, MEMORY),
+            rates=self.program.solve(capacity, self.topics, self.memory),
+            lasting=self.program.solve(capacity if lasting is None else lasting, self.topics, self.memory),
             topics=self.topics,
             publishers=[self.announced(topic.name) for topic in self.topics],
             newest=self.newest,
@@ -261,7 +262,7 @@ def test_a_first_plan_does_not_wait_for_a_graph_that_never_rests():
         run.topics = names(1 + count // 5)
         if run.tick().level_changed:
             break
-    assert run.governor.levels_by_cause == {"start": 1}
+    assert run.governor.plans_by_cause == {"start": 1}
     assert run.now_s - 100.0 == pytest.approx(GOVERNOR.dwell_s, abs=LATE_S)
 
 
@@ -443,6 +444,25 @@ def test_a_publisher_that_refuses_new_qos_costs_nothing():
     assert swap_costs([publisher("/n", "/t")], participants=3) == {"/t": 3 * swap_bytes(22)}
 
 
+# -- memory
+
+
+def test_depths_follow_memory_down_even_in_an_outage():
+    """Memory that shrinks costs one plan at once: only depths change, and not those of silent topics."""
+    run = Run(participants=1000).planned()  # whose first plan has spent the budget of swaps
+    before = run.governor.plan
+    run.memory, run.silent = 15_000.0, {"/t0"}
+    decision, later = run.tick(state=LinkState.OUTAGE), run.ticks(20.0, state=LinkState.OUTAGE)
+    assert (decision.level_changed, decision.reason) == (True, "memory")
+    assert decision.plan.generation == before.generation + 1
+    assert run.governor.plans_by_cause == {"start": 1, "memory": 1}
+    depths = {name: row.depth for name, row in decision.plan.topics.items()}
+    assert depths["/t0"] == before.topics["/t0"].depth
+    assert 0 < depths["/t1"] < before.topics["/t1"].depth
+    assert decision.plan.topics == {name: replace(before.topics[name], depth=depth) for name, depth in depths.items()}
+    assert changes(later) == []
+
+
 # -- other daemons
 
 
@@ -452,7 +472,7 @@ def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
     run = Run(**known)
     run.ticks(2.0)
     assert run.governor.plan.generation == 42
-    assert run.governor.levels_by_cause == {"start": 1}
+    assert run.governor.plans_by_cause == {"start": 1}
 
 
 def test_a_restarted_daemon_keeps_what_its_predecessor_left():
@@ -483,7 +503,7 @@ def test_a_newer_plan_of_another_daemon_is_superseded(where):
         run.newest = 5
     assert changes(run.ticks(5.0)) == ["takeover"]
     assert run.governor.plan.generation == 6
-    assert run.governor.levels_by_cause["takeover"] == 1
+    assert run.governor.plans_by_cause["takeover"] == 1
 
 
 def test_after_standing_by_it_starts_again():

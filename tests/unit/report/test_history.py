@@ -9,7 +9,7 @@ import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
 
-from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_document, history_json
+from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_json
 from tests.sample_publishers import publisher
 
 
@@ -17,6 +17,10 @@ def at(snapshot, t_s, **observed):
     """Return the snapshot at another time, with other observations."""
     observation = replace(snapshot.observation, **observed)
     return replace(snapshot, finished_at_s=t_s, unix_time_s=1.7e9 + t_s, observation=observation)
+
+
+def history_document(samples, events):
+    return json.loads(history_json(samples, events))
 
 
 def columns(history, topic):
@@ -146,11 +150,3 @@ def test_readers_never_see_half_a_sample(sample_snapshot):
         thread.join()
     assert len(history.samples) == 300
     assert not faults
-
-
-def test_the_bytes_are_the_document(sample_snapshot):
-    """The JSON written topic by topic reads back as the document, also when empty."""
-    history = History()
-    for _ in range(3):
-        assert json.loads(history_json(history.samples, ())) == history_document(history.samples, ())
-        history.note(at(sample_snapshot, 1.0 + len(history.samples)))

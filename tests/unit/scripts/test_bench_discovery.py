@@ -1,4 +1,4 @@
-"""The kinds of packets, the counts and the report of scripts/bench/discovery.py."""
+"""The kinds of packets and the counts of scripts/bench/discovery.py."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import struct
 
 import pytest
 
-from scripts.bench.discovery import DiscoveryError, check
+from scripts.bench.discovery import PLAIN, DiscoveryError, check, rates
 from scripts.bench.discovery_packets import (
     GRAPH,
-    KINDS,
     MULTICAST,
     OTHER,
     UNICAST,
@@ -20,7 +19,6 @@ from scripts.bench.discovery_packets import (
     is_steady,
     kind_of,
 )
-from scripts.bench.discovery_report import PLAIN, RELAY, markdown, rates
 
 ROBOT, CEDDP = bytes.fromhex("02000a4d0001"), bytes.fromhex("02000a4d0002")
 PREFIX = bytes(range(12))
@@ -121,8 +119,8 @@ def test_the_document_counts_every_packet_once():
     assert [(flow["kind"], flow["packets"], flow["bytes"]) for flow in found["flows"]] == [(MULTICAST, 24, 12_000)]
     assert [each["packets"] for each in found["participants"]] == [6] * 4
     assert found["periods"] == [{"packets": 12, "bytes": 6000}] * 2
-    assert rates(found) == rates(found, MULTICAST) == (4.0, 2000.0)
-    assert rates(found, USER) == (0.0, 0.0)
+    assert rates(found) == rates(found, MULTICAST) == "4.0 (2.00)"
+    assert rates(found, USER) == "0"
 
 
 @pytest.mark.parametrize(
@@ -144,18 +142,6 @@ def test_user_data_may_come_and_go_on_a_steady_link():
 def test_a_period_with_lost_packets_is_not_steady():
     """Its counts are too low."""
     assert not is_steady([period(4, packets=30), period(4, packets=30, lost=1)])
-
-
-def test_the_report_compares_the_sides_once_both_are_measured():
-    """The largest number of nodes is compared; a missing side leaves the table without its rows."""
-    cells = [cell(side, nodes, packets=3 * nodes, size=500) for side in (RELAY, PLAIN) for nodes in (4, 2)]
-    text = markdown({"cells": cells})
-    rows = [[field.strip() for field in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    assert [row[:2] for row in rows[2:]] == [[str(nodes), side] for nodes in (2, 4) for side in (PLAIN, RELAY)]
-    assert rows[0][5:10] == list(KINDS)
-    assert rows[-1][2:6] + rows[-1][-2:] == ["4", "4.0", "2.00", "4.0 (2.00)", "1.00", "3.0"]
-    assert "With 4 nodes the two-ended relay" in text
-    assert "With 4 nodes the two-ended relay" not in markdown({"cells": cells[2:]})
 
 
 @pytest.mark.parametrize(

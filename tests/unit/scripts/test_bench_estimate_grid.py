@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
 
-from scripts.bench.capacity_report import markdown
-from scripts.bench.estimate_grid import Cell, Judged, grid_table, play_grid, sample
+from scripts.bench.estimate_grid import Cell, Judged, sample
 
 CELL = Cell(before_mbit=20.0, change=0.55, load="busy")
 BOUND = {"p50": 0.02, "p99": 0.1, "goodput": 1e6}
@@ -52,36 +50,3 @@ def test_a_cell_says_what_is_unusual_about_it():
 def test_the_ratio_is_that_of_the_worst_figure(figures, ratio):
     """Queues are compared with 10 ms of grace, and goodput the other way round."""
     assert judged(**figures).ratio == pytest.approx(ratio)
-
-
-def test_the_table_has_the_ten_worst_cells():
-    """It shows both sides of each, and the median of all."""
-    cells = sorted((judged(p50=0.02 + 0.03 * k) for k in range(12)), key=lambda each: -each.ratio)
-    text = grid_table(cells)
-    assert "12.00" in text
-    assert "3.00" in text
-    assert " 2.00 " not in text.split("the worst:")[1]
-    assert "350 | 20" in text
-    assert "8.00 | 8.00" in text
-
-
-def test_the_page_of_results_has_the_worst_cells():
-    """Their rows come from JSON, in the same order and with both sides."""
-    cells = [judged(p50=0.02 + 0.03 * k) for k in range(12, 0, -1)]
-    estimate = {"seeds": 1, "targets": [], "scenarios": {}}
-    assert "grid" not in markdown(estimate, {"runs": []})
-    page = markdown(estimate | {"grid": [each.document() for each in cells]}, {"runs": []})
-    rows = [line for line in page.splitlines() if line.startswith("| 20→11, busy |")]
-    assert len(rows) == 10
-    assert rows[0] == "| 20→11, busy | 13.0 | 380 / 20 ms | 100 / 100 ms | 8.0 / 8.0 Mbit/s |"
-
-
-def test_a_cell_is_played_both_ways():
-    """The bound and arpd deliver over the same link, and JSON holds the cell and both."""
-    (found,) = play_grid(1, processes=1)
-    document = json.loads(json.dumps(found.document(), allow_nan=False))
-    assert document["before_mbit"] == found.cell.before_mbit
-    assert document["ratio"] == pytest.approx(found.ratio, abs=1e-3)
-    assert document["arpd_goodput"] > 0.0
-    assert document["bound_goodput"] > 0.0
-    assert play_grid(0, processes=1) == []

@@ -1,4 +1,4 @@
-"""The paper's robot under arpd: what counts in the measured time, and its place beside the solved optima."""
+"""The paper's robot under arpd: what counts in the measured time, apart from the warm-up."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from scripts.bench.paper_cells import (
-    FIGURES,
     LIVE,
     LIVE_HZ,
     PAYLOADS_BYTES,
@@ -16,8 +15,6 @@ from scripts.bench.paper_cells import (
     live_turns,
     quick_turns,
 )
-from scripts.bench.paper_live_report import live_markdown, live_table
-from scripts.bench.paper_report import nonsense, voids
 from scripts.bench.paper_summary import live_summary
 from tests.unit.scripts.paper_files import PaperFiles
 
@@ -119,67 +116,3 @@ def test_arpd_takes_a_turn_with_each_payload():
     assert [turn.configuration.payload_bytes for turn in live_turns()] == [*PAYLOADS_BYTES]
     (quick,) = (turn for turn in quick_turns() if turn.experiment == LIVE)
     assert LIVE_HZ * SENSORS * quick.configuration.payload_bytes > quick.link.rate_bytes_per_second
-
-
-def made_up(experiment, p99_s, **fields):
-    figures = {"mean_s": p99_s / 3, "p50_s": p99_s / 4, "p95_s": p99_s / 2, "p99_s": p99_s}
-    return {
-        "experiment": experiment,
-        "link": "2.4 GHz",
-        "link_loss": 0.0002,
-        "heartbeat": "arpd's" if experiment == LIVE else "rclpy's default",
-        "payload_bytes": 1000,
-        "void": "",
-        "reached_ratio": 1.0,
-        "blocked_ratio": 0.0,
-        "published": 1000,
-        "lost": 0,
-        "used_ratio": 0.5,
-        "robot_sent_bytes": 10**7,
-        "receive_buffer_overflows": 0,
-        "sensing": {"count": 1100, "lost_ratio": 0.0, **figures},
-        "end_to_end": {"count": 100, "lost_ratio": 0.0, **figures},
-        **fields,
-    }
-
-
-@pytest.fixture
-def document():
-    """Two rounds of arpd beside one optimum of two."""
-    found = {"topics": 12, "max_rate_hz": 700.0, "rate_hz": 57.0, "depth": 408}
-    runs = []
-    for number in (1, 2):
-        runs += [
-            made_up(LIVE, 0.02 * number, deadline_hz=100, depth=0, round=number, uniform=found, withheld_ratio=0.4),
-            made_up(FIGURES, 3.0, deadline_hz=82, depth=410, round=number, lost=20),
-        ]
-    return {
-        "conditions": {"seconds": 2.0},
-        "optima": [{"rmax_hz": 100, "rate_hz": 7, "depth": 365}, {"rmax_hz": 1000, "rate_hz": 82, "depth": 410}],
-        "runs": runs,
-    }
-
-
-def test_arpd_stands_beside_the_optima(document):
-    """One row has what arpd found, the next ones what was solved beforehand for the same link and payload."""
-    assert nonsense(document) == []
-    assert live_markdown(document)[-2:] == [
-        "| 1000 | arpd | 57 (Rmax 700) | 408 | 50 | 7.5 | 30 (20–40) | 30 | 0 | 50 |",
-        "| 1000 | Rmax 1000 | 82 | 410 | 50 | 750 | 3000 (3000–3000) | 3000 | 2 | 50 |",
-    ]
-    assert len(live_table(document)) == 4
-
-
-def test_a_void_turn_under_arpd_has_no_figures(document):
-    """Its row says why, and the short form of the benchmark names it."""
-    for run in document["runs"]:
-        if run["experiment"] == LIVE:
-            run["void"] = "generator"
-    assert any("| void: generator |" in line for line in live_markdown(document))
-    assert "1000 B under arpd" in voids(document)[0]
-
-
-def test_without_such_turns_the_report_says_nothing(document):
-    """A document of before has no third table."""
-    document["runs"] = [run for run in document["runs"] if run["experiment"] != LIVE]
-    assert live_table(document) == live_markdown(document) == []

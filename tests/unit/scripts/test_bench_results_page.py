@@ -10,14 +10,12 @@ import pytest
 
 from scripts.bench import results_page
 from scripts.bench.record import RESULTS, conditions, described, keep, options_of, target, write
-from scripts.bench.soak_report import grown_by_process, lost
 from scripts.bench.suite import BENCHMARKS, chosen
-from scripts.bench.swap_report import ADAPTIVE, RECREATE, STILL, beyond
 
 
 @pytest.mark.parametrize("path", results_page.PAGES, ids=lambda path: path.name)
 def test_a_page_is_what_the_results_say(path):
-    """`scripts/bench/results_page.py --check` finds no difference; every report runs over its committed document."""
+    """`scripts/bench/results_page.py` would change nothing: every report runs over its committed document."""
     page = path.read_text(encoding="utf-8")
     assert results_page.regenerated(page, results_page.PAGES[path], RESULTS) == page
 
@@ -34,22 +32,20 @@ def test_every_pictured_result_is_there_once_its_document_is():
 
 
 def test_a_block_is_replaced_and_the_rest_stays(tmp_path, monkeypatch):
-    """Only the text between the markers changes."""
-    (tmp_path / "soak.json").write_text('{"swaps": 7}')
-    blocks = {"soak": results_page.Block(results=("soak",), report="soak_report")}
-    monkeypatch.setattr("scripts.bench.soak_report.markdown", lambda document: f"{document['swaps']} swaps\n")
-    before = "above\n<!-- soak:begin -->\ntyped by hand\n<!-- soak:end -->\nbelow\n"
-    after = "above\n<!-- soak:begin -->\n7 swaps\n<!-- soak:end -->\nbelow\n"
-    assert results_page.regenerated(before, blocks, tmp_path) == after
+    """Only the text between the markers changes, once its document is there; tables stay whole, and bullets do not."""
+    blocks = {"weights": results_page.Block("weights", ("soak",))}
+    row = "| " + "cell " * 60 + "|"
+    monkeypatch.setattr("scripts.bench.weights.report", lambda document: f"- {'word ' * document['words']}\n{row}\n")
+    before = "above\n<!-- weights:begin -->\ntyped by hand\n<!-- weights:end -->\nbelow\n"
+    assert results_page.regenerated(before, blocks, tmp_path) == before
+    (tmp_path / "soak.json").write_text('{"words": 60}')
+    after = results_page.regenerated(before, blocks, tmp_path)
     assert results_page.regenerated(after, blocks, tmp_path) == after
-
-
-def test_a_block_without_results_stays_as_it_is(tmp_path):
-    """A benchmark that has not run changes nothing."""
-    blocks = {"swap": results_page.Block(results=("swap", "soak"), report="swap_report")}
-    (tmp_path / "swap.json").write_text("{}")
-    text = "<!-- swap:begin -->\nas it was\n<!-- swap:end -->\n"
-    assert results_page.regenerated(text, blocks, tmp_path) == text
+    above, begin, first, second, third, whole, end, below = after.splitlines()
+    assert (above, begin, end, below) == ("above", "<!-- weights:begin -->", "<!-- weights:end -->", "below")
+    assert whole == row
+    assert max(map(len, (first, second, third))) <= 130
+    assert (first[:6], second[:6], third[:6]) == ("- word", "  word", "  word")
 
 
 @pytest.mark.parametrize(
@@ -63,23 +59,9 @@ def test_a_block_without_results_stays_as_it_is(tmp_path):
 )
 def test_a_marker_that_fits_no_block_is_an_error(text, tmp_path):
     """A block without markers, with two pairs or a wrong end, and a marker without a block are errors."""
-    blocks = {"soak": results_page.Block(results=("soak",), report="soak_report")}
-    with pytest.raises(results_page.MarkerError):
+    blocks = {"soak": results_page.Block("soak", ("soak",))}
+    with pytest.raises(ValueError, match="markers for"):
         results_page.regenerated(text, blocks, tmp_path)
-
-
-def test_prose_is_broken_and_tables_are_not(tmp_path, monkeypatch):
-    """The page breaks bullets at its width and leaves table rows whole."""
-    blocks = {"weights": results_page.Block(results=(), report="weights_report")}
-    row = "| " + "cell " * 60 + "|"
-    monkeypatch.setattr("scripts.bench.weights_report.markdown", lambda: "- " + "word " * 60 + "\n" + row)
-    text = results_page.regenerated("<!-- weights:begin -->\n<!-- weights:end -->\n", blocks, tmp_path)
-    lines = text.splitlines()
-    assert row in lines
-    bullet = [line for line in lines if "word" in line]
-    assert len(bullet) == 3
-    assert max(map(len, bullet)) <= 130
-    assert all(line.startswith("  word") for line in bullet[1:])
 
 
 def test_every_block_of_results_has_a_benchmark_that_makes_them():
@@ -121,27 +103,3 @@ def test_conditions_are_described_even_where_a_document_has_none():
     noted = conditions()
     assert f"{noted['cpu_count']} cores" in described({"conditions": noted})
     assert described({})
-
-
-def tally(**changes):
-    return {"expected": 100, "lost": 0, "doubled": 0, "reordered": 0} | changes
-
-
-def test_scatter_of_the_baseline_is_not_blamed_on_swaps():
-    """A longer run loses more, and a few more than the baseline is luck; any loss is too much beside none."""
-    ways = {STILL: tally(lost=10), ADAPTIVE: tally(lost=25, expected=200), RECREATE: tally(lost=60)}
-    assert beyond(ways, ADAPTIVE) == []
-    assert beyond(ways, RECREATE) == ["lost"]
-    assert beyond({STILL: tally(), ADAPTIVE: tally(doubled=1)}, ADAPTIVE) == ["doubled"]
-
-
-def test_a_soak_counts_growth_and_loss():
-    """Growth counts from the first five hundred swaps on; late samples do not make up for lost ones."""
-    process = {"rss_bytes": 50, "threads": 9, "files": 12}
-    notes = [
-        {"swaps": swaps, "writer": process | {"rss_bytes": rss_bytes}, "reader": process}
-        for swaps, rss_bytes in ((100, 40), (500, 50), (1000, 53))
-    ]
-    none = dict.fromkeys(process, 0)
-    assert grown_by_process({"notes": notes}) == {"writer": none | {"rss_bytes": 3}, "reader": none}
-    assert lost({"sent": 200, "received": [200, 199], "late": [0, 1]}) == 2

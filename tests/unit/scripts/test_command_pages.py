@@ -8,6 +8,7 @@ import subprocess
 
 import pytest
 
+pytest.importorskip("argparse_manpage", reason="argparse-manpage is not installed: pip install argparse-manpage")
 pytest.importorskip("shtab", reason="shtab is not installed: pip install shtab")
 
 from arpd.cli.main import _parser
@@ -43,10 +44,28 @@ def test_man_shows_every_command_with_its_examples_and_warns_of_nothing():
     )
     assert (shown.returncode, shown.stderr) == (0, "")
     lines = [line.strip() for line in shown.stdout.splitlines()]
-    for command, _, parser in _commands(_parser()):
+    for command, parser in _commands(_parser()):
         assert f"arpd {command}" in lines
         examples = [line.strip() for line in (parser.epilog or "").splitlines() if line.startswith("  ")]
         assert [line for line in examples if line not in lines] == []
+
+
+@pytest.mark.parametrize("top", ["usr/local", "usr"], ids=["installer", "Debian package"])
+def test_man_opens_this_page_although_iproute2_has_one_of_that_name(tmp_path, top):
+    """Section 1 goes before section 8, wherever the page is placed and whichever folder is searched first."""
+    if shutil.which("man") is None:
+        pytest.skip("man-db is not here")
+    theirs = tmp_path / "usr/share/man/man8/arpd.8"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text(".TH ARPD 8\n.SH NAME\narpd \\- userspace arp daemon\n")
+    place = 'source scripts/install-files; set_places "$1"; place() { [[ $3 != *.1 ]] || install -D "$2" "$3"; }'
+    placing = ["bash", "-euc", f"{place}; each_file place .", "bash", tmp_path / top]
+    subprocess.run(placing, cwd=MAN_PAGE.parents[2], check=True)
+    path = ":".join(f"{tmp_path}/{folder}/share/man" for folder in ("usr", "usr/local"))
+    opened = subprocess.run(
+        ["man", "--where", "arpd"], capture_output=True, text=True, check=True, env={**os.environ, "MANPATH": path}
+    )
+    assert opened.stdout.strip() == f"{tmp_path / top}/share/man/man1/arpd.1"
 
 
 def test_bash_completes_commands_options_choices_and_files(tmp_path, monkeypatch):

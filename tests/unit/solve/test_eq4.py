@@ -35,13 +35,12 @@ problems = st.builds(
 @pytest.mark.parametrize("backend", Backend)
 @pytest.mark.parametrize("row", TABLE_2, ids=str)
 def test_table_2(backend, row):
-    """Every back end reproduces every row of the paper's Table 2, floors and real optima."""
+    """With every back end each row of the paper's Table 2 is exact, and the back end agrees."""
     max_rate_hz, rate_floor, depth_floor, rate, depth = row
     solution = solve_eq4(Eq4Problem(max_rate_hz=max_rate_hz, topics=12), backend)
     assert solution.status is Eq4Status.OPTIMAL
     assert (solution.rate_hz_floor, solution.depth_floor) == (rate_floor, depth_floor)
-    assert solution.rate_hz == pytest.approx(float(rate), abs=1e-6 * max_rate_hz)
-    assert solution.depth == pytest.approx(float(depth), abs=1e-6 * 5000)
+    assert (solution.rate_hz, solution.depth) == (float(rate), float(depth))
     assert solution.deadline_ns == math.ceil(10**9 / rate)
     assert solution.depth_applied == depth_floor
     assert (solution.backend, solution.agreed) == (backend, True)

@@ -3,7 +3,9 @@
 import { clock, minute, number } from "./fields.js";
 
 const MBIT = 8e-6;
-const LEAST_SPAN_S = 60;
+const LEAST_SPAN_S = 60; // of an axis that nobody chose
+const LEAST_ZOOM_S = 2;
+const HINT = matchMedia("(pointer: fine)").matches ? "drag over a chart to look closer" : "";
 const OUTAGE = "outage";
 
 const scaled = (scale) => (value) => (value === null || value === undefined ? null : value * scale);
@@ -66,6 +68,7 @@ class Past {
     this.states.push(status.link.state);
     for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).push(one.of(status) ?? null);
     const live = new Map(status.topics.map((topic) => [identity(topic), topic]));
+    for (const [name, { topic, node }] of live) if (!this.topics.has(name)) this.topics.set(name, { topic, node, ...this.#absent() });
     for (const [name, topic] of this.topics) {
       for (const one of TOPIC_SERIES) {
         const now = live.get(name);
@@ -73,6 +76,11 @@ class Past {
       }
     }
     while (this.times[0] < now - this.spanS) this.#forget();
+  }
+
+  /** Columns of a topic that has not been there before the last time. */
+  #absent() {
+    return Object.fromEntries(TOPIC_SERIES.map((one) => [one.key, Array(this.times.length - 1).fill(null)]));
   }
 
   #forget() {
@@ -90,7 +98,11 @@ export class Charts {
     this.choice = section.querySelector("select");
     this.past = null;
     this.plots = new Map();
+    this.shown = { spanS: 600 }; // or { from, to } while somebody looks at a part
     this.choice.addEventListener("change", () => this.draw());
+    this.spans = [...section.querySelectorAll("[data-span]")];
+    for (const button of this.spans) button.addEventListener("click", () => this.#show({ spanS: Number(button.dataset.span) }));
+    this.#show(this.shown);
     new ResizeObserver(() => this.#resize()).observe(section);
     for (const query of ["(prefers-color-scheme: dark)", "(prefers-contrast: more)"]) {
       matchMedia(query).addEventListener("change", () => this.#rebuild());
@@ -163,13 +175,18 @@ export class Charts {
     const value = (_plot, number_) => (number_ === null || number_ === undefined ? "–" : `${number(number_)} ${chart.unit}`);
     return {
       ...size(document.getElementById(`chart-${chart.id}`)),
-      cursor: { sync: { key: "arpd" }, drag: { setScale: false, x: false, y: false }, points: { size: 7 } },
+      cursor: {
+        sync: { key: "arpd", filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
+        drag: { setScale: false, x: true, y: false },
+        points: { size: 7 },
+        bind: { dblclick: () => () => this.#show({ spanS: this.past.spanS }) },
+      },
       scales: {
-        x: { range: (_plot, first, last) => [Math.min(Math.max(first, last - this.past.spanS), last - LEAST_SPAN_S), last] },
+        x: { range: () => this.#range() },
         y: chart.powers ? logarithmic : linear,
       },
       axes: [
-        { ...axis, size: 24, gap: 4, space: 64, values: (_plot, splits) => splits.map(minute), incrs: [60, 120, 300] },
+        { ...axis, size: 24, gap: 4, space: 64, values: (_plot, splits) => splits.map(splits[1] - splits[0] < 60 ? clock : minute), incrs: [5, 10, 30, 60, 120, 300] },
         { ...axis, size: chart.powers ? 54 : 44, gap: 6, space: 34, ...(chart.powers ? powers : {}) },
       ],
       series: [
@@ -186,8 +203,36 @@ export class Charts {
           value,
         })),
       ],
-      hooks: { drawClear: [(plot) => this.#mark(plot, color("--outage"), color("--muted"))] },
+      hooks: {
+        setSelect: [(plot) => this.#zoom(plot)],
+        drawClear: [(plot) => this.#mark(plot, color("--outage"), color("--muted"))],
+      },
     };
+  }
+
+  /** The times that all charts show: the last ones, or a part that stays while new samples come. */
+  #range() {
+    const { from, to, spanS } = this.shown;
+    if (from !== undefined) return [from, to];
+    const { times } = this.past;
+    const last = times.at(-1);
+    return [Math.max(last - spanS, Math.min(times[0], last - Math.min(spanS, LEAST_SPAN_S))), last];
+  }
+
+  #zoom(plot) {
+    const { left, width } = plot.select;
+    if (width === 0) return;
+    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    const [from, to] = [left, left + width].map((x) => plot.posToVal(x, "x"));
+    if (to - from >= LEAST_ZOOM_S) this.#show({ from, to });
+  }
+
+  #show(shown) {
+    this.shown = shown;
+    for (const button of this.spans) button.ariaPressed = String(Number(button.dataset.span) === shown.spanS);
+    const { from, to } = shown;
+    document.getElementById("shown").textContent = from === undefined ? HINT : `${clock(from)} to ${clock(to)}`;
+    this.draw();
   }
 
   /** Shade the outages, and mark each new plan. */

@@ -1,4 +1,8 @@
-// Fills the places of page.html with a status document, as arpd/adapters/http/page.py does.
+// Fills the places of page.html with a status document. In the page
+// - data-field="path|format" takes a value of the document (the format is text where none is named),
+// - data-mark-field="path" is marked with the value, for the stylesheet,
+// - data-show="path" is shown only while the value is true and not empty, data-hide="path" only while not,
+// - <template data-rows="path"> is repeated for each element of a list; inside, paths start at the element.
 // Names and reasons come from the network, so they are only set as text.
 
 const NONE = "–";
@@ -51,7 +55,7 @@ export const FORMATS = {
   counts: (value) =>
     Object.entries(value ?? {})
       .filter(([, count]) => count)
-      .map(([name, count]) => `${words(name)} ${count}`)
+      .map(([name, count]) => `${words(name)}\u00a0${count}`)
       .join(", "),
   list: (value) => (Array.isArray(value) ? value.map(words).join(", ") : NONE),
   time: (value) => (isNone(value) ? NONE : clock(value)),
@@ -70,10 +74,6 @@ export function valueAt(document, path) {
 
 const isTrue = (value) => (Array.isArray(value) ? value.length > 0 : Boolean(value));
 
-function setText(element, value) {
-  if (element.textContent !== value) element.textContent = value;
-}
-
 /** The places below root, found once: only their contents change. */
 function places(root, isOwn = () => true) {
   const find = (name) =>
@@ -83,8 +83,9 @@ function places(root, isOwn = () => true) {
 
 function fill(own, document) {
   for (const element of own.field) {
-    const value = valueAt(document, element.dataset.field);
-    const said = FORMATS[element.dataset.format](value);
+    const [path, format = "text"] = element.dataset.field.split("|");
+    const value = valueAt(document, path);
+    const said = FORMATS[format](value);
     if (element.textContent !== said) element.textContent = said;
     if (element.localName === "time") element.dateTime = isNone(value) ? "" : new Date(value * 1000).toISOString();
   }
@@ -98,13 +99,12 @@ class Rows {
   constructor(template) {
     this.template = template;
     this.parent = template.parentElement;
-    for (const sent of [...this.parent.children]) if (sent !== template) sent.remove(); // rows that the server rendered
     this.rows = [];
+    this.arrange = template.dataset.order === "newest first" ? (elements) => elements.toReversed() : (elements) => elements;
   }
 
   fill(document) {
-    const elements = [...(valueAt(document, this.template.dataset.rows) ?? [])];
-    if (this.template.dataset.order === "newest first") elements.reverse();
+    const elements = this.arrange(valueAt(document, this.template.dataset.rows) ?? []);
     while (this.rows.length > elements.length) this.rows.pop().element.remove();
     while (this.rows.length < elements.length) {
       const element = this.template.content.firstElementChild.cloneNode(true);
@@ -125,5 +125,10 @@ export class Fields {
   fill(document) {
     fill(this.own, document);
     for (const list of this.lists) list.fill(document);
+  }
+
+  /** The list of the rows at a path. */
+  rowsOf(path) {
+    return this.lists.find((list) => list.template.dataset.rows === path);
   }
 }

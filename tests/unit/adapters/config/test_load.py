@@ -17,6 +17,8 @@ from arpd.adapters.config.schema import SECTIONS, flatten, spelled
 from arpd.model.errors import ConfigError
 from arpd.model.settings import (
     Backend,
+    FleetRobot,
+    FleetSettings,
     GovernorSettings,
     GraphSettings,
     HttpSettings,
@@ -66,7 +68,7 @@ def faults(load, tmp_path):
 def test_a_file_that_says_everything_becomes_the_settings(load):
     """Every key sets its own attribute, in base units."""
     text = """
-link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
+link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us, cell: hall}
 program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
 governor: {hold: 1s, dwell: 3s, debounce: 250ms}
 http: {host: "::1", port: 9000}
@@ -89,6 +91,7 @@ relay:
   groups: [{topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info], by: stamp}]
   prefix: /air
   topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]
+fleet: {airtime: 0.6, robots: [{domain: 11, name: rover, weight: 2}, {domain: 12, address: 10.0.0.2}]}
 on_stop: keep
 on_lost: baseline
 lost_after: 1min
@@ -103,6 +106,7 @@ lost_after: 1min
             initial_capacity_bytes_per_second=125e3,
             headroom=0.5,
             packet_overhead_s=1e-4,
+            cell="hall",
         ),
         program=ProgramSettings(
             backend=Backend.EXACT, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
@@ -135,6 +139,13 @@ lost_after: 1min
             ),
             call_timeout_s=2.0,
         ),
+        fleet=FleetSettings(
+            airtime=0.6,
+            robots=(
+                FleetRobot(domain_id=11, name="rover", weight=2.0),
+                FleetRobot(domain_id=12, name="robot-12", address="10.0.0.2"),
+            ),
+        ),
         on_stop=OnStop.KEEP,
         on_lost=OnLost.BASELINE,
         lost_after_s=60.0,
@@ -165,7 +176,7 @@ def test_the_shipped_file_documents_every_key():
     for path, model in SECTIONS.items():
         for key, kind in model.kinds().items():
             dotted = ".".join((*path, key))
-            if path[-1:] in {("topics",), ("groups",)}:
+            if path[-1:] in {("topics",), ("groups",), ("robots",)}:
                 assert f"{key}:" in SHIPPED.read_text()
                 if path == ("topics",) and key not in {"name", *SECTIONS["defaults",].kinds()}:
                     described = rf"(?m)^#   {key} .* default: measured \| range: {re.escape(kind.range)}$"
@@ -188,6 +199,10 @@ def test_the_examples_in_the_shipped_file_load(load):
     groups = re.sub(r"(?m)^ *#     ", "  ", block)
     (group,) = load(f"relay:\n  link_domain: 77\n  ceddp: 10.0.0.2\n{groups}").relay.groups
     assert (group.name, len(group.topics)) == ("/stereo", 4)
+    (block,) = re.findall(r"(?m)^ *#     robots:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
+    robots = re.sub(r"(?m)^ *#     ", "  ", block)
+    (rover,) = load(f"fleet:\n{robots}").fleet.robots
+    assert rover == FleetRobot(domain_id=11, name="rover", weight=2.0, address="10.0.0.1")
 
 
 @pytest.mark.parametrize(
@@ -341,6 +356,35 @@ ONE_FAULT = {
         f"relay: {{link_domain: 77, robot: a, namespace: /r1, topics: [{{name: /{'a' * 244}}}]}}",
         "1:68: relay.topics[0].name: with relay.namespace is 248 characters long; ROS allows 247",
     ),
+    "robot without a domain": (
+        "fleet:\n  robots:\n  - name: rover\n",
+        "3:5: fleet.robots[0].domain: is missing; give every item one",
+    ),
+    "robot of no domain": (
+        "fleet: {robots: [{domain: 233}]}",
+        "1:27: fleet.robots[0].domain: 233 is above 232; write 0..232",
+    ),
+    "robot of no weight": (
+        "fleet: {robots: [{domain: 1, weight: 0}]}",
+        "1:38: fleet.robots[0].weight: 0 is below 0.001; write 0.001..1000",
+    ),
+    "robot with a bad name": (
+        "fleet: {robots: [{domain: 1, name: a b}]}",
+        "1:36: fleet.robots[0].name: 'a b' is not a robot's name; write up to 32 letters, digits and . _ -",
+    ),
+    "two robots in a domain": (
+        "fleet:\n  robots:\n  - domain: 11\n  - {domain: 11, name: rover}\n",
+        "4:14: fleet.robots[1].domain: 11 is already given on line 3; each robot needs a domain of its own",
+    ),
+    "two robots of a name": (
+        "fleet:\n  robots:\n  - domain: 11\n  - {domain: 12, name: robot-11}\n",
+        ("4:24: fleet.robots[1].name: 'robot-11' is already the name of the robot on line 3; choose another name"),
+    ),
+    "robots in a mapping": (
+        "fleet: {robots: {domain: 1}}",
+        "1:17: fleet.robots: a mapping is not a list; write items with `- domain:`, or [] for none",
+    ),
+    "all of the time and more": ("fleet: {airtime: 1.5}", "1:18: fleet.airtime: 1.5 is above 1; write 0.05..1"),
     "unknown choice": ("on_stop: explode", "1:10: on_stop: 'explode' is not one of the choices; write restore or keep"),
     "near key": ("link:\n  headrom: 0.9\n", "2:3: link.headrom: is not a key arpd knows; did you mean headroom?"),
     "near section": ("\nlinks: {}\n", "2:1: links: is not a key arpd knows; did you mean link?"),

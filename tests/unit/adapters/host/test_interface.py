@@ -1,5 +1,8 @@
 """The choice of the link interface, and its counters over time."""
 
+import fcntl
+import socket
+import struct
 from types import SimpleNamespace
 
 import psutil
@@ -16,10 +19,10 @@ from arpd.adapters.host.interface import (
     read_counters,
     read_speed,
 )
-from arpd.adapters.host.netlink import NetDevice
 from arpd.model.interface import InterfaceState, LinkCounters, state_of
 
 UP, DOWN = True, False
+UP_AND_RUNNING = 0x41
 ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 
 
@@ -100,36 +103,21 @@ def received(counters):
     return counters.rx_bytes, counters.rx_packets
 
 
-def test_a_counter_of_32_bits_wraps_and_the_total_goes_on(kernel):
-    """If one counter alone falls from near 2^32, it has wrapped, and the total is exact."""
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [((2**32 - 100, 7_000_000), (900, 7_000_001)), ((10**12, 10**9), (300, 3)), ((4_000, 40), (3_999, 40))],
+)
+def test_a_counter_that_falls_adds_nothing_and_then_counts_on(kernel, before, after):
+    """After a wrap, a restart of the driver or a slip back the total stays, and grows again from there."""
     reader = kernel.reader("wlan0")
-    kernel.put(3, "wlan0", rx=(2**32 - 100, 7_000_000), tx=(5_000, 50))
-    assert received(reader.read()) == (2**32 - 100, 7_000_000)
-    kernel.put(3, "wlan0", rx=(900, 7_000_001), tx=(5_000, 50))
-    assert received(reader.read()) == (2**32 + 900, 7_000_001)
-    kernel.put(3, "wlan0", rx=(1_900, 7_000_002), tx=(5_000, 50))
-    assert received(reader.read()) == (2**32 + 1_900, 7_000_002)
-
-
-@pytest.mark.parametrize("before", [(2**32 - 100, 7_000_000), (10**12, 10**9), (4_000, 40)])
-def test_counters_that_start_anew_add_what_they_count_since(kernel, before):
-    """If a driver restarts all counters at zero, the total grows only by what they count since."""
-    reader = kernel.reader("wlan0")
-    kernel.put(3, "wlan0", rx=before, tx=(800, 8))
+    kernel.put(3, "wlan0", rx=before, dropped=7)
     reader.read()
-    kernel.put(3, "wlan0", rx=(300, 3), tx=(100, 1))
+    kernel.put(3, "wlan0", rx=after, dropped=2)
     counters = reader.read()
-    assert received(counters) == (before[0] + 300, before[1] + 3)
-    assert (counters.tx_bytes, counters.tx_packets) == (900, 9)
-
-
-def test_a_lone_small_counter_that_falls_did_not_wrap(kernel):
-    """A count of drops that falls from seven has restarted, and four billion are not added."""
-    reader = kernel.reader("wlan0")
-    kernel.put(3, "wlan0", dropped=7)
-    reader.read()
-    kernel.put(3, "wlan0", dropped=2)
-    assert reader.read().tx_dropped == 9
+    assert (received(counters), counters.tx_dropped) == ((before[0], max(before[1], after[1])), 7)
+    kernel.put(3, "wlan0", rx=(after[0] + 1_000, after[1] + 1), dropped=4)
+    counters = reader.read()
+    assert (counters.rx_bytes, counters.tx_dropped) == (before[0] + 1_000, 9)
 
 
 def test_a_change_of_state_is_logged_once(kernel, caplog):
@@ -241,27 +229,81 @@ def test_loopback_reads_up():
     """The kernel answers for loopback, and has no answer for a missing interface."""
     counters = InterfaceReader("lo").read()
     assert counters is not None
-    assert (counters.interface, counters.state) == ("lo", InterfaceState.UP)
+    assert (counters.interface, counters.state, counters.backlog_bytes) == ("lo", InterfaceState.UP, None)
     assert counters.rx_bytes == counters.tx_bytes > 0
     assert (read_counters(999_999), index_of("none9")) == (None, None)
     assert (hardware_address("lo"), hardware_address("none9")) == ("", "")
 
 
+@pytest.fixture
+def device_file(monkeypatch, tmp_path):
+    """Return /proc/net/dev as this test's own file."""
+    file = tmp_path / "net" / "dev"
+    file.parent.mkdir()
+    monkeypatch.setattr(psutil, "PROCFS_PATH", str(tmp_path))
+    return file
+
+
+def answer(flags):
+    """Return a request for flags as the kernel fills it (netdevice(7))."""
+    return bytes(16) + struct.pack("=H", flags) + bytes(22)
+
+
 @pytest.mark.parametrize(
-    ("is_up", "is_running", "state"),
-    [(True, True, InterfaceState.UP), (True, False, InterfaceState.NO_CARRIER), (False, False, InterfaceState.DOWN)],
+    ("flags", "state"),
+    [
+        (0x0, InterfaceState.DOWN),
+        (0x1002, InterfaceState.DOWN),
+        (0x1, InterfaceState.NO_CARRIER),
+        (UP_AND_RUNNING, InterfaceState.UP),
+        (UP_AND_RUNNING | 0x1002, InterfaceState.UP),
+    ],
 )
-def test_flags_tell_why_nothing_is_carried(monkeypatch, is_up, is_running, state):
-    """An interface without carrier differs from one that is switched off."""
-    counters = {"rx_bytes": 1, "tx_bytes": 2, "rx_packets": 3, "tx_packets": 4, "tx_dropped": 5}
-    device = NetDevice(name="wlan0", is_up=is_up, is_running=is_running, **counters)
-    monkeypatch.setattr("arpd.adapters.host.interface.read_device", {999_999: device}.get)
-    assert read_counters(999_999) == LinkCounters(interface="wlan0", state=state, **counters)
+def test_flags_tell_why_nothing_is_carried(monkeypatch, flags, state):
+    """An interface without carrier differs from one that is switched off, whatever the other flags are."""
+    monkeypatch.setattr(fcntl, "ioctl", lambda *_: answer(flags))
+    assert state_of(read_counters(socket.if_nametoindex("lo"))) is state
 
 
-def test_an_interface_that_vanishes_between_two_questions_is_none(monkeypatch):
-    """A known number without an interface gives None."""
-    assert read_counters(999_999) is None
+def devices(**fields):
+    """Return a text as /proc/net/dev has it: eight numbers received, eight sent."""
+    return "\n\n" + "".join(f"{name}: {' '.join(map(str, numbers))}\n" for name, numbers in fields.items())
+
+
+def test_every_counter_is_the_interface_s_own(device_file):
+    """Of two interfaces with more counters than arpd reads, each total is the right one, beyond 32 bits too."""
+    device_file.write_text(devices(wlan0=[1] * 16, lo=[2**40, 2, 3, 4, 5, 6, 7, 8, 2**41, 10, 11, 12, 13, 14, 15, 16]))
+    counters = read_counters(socket.if_nametoindex("lo"))
+    assert counters == LinkCounters(
+        interface="lo",
+        rx_bytes=2**40,
+        rx_packets=2,
+        tx_bytes=2**41,
+        tx_packets=10,
+        tx_dropped=12,
+        state=InterfaceState.UP,
+    )
+
+
+def test_an_interface_whose_name_changes_hands_does_not_jump(device_file, monkeypatch):
+    """The link that takes the name of a busier interface, and gives its own away, counts on from its own numbers."""
+    names = {1: "lo", 2: "eth7"}
+    monkeypatch.setattr(socket, "if_indextoname", names.get)
+    monkeypatch.setattr(fcntl, "ioctl", lambda *_: answer(UP_AND_RUNNING))
+    reader = InterfaceReader("lo")
+    device_file.write_text(devices(lo=[500] * 16, eth7=[90_000] * 16))
+    reader.read()
+    names[1], names[2] = "eth7", "lo"
+    device_file.write_text(devices(lo=[90_000] * 16, eth7=[700] * 16))
+    assert (received(reader.read()), reader.name) == ((700, 700), "eth7")
+
+
+def test_a_rename_between_two_questions_does_not_lose_the_interface(device_file, monkeypatch):
+    """If the name has changed when the counters are read, arpd asks again."""
+    names = iter(["old", "lo"])
+    monkeypatch.setattr(socket, "if_indextoname", lambda _: next(names))
+    device_file.write_text(devices(lo=[5] * 16))
+    assert received(read_counters(1)) == (5, 5)
 
 
 def test_the_end_of_the_address_tells_two_hosts_apart(monkeypatch):
@@ -280,10 +322,10 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
 
-    for name in ("net_if_stats", "net_if_addrs"):
+    for name in ("net_if_stats", "net_if_addrs", "net_io_counters"):
         monkeypatch.setattr(psutil, name, refuse)
-    monkeypatch.setattr("arpd.adapters.host.netlink.socket.socket", refuse)
-    monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", refuse)
+    for name in ("socket", "if_nameindex", "if_indextoname"):
+        monkeypatch.setattr(socket, name, refuse)
     assert (read_counters(1), ipv4_addresses(), likeliest_interface()) == (None, {}, None)
     assert (list_interfaces(), hardware_address("lo")) == (None, "")
     assert InterfaceReader("auto").read() is None
@@ -305,7 +347,8 @@ def test_a_driver_that_cannot_be_asked_its_speed_hides_no_interface(monkeypatch,
     radio = tmp_path / "wlan0" / "wireless"
     radio.mkdir(parents=True)
     monkeypatch.setattr("arpd.adapters.host.interface.socket.if_nameindex", lambda: [(1, "lo"), (2, "wlan0")])
-    monkeypatch.setattr("arpd.adapters.host.interface.index_of", {"wlan0": index_of("lo")}.get)
+    ask = fcntl.ioctl
+    monkeypatch.setattr(fcntl, "ioctl", lambda to, what, request: ask(to, what, request.replace(b"wlan0", b"lo\0\0\0")))
     assert likeliest_interface(sys_net=tmp_path) == "wlan0"
 
 

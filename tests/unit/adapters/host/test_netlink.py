@@ -1,18 +1,15 @@
-"""An interface and its queue, from answers as the kernel encodes them."""
+"""The queue of an interface, from answers as the kernel encodes them."""
 
 import socket
 import struct
-from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
 
-from arpd.adapters.host.netlink import Backlog, NetDevice, find_device, find_root, read_backlog, read_device
+from arpd.adapters.host.netlink import Backlog, find_root, read_backlog
 
-# linux/rtnetlink.h, linux/if_link.h, linux/pkt_sched.h, linux/gen_stats.h
-NEWLINK, NEWQDISC, DONE, ERROR = 16, 36, 3, 2
-NAME, STATS64, QUEUE_LENGTH = 3, 23, 13
-UP, RUNNING = 0x1, 0x40
+# linux/rtnetlink.h, linux/pkt_sched.h, linux/gen_stats.h
+NEWQDISC, DONE, ERROR = 36, 3, 2
 KIND, STATS2, STATS_BASIC, STATS_QUEUE = 1, 7, 1, 3
 ROOT, NESTED = 0xFFFFFFFF, 0x8000
 
@@ -23,57 +20,6 @@ def attribute(kind, value):
 
 def message(kind, body):
     return struct.pack("=IHHII", 16 + len(body), kind, 2, 1, 0) + body
-
-
-def device(index, *, name=b"wlan0\0", flags=UP | RUNNING, counters=(1, 2, 300, 400, 5, 6, 7, 8)):
-    """Return a message about one interface, with more counters than arpd reads."""
-    body = struct.pack("=BxHiII", 0, 1, index, flags, 0) + attribute(NAME, name)
-    body += attribute(QUEUE_LENGTH, struct.pack("=I", 1000))
-    return message(NEWLINK, body + attribute(STATS64, struct.pack("=8Q", *counters) + bytes(128)))
-
-
-def test_name_flags_and_counters_are_read():
-    """The kernel's counters begin with packets received, packets sent, bytes received and bytes sent."""
-    counters = {"rx_packets": 1, "tx_packets": 2, "rx_bytes": 300, "tx_bytes": 400, "tx_dropped": 8}
-    expected = NetDevice(name="wlan0", is_up=True, is_running=True, **counters)
-    assert find_device(device(2, counters=(9,) * 8) + device(3), 3) == (expected, True)
-
-
-@pytest.mark.parametrize("flags", [0, UP, UP | RUNNING, UP | RUNNING | 0x1002])
-def test_flags_are_told_apart(flags):
-    """Only the flags for up and running matter."""
-    found, _ = find_device(device(3, flags=flags), 3)
-    assert found is not None
-    assert (found.is_up, found.is_running) == (bool(flags & UP), bool(flags & RUNNING))
-
-
-def test_an_answer_without_the_interface_ends_or_goes_on():
-    """An error or the end ends an answer; a part with other interfaces does not."""
-    assert find_device(message(ERROR, struct.pack("=i", -19)), 3) == (None, True)
-    assert find_device(device(4), 3) == (None, False)
-    assert find_device(device(4) + message(DONE, bytes(4)), 3) == (None, True)
-
-
-def test_the_kernel_answers_about_loopback():
-    """The counters of loopback are those of /proc/net/dev, and a missing interface gives None."""
-    index = socket.if_nametoindex("lo")
-
-    def told():
-        (line,) = (one for one in Path("/proc/net/dev").read_text().splitlines() if one.strip().startswith("lo:"))
-        fields = [int(field) for field in line.partition(":")[2].split()]
-        return fields[0], fields[1], fields[8], fields[9]
-
-    before = told()
-    found = read_device(index)
-    after = told()
-    assert found is not None
-    assert (found.name, found.is_up, found.is_running) == ("lo", True, True)
-    seen = (found.rx_bytes, found.rx_packets, found.tx_bytes, found.tx_packets)
-    assert all(low <= value <= high for low, value, high in zip(before, seen, after, strict=True))
-    assert read_device(999_999) is None
-
-
-# -- its queue
 
 
 def qdisc(index, *, parent=ROOT, name=b"fq_codel\0", packets=3, waiting=4242, dropped=17, stats=True):

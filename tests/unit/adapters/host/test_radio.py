@@ -12,7 +12,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 from pyroute2.netlink.nl80211 import nl80211cmd
 
 from arpd.adapters.host.interface import index_of
-from arpd.adapters.host.radio import Radio, ask_stations, transmit_rate
+from arpd.adapters.host.radio import Radio, access_point, ask_stations, transmit_rate
 
 # linux/nl80211.h
 ATTR_IFINDEX, ATTR_MAC, ATTR_STA_INFO = 3, 6, 21
@@ -102,6 +102,18 @@ def test_only_a_radio_is_asked(sys_net):
     assert radio.read("wlan0", 3) == pytest.approx(54e6 / 8)
     assert [radio.read("eth0", 2), radio.read("none9", 4), radio.read("wlan0", None)] == [None] * 3
     assert asked == [3]
+
+
+def test_one_station_is_the_access_point_and_several_are_clients(sys_net):
+    """The address of the only station is the cell; while the radio looks for it, the last one is kept."""
+    answers = [[station()], [], [station(), station()]]
+    radio = Radio(ask=lambda _index: answers.pop(0), sys_net=sys_net)
+    cells = []
+    while answers:
+        radio.read("wlan0", 3)
+        cells.append(radio.cell)
+    assert cells == ["00:01:02:03:04:05"] * 2 + [""]
+    assert access_point([]) == ""
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from arpd.adapters.ros.counters import (
     sender_of,
 )
 from arpd.adapters.ros.plan_message import PlanAnswer
-from arpd.model.endpoints import DropCause
+from arpd.model.endpoints import WithheldCause
 from arpd.observe.registry import MOST_OF_NODE
 from tests.sample_publishers import publisher
 
@@ -64,7 +64,7 @@ def test_a_state_is_read_as_it_was_told():
 @given(
     st.integers(0, 2**40),
     st.integers(0, 2**31),
-    st.dictionaries(st.sampled_from([cause.value for cause in DropCause]), st.integers(1, 2**20)),
+    st.dictionaries(st.sampled_from([cause.value for cause in WithheldCause]), st.integers(1, 2**20)),
     st.floats(0, 1e5, width=32),
 )
 def test_every_change_arrives(start, more, causes, rate_hz):
@@ -96,7 +96,7 @@ def test_the_greatest_honest_message_is_not_refused_for_its_size():
         payload_bytes=1.0,
         queued=4,
         deadlines_missed=9,
-        withheld_by_cause={cause.value: 99 for cause in DropCause},
+        withheld_by_cause={cause.value: 99 for cause in WithheldCause},
     )
     row = row_of(1, 2, told=TOLD, now=changed)
     assert len(message(*[row] * MOST_OF_NODE, answer=PlanAnswer(1, 2, "é" * 300))) < MOST_COUNTERS_BYTES - 100

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arpd.adapters.sim.aggregation import _MOST_AIR_S, AggregatingBottleneck
+from arpd.adapters.sim.air import Air
 from arpd.adapters.sim.bottleneck import MOST_UNCOUNTED
 from arpd.adapters.sim.foreign import Contention, contended
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
@@ -176,6 +177,8 @@ def test_transmissions_of_one_packet_without_overhead_are_the_fluid_link(schedul
         room_bytes=10**9,
         overhead_s=0.0,
         aggregate_packets=1,
+        air=Air(Random(1)),
+        station="robot",
     )
     ends: list[list[float]] = []
     for bench in (fluid, other):

@@ -13,7 +13,7 @@ from arpd.adapters.sim.robot import SampleSource, SimTopic, SimulatedPublisher
 from arpd.adapters.sim.schedule import RateSchedule
 from arpd.adapters.sim.timeline import Timeline
 from arpd.adapters.sim.writer import LinkPath
-from arpd.model.endpoints import DropCause, SwapPhase, SwapResult
+from arpd.model.endpoints import SwapPhase, SwapResult, WithheldCause
 from arpd.model.plan import TopicPlan
 
 ORIGIN_S = 1000.0
@@ -49,7 +49,7 @@ def test_it_tells_what_left_what_gave_way_and_what_a_swap_took(timeline, publish
     state = publisher.state(generation=1)
     assert state.source_rate_hz == pytest.approx(50.0, rel=0.02)
     assert state.published_rate_hz == pytest.approx(10.0, rel=0.02)
-    assert state.withheld_by_cause == {DropCause.RATE: state.withheld}
+    assert state.withheld_by_cause == {WithheldCause.RATE: state.withheld}
     assert state.deadlines_missed == 0
     assert (state.swaps_begun, state.swaps_by_result) == (1, {SwapResult.OK: 1})
     assert state.last_swap is not None

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
 from arpd.apply.endpoint.writer_swap import SwapTiming
-from arpd.model.endpoints import DropCause, WriterQos
+from arpd.model.endpoints import WithheldCause, WriterQos
 from arpd.model.price import Price
 from arpd.model.settings import Overflow
 from arpd.model.wire import FRAGMENT_BYTES
@@ -184,15 +184,15 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
     assert not any(writer.is_alive for writer in world.writers)
     closed = world.flow.state()
     assert closed.withheld == sum(closed.withheld_by_cause.values()) == offered - closed.published
-    assert closed.withheld_by_cause.get(DropCause.CLOSED, 0) == state.queued
+    assert closed.withheld_by_cause.get(WithheldCause.CLOSED, 0) == state.queued
 
 
 def possible_causes(world, *, is_broken):
     """Return the causes for which a sample may be withheld now."""
     plan_hz = world.flow.plan.rate_hz
-    priced = {DropCause.PRICE} if world.flow.state().paced_rate_hz < plan_hz else set()
-    paced = {DropCause.RATE} if not priced and plan_hz < math.inf else set()
-    return {DropCause.BLOCKED} | priced | paced | ({DropCause.FAILED} if is_broken else set())
+    priced = {WithheldCause.PRICE} if world.flow.state().paced_rate_hz < plan_hz else set()
+    paced = {WithheldCause.RATE} if not priced and plan_hz < math.inf else set()
+    return {WithheldCause.BLOCKED} | priced | paced | ({WithheldCause.FAILED} if is_broken else set())
 
 
 def test_a_latched_writer_first_gets_what_the_old_one_held():
@@ -233,13 +233,13 @@ def test_what_gives_way_to_the_ceiling_is_told_from_what_gives_way_to_the_price(
     """The price is the cause only while it makes the rate lower than the plan's."""
     world = World()
     world.retune(rate_hz=20.0, min_rate_hz=20.0, **TERMS)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
     world.set_price(10.0)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}, "it lowers nothing below the floor"
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}, "it lowers nothing below the floor"
     world.retune(rate_hz=40.0, min_rate_hz=1.0)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.PRICE}
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.PRICE}
     world.set_price(40.0)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {DropCause.RATE}
+    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
 
 
 @settings(deadline=None, max_examples=50)
@@ -280,7 +280,7 @@ def test_a_paused_topic_gives_way_to_the_plan(overflow):
     """The cause is the rate, not a blocked writer."""
     world = World(overflow=overflow)
     world.retune(rate_hz=0.0)
-    assert run(world, rate_hz=100.0, seconds=1.0).keys() == {DropCause.RATE}
+    assert run(world, rate_hz=100.0, seconds=1.0).keys() == {WithheldCause.RATE}
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, math.inf])
@@ -291,7 +291,7 @@ def test_what_a_writer_that_blocks_kept_back_is_told_from_what_pacing_did(rate_h
     for number in range(100):
         world.flow.offer(name(number))  # no thread writes it
         world.now_s += 0.1
-    assert world.flow.state().withheld_by_cause.keys() == {DropCause.BLOCKED}
+    assert world.flow.state().withheld_by_cause.keys() == {WithheldCause.BLOCKED}
 
 
 def test_the_rate_at_which_samples_leave_is_measured():
@@ -346,7 +346,7 @@ def test_large_samples_wait_for_their_first_plan_while_a_daemon_is_there():
     world = World()
     assert slow_start(world, 0.02) == 1
     assert slow_start(world, 2.0) == pytest.approx(2.0 * SLOW_START_HZ, abs=1)
-    assert world.flow.state().withheld_by_cause.keys() == {DropCause.PRICE.value}
+    assert world.flow.state().withheld_by_cause.keys() == {WithheldCause.PRICE.value}
 
 
 @pytest.mark.parametrize(

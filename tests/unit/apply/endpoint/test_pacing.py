@@ -172,7 +172,7 @@ def test_latest_keeps_only_the_newest():
     assert pacer.take(0.0) == name(4)
 
 
-def test_queue_drops_its_oldest_beyond_the_depth():
+def test_queue_withholds_its_oldest_beyond_the_depth():
     """A full queue loses its oldest sample, and a smaller depth sheds at once."""
     pacer, withheld = make(Overflow.QUEUE, depth=3)
     for number in range(5):
@@ -191,6 +191,18 @@ def test_unpaced_samples_leave_at_once_and_waiting_ones_are_kept(overflow):
         pacer.offer(name(number), 0.0)
     assert not withheld
     assert drain(pacer, 0.0) == [name(number) for number in range(4)]
+
+
+def test_paced_samples_that_are_due_do_not_replace_each_other():
+    """A burst that has its credit waits for the writing thread whole; what comes beyond it drives the oldest out."""
+    pacer, withheld = make()
+    pacer.retune(rate_hz=100.0, depth=10, now_s=0.0)  # with time, credit for five
+    for number in range(5):
+        pacer.offer(name(number), 1.0)
+    assert not withheld
+    pacer.offer(name(5), 1.0)
+    assert withheld == [1]
+    assert drain(pacer, 1.0) == [name(number) for number in range(1, 6)]
 
 
 def test_a_paused_topic_waits_without_end_and_resumes():
@@ -256,13 +268,13 @@ def test_admitting_is_queueing_and_taking(steps, overflow):
 
 def test_the_newest_sample_of_each_source_waits():
     """Of the samples that wait for their rate, a busy source keeps one and drives no quiet one out."""
-    dropped = []
+    withheld = []
     pacer = Pacer(
-        overflow=Overflow.LATEST, depth=1, on_withheld=lambda n, _cause: dropped.append(n), source_of=lambda s: s[:1]
+        overflow=Overflow.LATEST, depth=1, on_withheld=lambda n, _cause: withheld.append(n), source_of=lambda s: s[:1]
     )
     pacer.retune(rate_hz=1.0, depth=1, now_s=0.0)
     for k, sample in enumerate([b"q0", b"q1", *(b"b%d" % n for n in range(50)), b"q2", b"b50"]):
         pacer.offer(sample, 0.001 * k)
     left = [taken for now_s in range(1, 8) if (taken := pacer.take(float(now_s))) is not None]
     assert left[-2:] == [b"q2", b"b50"]
-    assert sum(dropped) + len(left) == 54
+    assert sum(withheld) + len(left) == 54

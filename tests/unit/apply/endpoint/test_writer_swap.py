@@ -214,13 +214,15 @@ def test_a_new_writer_whose_readers_are_late_is_not_trusted_yet():
     assert world.live == [swap.current] == [world.writers[1]]
 
 
-def test_a_new_writer_that_proves_nothing_is_given_up():
-    """Samples on trial that are never acknowledged end the swap, and are counted."""
+@pytest.mark.parametrize(("depth", "doubted_after_s"), [(2, TIMING.hold_s), (8, TIMING.match_timeout_s)])
+def test_a_new_writer_that_proves_nothing_is_given_up(depth, doubted_after_s):
+    """A sample on trial that is never acknowledged ends the swap, and is counted, whether others are held or not."""
     world, swap = make()
-    now_s = proving(world, swap)
+    now_s = proving(world, swap, qos(depth))
     publish(swap, now_s)
-    run(swap, now_s, TIMING.hold_s + TIMING.match_timeout_s + 0.02)
+    run(swap, now_s, doubted_after_s + TIMING.match_timeout_s + 0.02)
     assert world.results == [SwapResult.UNMATCHED, SwapResult.UNDELIVERED]
+    assert world.results_of == [qos(depth)] * 2
     assert world.live == [swap.current] == [world.writers[0]]
 
 

@@ -1,0 +1,69 @@
+// Sorts the table of topics by a column, and finds rows by words. The choice stays in the address of the page.
+
+import { valueAt } from "./fields.js";
+
+const COLLATOR = new Intl.Collator(undefined, { numeric: true });
+const SEARCHED = ["topic", "node", "type", "direction", "binding", "refusal"];
+
+export class Topics {
+  /** rows: of the topics, as Fields made them; redraw: fills them again. */
+  constructor(section, rows, redraw) {
+    this.heads = [...section.querySelectorAll("th[data-sort]")];
+    this.input = section.querySelector("#find");
+    this.found = section.querySelector("#found");
+    this.redraw = redraw;
+    const chosen = new URLSearchParams(location.search);
+    this.input.value = chosen.get("find") ?? "";
+    const sort = chosen.get("sort") ?? "";
+    this.falls = sort.startsWith("-");
+    const path = sort.replace("-", "");
+    this.path = this.heads.some((head) => head.dataset.sort === path) ? path : "topic";
+    rows.arrange = (topics) => this.#arranged(topics);
+    for (const head of this.heads) head.querySelector("button").addEventListener("click", () => this.#sortBy(head.dataset.sort));
+    this.input.addEventListener("input", () => this.#show());
+    this.#mark();
+  }
+
+  /** The topics with all of the words, in order. */
+  #arranged(topics) {
+    const words = this.input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const isFound = (topic) => {
+      const text = SEARCHED.map((path) => valueAt(topic, path) ?? "").join("\n").toLowerCase();
+      return words.every((word) => text.includes(word));
+    };
+    const found = topics.filter(isFound);
+    this.found.textContent = words.length > 0 ? `${found.length} of ${topics.length}` : "";
+    const sign = this.falls ? -1 : 1;
+    const value = (topic) => valueAt(topic, this.path) ?? (this.path.startsWith("confirmed.") ? Infinity : -Infinity); // unpaced; unknown
+    return found.sort((one, other) => sign * compared(value(one), value(other)));
+  }
+
+  /** A first click puts the largest numbers on top, or names from a to z; a second reverses them. */
+  #sortBy(path) {
+    this.falls = path === this.path ? !this.falls : path !== "topic";
+    this.path = path;
+    this.#show();
+  }
+
+  #show() {
+    this.#mark();
+    const chosen = new URLSearchParams(location.search);
+    const put = (name, value) => (value ? chosen.set(name, value) : chosen.delete(name));
+    put("find", this.input.value.trim());
+    put("sort", this.path === "topic" && !this.falls ? "" : `${this.falls ? "-" : ""}${this.path}`);
+    history.replaceState(null, "", `${location.pathname}${chosen.size > 0 ? `?${chosen}` : ""}${location.hash}`);
+    this.redraw();
+  }
+
+  #mark() {
+    for (const head of this.heads) {
+      if (head.dataset.sort === this.path) head.ariaSort = this.falls ? "descending" : "ascending";
+      else head.removeAttribute("aria-sort");
+    }
+  }
+}
+
+function compared(one, other) {
+  if (typeof one === "string" && typeof other === "string") return COLLATOR.compare(one, other);
+  return one === other ? 0 : one < other ? -1 : 1;
+}
