@@ -28,7 +28,7 @@ from arpd.model.errors import ArpdError
 from scripts.netns.simlink import SimLink, available, user_namespace_argv
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_TWO_ENDS
 from scripts.robot.proxy import window
-from scripts.robot.report import Pair, as_document, final_table, live_view, pair_up, verdict
+from scripts.robot.report import Pair, as_document, final_table, live_view, losses_text, pair_up, verdict
 from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ _LISTENER = "ARPD_DEMO_LISTENER"
 _LEGEND = (
     "loss: sent on the link and never received.  withheld: pacing chose a fresher sample instead.",
     "stalled: not published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
+    "In both runs the readers hold two seconds of each topic, and the sensors' writers ten samples.",
 )
 
 
@@ -102,9 +103,7 @@ def main(argv: list[str] | None = None) -> int:
         # A pipe has no width: rich would cut the table to 80 columns.
         wide = console if console.is_terminal else Console(width=160)
         wide.print(final_table(pairs))
-        unsent = sum(pair.with_arpd.unsent for pair in pairs)
-        before = [f"The robot itself lost {unsent} samples, between sensor and relay."] if unsent else []
-        for sentence in (verdict(pairs)[1], *before, *_LEGEND):
+        for sentence in (verdict(pairs)[1], *losses_text(pairs), *_LEGEND):
             console.print(sentence, soft_wrap=True, highlight=False)
     return 0
 

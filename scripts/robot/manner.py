@@ -19,7 +19,7 @@ class Manner:
     Parameters
     ----------
     daemon : arguments of ``python -m`` for the daemon; empty = none
-    depth : DEPTH of every writer and reader (samples)
+    depth : DEPTH of every writer, and the least of every reader (samples)
     deadline_ns : DEADLINE that every writer offers and every reader requests (ns); 0 = none
     rates_hz : lower rates of some topics than their sources' (Hz)
     has_two_ends : the relay has an end on each side, so that every topic keeps its name, and every node is a plain one

@@ -17,11 +17,13 @@ from rclpy.node import Node
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
 from arpd.adapters.sim.demo import COMMAND_TOPIC
-from scripts.robot.process import command_line, live
+from scripts.robot.process import command_line, live, reading
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rclpy.qos import QoSProfile
 
 
@@ -33,9 +35,9 @@ class Planner(Node):
         self.arrivals = {topic: StampedArrivals() for topic in SENSORS}
         self.offered = 0
         self.is_publishing = False
-        for topic, (_, make) in SENSORS.items():
-            subscribe = partial(AdaptiveSubscription, self) if is_adaptive else self.create_subscription
-            subscribe(type(make()), prefix + topic, self.arrivals[topic].on_sample, qos, raw=True)
+        for topic, (rate_hz, make) in SENSORS.items():
+            subscribe = partial(AdaptiveSubscription, self, raw=True) if is_adaptive else self._read
+            subscribe(type(make()), prefix + topic, self.arrivals[topic].on_sample, reading(qos, rate_hz))
         self.commands: Any
         if is_adaptive:
             self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, qos)
@@ -43,6 +45,21 @@ class Planner(Node):
             self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, qos)
         self.create_timer(1.0 / command_rate_hz, self._command)
         self.create_timer(1.0, self._report)
+
+    def _read(self, kind: Any, topic: str, arrived: Callable[..., None], qos: QoSProfile) -> None:
+        """Subscribe, and take all samples that wait at once.
+
+        A turn of the executor takes one sample of each topic: a planner that is short of CPU would fall behind on /imu.
+        """
+
+        def on_sample(sample: bytes, info: dict[str, int]) -> None:
+            taken: tuple[bytes, dict[str, int]] | None = (sample, info)
+            while taken is not None:
+                arrived(*taken)
+                with subscription.handle:
+                    taken = subscription.handle.take_message(kind, True)  # noqa: FBT003 - rclpy's "raw"
+
+        subscription = self.create_subscription(kind, topic, on_sample, qos, raw=True)
 
     def _command(self) -> None:
         if not self.is_publishing:
@@ -62,7 +79,9 @@ class Planner(Node):
             arrivals.sample_ages(began_s, ended_s)
         received = {topic: asdict(arrivals.reception()) for topic, arrivals in self.arrivals.items()}
         samples = {topic: arrivals.samples() for topic, arrivals in self.arrivals.items()}
-        return {"offered": {COMMAND_TOPIC: self.offered}, "received": received, "samples": samples}
+        numbers = {topic: arrivals.number for topic, arrivals in self.arrivals.items()}
+        offered = {COMMAND_TOPIC: self.offered}
+        return {"offered": offered, "received": received, "numbers": numbers, "samples": samples}
 
 
 def main() -> None:

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import signal
 import time
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -45,6 +47,19 @@ def command_line(*positional: str) -> argparse.Namespace:
     if order.deadline_ns:
         order.qos.deadline = Duration(nanoseconds=order.deadline_ns)
     return order
+
+
+def reading(qos: QoSProfile, rate_hz: float) -> QoSProfile:
+    """Return the QoS of a reader that loses nothing on its own host while it is busy for a second, and catches up.
+
+    Parameters
+    ----------
+    qos : that of the run, with its depth for writers
+    rate_hz : rate of the topic (Hz)
+    """
+    wanted = copy(qos)
+    wanted.depth = max(qos.depth, math.ceil(2.0 * rate_hz))
+    return wanted
 
 
 def live(make: Callable[[], DemoNode], out: Path) -> None:

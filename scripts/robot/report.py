@@ -61,6 +61,25 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
     )
 
 
+def losses(result: TopicResult) -> dict[str, int]:
+    """Return the samples that were lost under arpd, by place; what it withheld on purpose is not lost."""
+    return {
+        "before_near_end": result.unsent,
+        "on_link": max(0, result.lost - result.lost_by_reader),
+        "behind_far_end": result.lost_by_reader,
+    }
+
+
+def losses_text(pairs: Sequence[Pair]) -> list[str]:
+    """Return a line for each topic that lost samples under arpd."""
+    found = {pair.with_arpd.topic: losses(pair.with_arpd).values() for pair in pairs}
+    return [
+        f"{topic} lost samples with arpd: {near} before the near end, {link} on the link, {far} behind the far end."
+        for topic, (near, link, far) in found.items()
+        if near or link or far
+    ]
+
+
 def final_table(pairs: Sequence[Pair]) -> Table:
     """Return both runs side by side, per topic and in all: every cell reads ``without → with arpd``."""
     table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10) → arpd", title_justify="left", pad_edge=False)
@@ -133,8 +152,8 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
                     **asdict(pair.with_arpd),
                     "loss_ratio": pair.with_arpd.loss_ratio,
                     "withheld_ratio": pair.with_arpd.withheld_ratio,
-                    "unsent": pair.with_arpd.unsent,
                     "lost": pair.with_arpd.lost,
+                    "losses": losses(pair.with_arpd),
                 },
             }
             for pair in pairs

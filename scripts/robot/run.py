@@ -319,6 +319,7 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
     files = [side.result(name) for name in SOURCES]
     offered = {topic: count for file in files for topic, count in file["offered"].items()}
     received = {topic: summary for file in files for topic, summary in file.get("received", {}).items()}
+    numbers = {topic: number for file in files for topic, number in file.get("numbers", {}).items()}
     by_topic = {topic["topic"]: topic for topic in status["topics"]} if status else {}
     results = []
     for topic, summary in received.items():
@@ -333,6 +334,7 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
                 offered=offered[topic] + slowed,
                 withheld=slowed + (managed["withheld"] if managed else 0),
                 sent=managed["published"] if managed else offered[topic],
+                handed=numbers[topic] if side.manner.has_two_ends else None,
                 **summary,
             )
         )

@@ -29,7 +29,7 @@ from sensor_msgs.msg import (
 )
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC, demo_topics
-from scripts.robot.process import DemoNode, command_line, live
+from scripts.robot.process import DemoNode, command_line, live, reading
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
@@ -119,13 +119,15 @@ class BaseDriver(Node):
         super().__init__(BASE_DRIVER)
         self.commands = StampedArrivals()
         self.is_publishing = False  # the signals set it during the measured part of the run
-        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, qos, raw=True)
+        wanted = reading(qos, COMMAND_RATE_HZ)
+        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, wanted, raw=True)
 
     def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
         self.commands.sample_ages(began_s, ended_s)
         return {
             "offered": {},
             "received": {COMMAND_TOPIC: asdict(self.commands.reception())},
+            "numbers": {COMMAND_TOPIC: self.commands.number},
             "samples": {COMMAND_TOPIC: self.commands.samples()},
         }
 

@@ -29,11 +29,13 @@ class StampedArrivals(Arrivals):
     ----------
     renewals : time of each sample that was newer than all before, and its stamp (Unix s, Unix s)
     recent, recent_worst_s : count and worst latency since the live table's last question
+    number : number of the newest sample at its writer, counted from 1
     """
 
     renewals: list[tuple[float, float]] = field(default_factory=list)
     recent: int = 0
     recent_worst_s: float = 0.0
+    number: int = 0
 
     def on_sample(self, sample: bytes, info: dict[str, int]) -> None:
         """Note a raw sample with its MessageInfo; it arrived when the DDS thread received it."""
@@ -44,6 +46,7 @@ class StampedArrivals(Arrivals):
         self.on_delivery(sequence, stamp_s, len(sample))
         if self.newest_stamp_s > before_s:
             self.renewals.append((time.time(), stamp_s))
+        self.number = max(self.number, info["publication_sequence_number"])
         self.recent += 1
         self.recent_worst_s = max(self.recent_worst_s, latency_s)
 

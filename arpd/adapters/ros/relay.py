@@ -16,12 +16,13 @@ from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
 from arpd.adapters.ros.attached import attached
-from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.graph import NOT_NAMED_YET, node_name_of, policies_of
 from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, spinning, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.apply.endpoint.link_clock import LinkClock
+from arpd.apply.relay.depths import held_depth
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
 from arpd.apply.relay_status import RelayStatus, shard_name, shards
 from arpd.model.settings import AUTO
@@ -40,7 +41,6 @@ log = logging.getLogger(__name__)
 _DISCOVER_S = 0.5
 _EVERY_LOOK = 60  # every 60th look at a topic reads its endpoints, even when their numbers are unchanged
 _KEEP_LOOKS = 20  # 10 s: enough for a source to restart, and an end for a loop whose source never comes
-_RECEIVE_DEPTH = 100  # within the host, so this only bridges the relay's own scheduling
 
 
 class Relay:
@@ -222,13 +222,14 @@ class Relay:
             QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=policies["durability"]),
             overflow=self._settings.overflow.get(topic, Overflow.LATEST),
         )
+        depth = held_depth(publisher.baseline.depth, sample_bytes=expected_bytes(kind))
         try:
             subscription = AdaptiveSubscription(
                 self._node,
                 kind,
                 topic,
                 publisher.offer,
-                QoSProfile(depth=_RECEIVE_DEPTH, **policies),
+                QoSProfile(depth=depth, **policies),
                 raw=True,
             )
         except Exception:

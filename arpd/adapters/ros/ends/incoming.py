@@ -13,7 +13,8 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
-from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
+from arpd.apply.relay.depths import held_depth
 from arpd.apply.relay.envelope import Record, unpack
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.observe.rate_limits import OncePerMinute
@@ -63,7 +64,7 @@ class Incoming:
     nodes : ghosts of the other side's nodes
     thread : takes the samples
     local_name : returns the local name of a topic or a node of the other side
-    depths : KEEP_LAST depth of ghosts, by topic
+    depths : least KEEP_LAST depth of ghosts, by topic
     """
 
     def __init__(
@@ -196,6 +197,7 @@ class Incoming:
             topic = self._topics[name] = _Topic(name, offer)
         topic.offer = offer
         topic.by_number = {}
+        asked = self._depths.get(name, DEFAULT_RELAY_DEPTH)  # and all that late readers of a latched topic get
         for writer in offer.writers:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
@@ -204,7 +206,7 @@ class Incoming:
                     kind,
                     self._local_name(name),
                     writer,
-                    depth=self._depths.get(name, DEFAULT_RELAY_DEPTH),
+                    depth=asked if writer.is_latched else held_depth(asked, sample_bytes=expected_bytes(kind)),
                     clock=self._clock,
                 )
             topic.gone_s.pop(writer.gid, None)

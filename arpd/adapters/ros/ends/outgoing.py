@@ -12,9 +12,10 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
-from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.graph import participant_of, policies_of
 from arpd.adapters.ros.publisher import AdaptivePublisher
+from arpd.apply.relay.depths import held_depth
 from arpd.apply.relay.envelope import Record, pack, source_of
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
@@ -28,9 +29,7 @@ if TYPE_CHECKING:
     from arpd.apply.relay.offers import TopicOffer
     from arpd.model.settings import RelaySettings
 
-# Within the host, so this only bridges the end's own scheduling, and holds every writer's history.
-_RECEIVE_DEPTH = 1000
-_LATCHED_DEPTH = 1000
+_LATCHED_DEPTH = 1000  # holds every writer's history
 _MOST_HELD = 1000
 _HELD_S = 3.0
 _LINGER_S = 3.0
@@ -250,11 +249,13 @@ class Outgoing:
             if carried.sets is not None and not has_header(message):
                 self.refused[topic] = f"{type_name} has no header stamp, by which its group is thinned"
                 return
+            asked = _LATCHED_DEPTH if is_latched else self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH)
+            depth = held_depth(asked, sample_bytes=expected_bytes(message))
             carried.readers[topic, writers] = RawReader(
                 self._node,
                 message,
                 self._local_name(topic),
-                QoSProfile(depth=_RECEIVE_DEPTH, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
+                QoSProfile(depth=depth, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
                 deliver=deliver,
                 thread=self._thread,
             )

@@ -10,6 +10,9 @@ from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.type_support import check_for_type_support
 from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport  # type: ignore[import-untyped]
 
+from arpd.apply.relay.depths import BULK_BYTES, PLAIN_BYTES
+
+_OCTETS = frozenset({"sequence<uint8>", "sequence<int8>", "sequence<octet>"})
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
 _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
@@ -39,6 +42,11 @@ def service_class(type_name: str) -> Any:
         If its package is not installed, has no such service, or lacks its libraries.
     """
     return _loaded(type_name, _import(type_name, folder="srv", of_actions=_ACTION_SERVICES))
+
+
+def expected_bytes(kind: Any) -> int:
+    """Return a size that few samples of a message class exceed (bytes); octets are images, clouds and maps."""
+    return PLAIN_BYTES if _OCTETS.isdisjoint(kind.get_fields_and_field_types().values()) else BULK_BYTES
 
 
 def _loaded(type_name: str, kind: Any) -> Any:
