@@ -1,12 +1,12 @@
-"""Sums up pytest's runs: what failed, what was not tested and why, and last the counts in pytest's own form.
+"""Sums up pytest's runs: what failed, what passed only alone, what was not tested and why, and last the counts.
 
-Usage: python -m scripts.tested JUNIT.xml...
+Usage: python -m scripts.tested JUNIT.xml... [--again JUNIT.xml]
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
-import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
-_WORDS = ("failed", "passed", "skipped", "errors")
+_NOT_PASSED = ("failure", "error", "skipped")
 
 
 @dataclass(kw_only=True, slots=True)
@@ -25,41 +25,46 @@ class Tally:
 
     Parameters
     ----------
-    counts : tests by outcome, one of `_WORDS`
-    wrong : tests that failed, as pytest calls them
+    passed : number of tests
+    wrong : tests that failed or broke, as pytest calls them
+    only_alone : tests that failed, and passed when they ran again with nothing beside them
     reasons : skipped tests by reason
-    seconds : length of all runs together (s)
     """
 
-    counts: Counter[str] = field(default_factory=Counter)
+    passed: int = 0
     wrong: list[str] = field(default_factory=list)
+    only_alone: list[str] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
-    seconds: float = 0.0
 
 
-def tally(files: Iterable[Path]) -> Tally:
-    """Read the files that pytest has written with --junit-xml and junit_family=xunit1."""
+def tally(files: Iterable[Path], again: Iterable[Path] = ()) -> Tally:
+    """Read the files that pytest has written with --junit-xml and junit_family=xunit1.
+
+    Parameters
+    ----------
+    files : of the runs
+    again : of a further run of what failed
+    """
     found = Tally()
-    for path in files:
-        for suite in ET.parse(path).iter("testsuite"):
-            found.seconds += float(suite.get("time", "0"))
-            for case in suite.iter("testcase"):
-                _count(case, found)
+    for case in _cases(files):
+        if case.find("failure") is not None or case.find("error") is not None:
+            found.wrong.append(_name(case))
+        elif (skipped := case.find("skipped")) is not None:
+            found.reasons[_reason(skipped)] += 1
+        else:
+            found.passed += 1
+    second = {_name(case): {part.tag for part in case} for case in _cases(again)}
+    found.only_alone = [
+        name for name in found.wrong if not second.get(name, {"error"}) & {"failure", "error", "skipped"}
+    ]
+    found.wrong = [name for name in found.wrong if name not in found.only_alone]
+    found.passed += len(found.only_alone)
     return found
 
 
-def _count(case: ET.Element, found: Tally) -> None:
-    for tag, word in (("failure", "failed"), ("error", "errors")):
-        if case.find(tag) is not None:
-            found.counts[word] += 1
-            found.wrong.append(_name(case))
-            return
-    skipped = case.find("skipped")
-    if skipped is None:
-        found.counts["passed"] += 1
-    else:
-        found.counts["skipped"] += 1
-        found.reasons[_reason(skipped)] += 1
+def _cases(files: Iterable[Path]) -> Iterator[ET.Element]:
+    for path in files:
+        yield from ET.parse(path).iter("testcase")
 
 
 def _name(case: ET.Element) -> str:
@@ -82,12 +87,16 @@ def _reason(skipped: ET.Element) -> str:
 def lines(found: Tally) -> list[str]:
     """Return the closing lines."""
     told = [f"FAILED {name}" for name in found.wrong]
-    if found.reasons:
-        reasons = "; ".join(f"{count} ({reason})" for reason, count in found.reasons.most_common())
-        told.append(f"not tested: {reasons}")
-    counts = ", ".join(f"{found.counts[word]} {word}" for word in _WORDS if found.counts[word]) or "no tests ran"
-    return [*told, f"{counts} in {found.seconds:.2f}s"]
+    told += [f"passed only alone: {name}" for name in found.only_alone]
+    told += [f"not tested: {count} ({reason})" for reason, count in found.reasons.most_common()]
+    skipped = found.reasons.total()
+    counts = f"{found.passed} passed, {len(found.wrong)} failed"
+    return [*told, f"{counts}, {skipped} skipped" if skipped else counts]
 
 
 if __name__ == "__main__":
-    print("\n".join(lines(tally(Path(name) for name in sys.argv[1:]))))
+    parser = argparse.ArgumentParser(description="Sum up pytest's runs.")
+    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("--again", type=Path, action="append", default=[])
+    arguments = parser.parse_args()
+    print("\n".join(lines(tally(arguments.files, arguments.again))))

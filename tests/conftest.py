@@ -4,20 +4,38 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
+from tests import examples, waiting
 from tests.golden.sample import make_snapshot
 from tests.messages.generate import make_importable, obstacle
+from tests.network import own_network
 
-# scripts/test sets it where it could install everything: there no test is skipped for want of a package.
+examples.register()
+
+# scripts/test sets it for root where it could install everything: a test that is skipped there was not passed.
 _MISSING_FAILS = os.environ.get("ARPD_TESTS_MISSING") == "fail"
-# A reason to skip names a missing package by these words.
-_MISSING = re.compile(r"\b(not installed|not found|install|could not import)\b")
 _HAS_ROS_WHEELS = platform.machine() == "x86_64"
+# `scripts/test --all` sets it to the time (s since 1970) at which its budget ends.
+_UNTIL_S = float(os.environ.get("ARPD_TESTS_UNTIL", "inf"))
+_BUDGET_IS_USED = "the budget of an hour is used up"
+
+
+@pytest.fixture(scope="session")
+def eventually():
+    """Wait: ``eventually("what should happen", condition)``."""
+    return waiting.eventually
+
+
+@pytest.fixture(scope="module")
+def network():
+    """Give this file's tests a network of their own."""
+    with own_network():
+        yield
 
 
 @pytest.fixture
@@ -59,6 +77,11 @@ def tf_message():
     return TFMessage
 
 
+def pytest_runtest_setup():
+    if time.time() > _UNTIL_S:
+        pytest.skip(_BUDGET_IS_USED)
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_makereport():
     return _judge((yield))
@@ -70,10 +93,10 @@ def pytest_make_collect_report():
 
 
 def _judge(report):
-    """Turn a test that was skipped for want of a package into one that failed."""
+    """Turn a test that was skipped into one that failed, where nothing that it needs may be missing."""
     if not (_MISSING_FAILS and report.skipped and isinstance(report.longrepr, tuple)):
         return report
-    reason = report.longrepr[2]
-    if _MISSING.search(reason) and (_HAS_ROS_WHEELS or "ROS 2 is not installed" not in reason):
-        report.outcome, report.longrepr = "failed", f"{reason.removeprefix('Skipped: ')}; scripts/test installs it"
+    reason = report.longrepr[2].removeprefix("Skipped: ")
+    if reason != _BUDGET_IS_USED and (_HAS_ROS_WHEELS or "ROS 2 is not installed" not in reason):
+        report.outcome, report.longrepr = "failed", f"not tested: {reason}; scripts/test installs what its tests need"
     return report

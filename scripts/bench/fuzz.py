@@ -3,7 +3,7 @@
 Usage: .venv/bin/python scripts/bench/fuzz.py [--seconds S | --quick] [--target NAME] [--corpus FOLDER] [--json FILE]
        .venv/bin/python scripts/bench/fuzz.py --target NAME --input FILE
 
-Needs atheris: .venv/bin/pip install '.[fuzz]' (x86-64 Linux; no part of arpd needs it).
+Needs atheris, which is among the development tools on x86-64 (no part of arpd needs it).
 
 Each target of `fuzz_targets.py` runs in a process of its own for so many seconds, and goes on after a crash. For each
 different crash, the run keeps one input beside the results and prints the command that repeats it. Edges are those of
@@ -93,7 +93,7 @@ def child(name: str, seconds: float, workdir: Path, corpus: Path) -> None:
     try:
         import atheris
     except ImportError:
-        sys.exit("fuzz: atheris is not installed; .venv/bin/pip install '.[fuzz]'")
+        sys.exit("fuzz: atheris is not installed; .venv/bin/pip install '.[dev]', on x86-64")
     target = TARGETS[name]
     with atheris.instrument_imports(include=INSTRUMENTED):
         code = target.load()

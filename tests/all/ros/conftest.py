@@ -1,0 +1,5 @@
+"""The fixtures of tests/ros, for tests of times, rates and many processes."""
+
+from __future__ import annotations
+
+from tests.ros.conftest import _own_network, background, ros  # noqa: F401 - pytest finds them here

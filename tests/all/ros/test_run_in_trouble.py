@@ -1,0 +1,120 @@
+"""`arpd run` among real nodes, with a node that hangs, signals at any time and faulty files."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+import urllib.request
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from tests.all.chaos.nodes import BASELINE_DEPTH
+from tests.all.chaos.world import World, free_port, this_host_only
+from tests.waiting import PATIENCE_S, eventually
+
+pytestmark = pytest.mark.ros
+TOPICS = {name: f"/{name}" for name in ("first", "second", "third")}
+HANGS = "second"
+
+
+class Stage:
+    """Three nodes that publish across the assumed link, and a daemon that plans for them."""
+
+    def __init__(self, world, path):
+        self.world = world
+        self.path = path
+        world.start("listener", "listener", *TOPICS.values())
+        self.talkers = {}
+        for name, topic in TOPICS.items():
+            self.talkers[name] = world.start("talker", name, topic)
+        for talker in self.talkers.values():
+            eventually("the reader matches", lambda talker=talker: all(talker.tell("matched").values()))
+            talker.tell("publish", is_on=True, number=0)
+        self.port = free_port()
+        self.write(depth=100)
+        self.daemon = world.start("daemon", path)
+        self.process = self.daemon._popen
+        eventually("the first plan is in force", lambda: self.shows(100))
+
+    def write(self, *, depth, spoil=""):
+        settings = {
+            "link": {"interface": "lo", "capacity": "10gbit"},
+            "http": {"port": self.port},
+            "governor": {"hold": "1h"},
+            "defaults": {"min_depth": depth, "max_depth": depth, "latency_budget": "none"},
+        }
+        self.path.write_text(json.dumps(settings) + spoil)
+
+    def shows(self, depth, *names):
+        return all(self.world.shows(TOPICS[name], depth=depth) for name in names or TOPICS)
+
+    def send(self, name, number):
+        self.talkers[name]._popen.send_signal(number)
+
+    def metric(self, name):
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/metrics", timeout=10.0) as answer:
+            lines = answer.read().decode().splitlines()
+        return next(float(line.split()[-1]) for line in lines if line.startswith(f"{name} "))
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    """Start everything once; the tests follow each other, and the last one stops the daemon."""
+    folder = tmp_path_factory.mktemp("failures")
+    with this_host_only(), World(folder) as world:
+        yield Stage(world, folder / "arpd.yaml")
+
+
+def test_a_node_that_hangs_delays_nobodys_plan(stage):
+    """While one node is stopped the others take a new plan; when it continues, it follows."""
+    stage.send(HANGS, signal.SIGSTOP)
+    try:
+        stage.write(depth=130)
+        stage.process.send_signal(signal.SIGHUP)
+        eventually(
+            "the others have the new plan", lambda: stage.shows(130, *(name for name in TOPICS if name != HANGS))
+        )
+        assert stage.shows(100, HANGS)
+    finally:
+        stage.send(HANGS, signal.SIGCONT)
+    eventually("the stopped node follows", lambda: stage.shows(130))
+
+
+def test_ten_reloads_of_a_file_that_is_being_written_end_with_what_it_says_last(stage):
+    """Half files are refused and counted, the last file is in force, and the ticks go on."""
+    begun, failed = "arpd_config_reloads_total", "arpd_config_reload_failures_total"
+    before = stage.metric(begun) - stage.metric(failed)
+    stage.write(depth=999, spoil="}")
+    stage.process.send_signal(signal.SIGHUP)
+    eventually("half a file is refused", lambda: stage.metric(failed) >= 1)
+    assert stage.metric("arpd_config_last_reload_successful") == 0
+    for depth in range(141, 151):
+        stage.write(depth=depth)
+        stage.process.send_signal(signal.SIGHUP)
+    eventually("the last file is in force", lambda: stage.shows(150))
+    eventually("the refusal is over", lambda: stage.metric("arpd_config_last_reload_successful") == 1)
+    assert before < stage.metric(begun) - stage.metric(failed) <= before + 10
+    assert stage.metric("arpd_tick_failures_total") == 0
+
+
+def test_a_stop_during_a_swap_with_a_node_that_hangs_is_clean(stage):
+    """After several stop signals it restores every node that answers, and exits 0."""
+    stage.write(depth=170)
+    stage.process.send_signal(signal.SIGHUP)
+    generation = stage.metric("arpd_plan_generation")
+    eventually("a new plan is asked for", lambda: stage.metric("arpd_plan_generation") > generation)
+    stage.send(HANGS, signal.SIGSTOP)
+    try:
+        stage.process.terminate()
+        for _ in range(3):
+            time.sleep(0.3)
+            stage.process.send_signal(signal.SIGTERM)
+        assert stage.process.wait(timeout=PATIENCE_S) == 0
+    finally:
+        stage.send(HANGS, signal.SIGCONT)
+    others = [name for name in TOPICS if name != HANGS]
+    eventually("the others have their own QoS", lambda: stage.shows(BASELINE_DEPTH, *others))
+    assert stage.daemon.log().count("stopping; ") == 1, "it restores once, however often it is told to stop"

@@ -1,0 +1,273 @@
+"""The page in a real browser, with a daemon made by hand."""
+
+from __future__ import annotations
+
+import re
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+from prometheus_client import CollectorRegistry
+
+from arpd.adapters.http.server import HttpServer
+from arpd.report.events import Event, EventKind, Severity
+from arpd.report.history import History
+from tests.all.seeing.browser import PHONE, chromium, visit
+from tests.golden.sample import FINISHED_AT_S
+from tests.sample_publishers import publisher
+from tests.unit.web_world import HASH, PASSWORD, make_certificate
+from tests.waiting import eventually
+
+HOSTILE = "/<img src=x onerror=alert(1)>\"'&amp;</script><script>alert(2)</script>"
+
+
+@dataclass
+class Daemon:
+    """A daemon whose snapshot and clock the tests set."""
+
+    snapshot: object
+    history: History = field(default_factory=History)
+    late_s: float = 0.0
+    server: HttpServer | None = None
+
+    def __post_init__(self):
+        for second in range(120):
+            link = replace(self.snapshot.link, capacity_bytes_per_second=2.5e6 if second < 60 else 6e5)
+            self.history.note(self.at(replace(self.snapshot, link=link), second - 119.0))
+
+    def at(self, snapshot, later_s):
+        return replace(snapshot, finished_at_s=FINISHED_AT_S + later_s, unix_time_s=self.snapshot.unix_time_s + later_s)
+
+    def start(self, port=0, **options):
+        self.server = HttpServer(
+            "127.0.0.1",
+            port,
+            snapshot=lambda: self.snapshot,
+            registry=CollectorRegistry(),
+            history=self.history,
+            clock=lambda: FINISHED_AT_S + self.late_s,
+            **options,
+        )
+        self.server.start()
+        return self.server.url
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def daemon(sample_snapshot):
+    events = tuple(
+        Event(number=n, unix_time_s=1.7e9 - 90 + n, kind=kind, severity=severity, text=text)
+        for n, kind, severity, text in (
+            (1, EventKind.PLAN, Severity.WARNING, "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"),
+            (2, EventKind.OUTAGE, Severity.ERROR, "the link carries nothing"),
+            (3, EventKind.RECOVERED, Severity.INFO, "the link carries again"),
+        )
+    )
+    running = Daemon(replace(sample_snapshot, events=events))
+    running.start()
+    yield running
+    running.server.stop()
+
+
+def test_the_document_stands_in_its_places(daemon, browser):
+    """Verdict, faults, link, rows, log and facts show the document's values; the log has the newest line first."""
+    daemon.snapshot = replace(daemon.snapshot, config_error="line 3", lease_s=30.0)
+    with visit(browser, daemon.server.url) as seen:
+        seen.await_live()
+        (verdict,) = seen.texts("#verdict p")
+        assert verdict.startswith("The link is the limit")
+        assert any("line 3" in notice for notice in seen.texts(".notice[data-mark=error]"))
+        tiles = " ".join(seen.texts(".tiles > div"))
+        assert "Capacity 4.00 Mbit/s from the peer: 3 trains, median 500 kB/s" in tiles
+        assert "Cross traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in tiles
+        assert "2 of 3 publishers, 1 of 1 readers confirmed" in tiles
+        image, command, *_ = seen.texts("#topics tbody tr")
+        assert image.startswith("/camera/image /camera, sensing 30.0 12.5 11.5 link 50.0 % of the link 10 / 10")
+        assert "did not match the new writer in 5 s" in command
+        assert any("/map is TRANSIENT_LOCAL" in row for row in seen.texts("[aria-labelledby=readers-title] tbody tr"))
+        told = (
+            "the link carries again",
+            "Error: the link carries nothing",
+            "Warning: link fell to 4.8 Mbit/s: /camera",
+        )
+        assert all(text in line for text, line in zip(told, seen.texts("#log li"), strict=True))
+        facts = " ".join(seen.texts(".facts > div"))
+        assert "after 30.0 s without this daemon" in facts
+        assert "edge-c001, last report 12.5 s ago" in facts
+        assert seen.complaints == []
+
+
+def test_nothing_is_asked_of_anybody_else(daemon, browser):
+    """The page follows the daemon without a request to another host, an error, or a breach of its policy."""
+    with visit(browser, daemon.server.url) as seen:
+        seen.await_live()
+        seen.await_charts()
+        assert all(seen.drawn(f"#chart-{name} canvas") > 500 for name in ("rate", "delay", "gate", "topic"))
+        assert {request.removeprefix(daemon.server.url).split("/")[1] for request in seen.requests} <= {
+            "",
+            "api",
+            "assets",
+            "data:,",
+        }
+        assert seen.complaints == []
+
+
+def test_names_from_the_network_stay_text(daemon, browser):
+    """Markup in names, reasons and events is shown as it is written, and runs nothing."""
+    evil = publisher(HOSTILE, HOSTILE, refusal=HOSTILE, published_rate_hz=1.0)
+    observation = replace(daemon.snapshot.observation, publishers=(evil,))
+    events = (replace(daemon.snapshot.events[0], text=HOSTILE),)
+    link = replace(daemon.snapshot.link, evidence=HOSTILE)
+    daemon.snapshot = replace(
+        daemon.snapshot, observation=observation, events=events, link=link, interface=HOSTILE, config_error=HOSTILE
+    )
+    daemon.history.note(daemon.at(daemon.snapshot, 1.0))
+    with visit(browser, daemon.server.url) as seen:
+        seen.page.on("dialog", lambda dialog: (seen.complaints.append(dialog.message), dialog.dismiss()))
+        seen.await_live()
+        eventually("topics can be chosen", lambda: seen.says("document.querySelector('#chosen').options.length > 0"))
+        assert seen.page.evaluate("document.querySelectorAll('main img, main script').length") == 0
+        assert seen.page.locator("#topics tbody th").inner_text().startswith(HOSTILE)
+        assert HOSTILE in seen.page.locator("#log li").inner_text()
+        assert seen.complaints == []
+
+
+def test_it_says_when_the_daemon_is_gone_and_recovers_by_itself(daemon, browser):
+    """Without an answer the page greys out and counts the age, as when no tick finishes; then it is live again."""
+    port = daemon.server.port
+    with visit(browser, daemon.server.url) as seen:
+
+        def is_now(freshness):
+            return seen.says("document.body.dataset.freshness") == freshness
+
+        seen.await_live()
+        daemon.server.stop()
+        eventually("the page misses its daemon", lambda: is_now("lost"))
+        assert "the daemon cannot be reached · as of" in seen.page.locator("#freshness").inner_text()
+        assert "grayscale" in seen.says("getComputedStyle(document.querySelector('main')).filter")
+        before = seen.page.locator("#freshness").inner_text()
+        eventually("the age grows", lambda: seen.page.locator("#freshness").inner_text() != before)
+        daemon.start(port)
+        seen.await_live()
+        daemon.late_s = 30.0
+        eventually("the page sees that the daemon hangs", lambda: is_now("stale"))
+        said = seen.page.locator("#freshness").inner_text()
+        assert "no tick finishes" in said
+        assert int(re.search(r"(\d+) s ago", said)[1]) >= 30
+
+
+def test_nobody_asks_while_nobody_looks(daemon, browser):
+    """A hidden page neither listens nor reloads; visible again, it asks at once."""
+    hide = """(isHidden) => {
+      Object.defineProperty(document, "hidden", { value: isHidden, configurable: true });
+      document.dispatchEvent(new Event("visibilitychange"));
+    }"""
+    with visit(browser, daemon.server.url) as seen, visit(browser, daemon.server.url) as other:
+        seen.await_live()
+        other.await_live()
+        seen.page.evaluate(hide, arg=True)
+        asked = len(seen.requests)
+        for fault in ("line 3", "line 4"):
+            daemon.snapshot = replace(daemon.snapshot, config_error=fault)
+            eventually(f"{fault} is shown", lambda fault=fault: any(fault in text for text in other.texts(".notice")))
+        assert not any("line 4" in text for text in seen.texts(".notice"))
+        assert len(seen.requests) <= asked + 1  # one may have been under way
+        assert seen.requests.count(f"{daemon.server.url}/") == 1
+        with seen.page.expect_request("**/api/v1/stream"):
+            seen.page.evaluate(hide, arg=False)
+
+
+def test_no_width_overflows(daemon, browser):
+    """From a small phone to a wide screen the page itself never scrolls sideways; wide tables do inside."""
+    with visit(browser, daemon.server.url, size=PHONE) as seen:
+        seen.await_charts()
+        for width in (390, 320, 700, 1000, 1920):
+            seen.page.set_viewport_size({"width": width, "height": 800})
+            eventually(
+                f"it fits into {width}",
+                lambda: seen.says("document.documentElement.scrollWidth <= document.documentElement.clientWidth"),
+            )
+            assert seen.page.locator("#topics tbody th").first.bounding_box()["width"] > 80, width
+
+
+def test_the_keyboard_reaches_everything(daemon, browser):
+    """Tab goes over the skip link, the choice of the topic, every table and the links, and shows where it is."""
+    with visit(browser, daemon.server.url) as seen:
+        eventually("topics can be chosen", lambda: seen.says("document.querySelector('#chosen').options.length > 0"))
+        stops = []
+        for _ in range(14):
+            seen.page.keyboard.press("Tab")
+            stops.append(
+                seen.page.evaluate(
+                    "[document.activeElement.localName, getComputedStyle(document.activeElement).outlineStyle]"
+                )
+            )
+        assert {"a", "select", "div"} <= {name for name, _ in stops}
+        assert all(outline != "none" for name, outline in stops if name != "body")
+
+
+class _Prefix(BaseHTTPRequestHandler):
+    """A reverse proxy that serves the daemon under /robots/seven/."""
+
+    upstream = 0
+
+    def do_GET(self):
+        if not self.path.startswith("/robots/seven/"):
+            self.send_error(404)
+            return
+        connection = HTTPConnection("127.0.0.1", self.upstream, timeout=10)
+        connection.request("GET", self.path.removeprefix("/robots/seven"))
+        answer = connection.getresponse()
+        self.send_response(answer.status)
+        for name, value in answer.getheaders():
+            if name not in {"Connection", "Date", "Server", "Transfer-Encoding"}:
+                self.send_header(name, value)
+        self.end_headers()
+        with suppress(OSError):
+            while part := answer.read1():
+                self.wfile.write(part)
+
+    def log_message(self, *args):
+        pass
+
+
+def test_it_works_under_a_path_of_a_proxy(daemon, browser):
+    """Behind a reverse proxy under a path, the page finds everything relative to itself."""
+    handler = type("Handler", (_Prefix,), {"upstream": daemon.server.port})
+    proxy = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=proxy.serve_forever, daemon=True).start()
+    try:
+        with visit(browser, f"http://127.0.0.1:{proxy.server_port}/robots/seven/") as seen:
+            seen.await_live()
+            seen.await_charts()
+            assert seen.complaints == []
+    finally:
+        proxy.shutdown()
+        proxy.server_close()
+
+
+def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
+    """With TLS and a user, the browser asks once; scripts and events are let in, too."""
+    make_certificate(tmp_path, "server")
+    web = tmp_path / "web.yaml"
+    web.write_text(
+        f"tls_server_config: {{cert_file: server.crt, key_file: server.key}}\nbasic_auth_users: {{robot: '{HASH}'}}\n"
+    )
+    guarded = Daemon(daemon.snapshot)
+    guarded.start(web_config=web)
+    try:
+        credentials = {"username": "robot", "password": PASSWORD}
+        with visit(browser, guarded.server.url, http_credentials=credentials) as seen:
+            seen.await_live()
+            seen.await_charts()
+            assert seen.complaints == []
+    finally:
+        guarded.server.stop()

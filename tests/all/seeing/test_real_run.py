@@ -1,0 +1,211 @@
+"""The operator's view of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd top`.
+
+Only this file uses the run (`tests.all.seeing.real_run`), so it plays once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from scripts.netns.simlink import available
+from scripts.robot.run import REPO
+from tests.all.seeing.browser import chromium, visit
+from tests.all.seeing.real_run import PROMETHEUS_ETC, real_run
+
+CAN, WHY = available()
+pytestmark = [
+    pytest.mark.link,
+    pytest.mark.ros,
+    pytest.mark.timeout(600),  # the first test plays the run
+    pytest.mark.skipif(not CAN, reason=WHY),
+]
+
+
+@pytest.fixture(scope="module")
+def run(request, tmp_path_factory):
+    """Play the run once, and keep it alive."""
+    prometheus = request.getfixturevalue("prometheus")  # only now: it may have to be downloaded
+    with real_run(tmp_path_factory.mktemp("seeing"), prometheus=prometheus) as played:
+        yield played
+
+
+def test_every_rule_evaluates_and_records(run):
+    """No rule has an error, and every recorded series has data of this run."""
+    rules = [rule for group in run.ask("rules")["groups"] for rule in group["rules"]]
+    assert {rule["health"] for rule in rules} == {"ok"}, [rule for rule in rules if rule["health"] != "ok"]
+    recorded = {rule["name"] for rule in rules if rule["type"] == "recording"}
+    assert recorded == {rule["record"] for rule in rules_of("arpd.rules.yml")}
+    assert {rule["name"] for rule in rules if rule["type"] == "alerting"} == {
+        rule["alert"] for rule in rules_of("arpd.alerts.yml")
+    }
+    for name in recorded:
+        assert run.query(f"last_over_time({name}[10m])"), name
+
+
+def test_the_daemon_ran_throughout(run):
+    """The daemon answered in the outage, too, and never restarted."""
+    ((_, during),) = run.query_range("up", run.moments["outage"], run.moments["outage_end"])
+    assert sum(value for _, value in during) > len(during) / 2
+    assert (
+        run.query(f"changes(process_start_time_seconds[{math.ceil(time.time() - run.moments['steady'])}s])")[0][1] == 0
+    )
+
+
+def test_the_alerts_fire_in_the_outage_and_clear_after_it(run):
+    """ArpdLinkDown and ArpdPeerLost fire from within the outage to its end, and not after it."""
+    for name in ("ArpdLinkDown", "ArpdPeerLost"):
+        ((labels, points),) = run.query_range(
+            f'ALERTS{{alertname="{name}",alertstate="firing"}}', run.moments["start"], time.time()
+        )
+        assert points[0][0] > run.moments["outage"]
+        assert labels["severity"] == "critical"
+        sent = run.outage_alerts[name]  # at its end, which is later than arpd's own outage state
+        assert sent["annotations"]["summary"].startswith("127.0.0.1:9464: ")
+        assert "error expanding" not in str(sent), sent
+    assert not run.query('ALERTS{alertname=~"ArpdLinkDown|ArpdPeerLost"}')
+
+
+def rules_of(name):
+    groups = yaml.safe_load((PROMETHEUS_ETC / "rules" / name).read_text())["groups"]
+    return [rule for group in groups for rule in group["rules"]]
+
+
+def targets(document):
+    """Yield every query of a dashboard with the title of its panel, also of those under collapsed headings."""
+    for panel in document["panels"]:
+        for inner in panel["panels"] if panel["type"] == "row" else [panel]:
+            for target in inner.get("targets", ()):
+                yield inner["title"], target
+
+
+def fill_in(expression, values):
+    """Return an expression as Grafana sends it; a variable without a value is a KeyError."""
+    return re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda variable: values[variable[1] or variable[2]], expression)
+
+
+def as_opened(run, document):
+    """Return Grafana's values of the variables of a dashboard on opening."""
+    values = {"__range": f"{time.time() - run.moments['start']:.0f}s", "__rate_interval": "10s"}
+    for variable in document["templating"]["list"]:
+        if variable["type"] == "query":
+            metric, label = re.fullmatch(r"label_values\((.+), (\w+)\)", variable["query"]["query"]).groups()
+            series = run.query(f"group by ({label}) ({fill_in(metric, values)})")
+            offered = sorted(labels[label] for labels, _ in series)
+            values[variable["name"]] = variable["allValue"] if variable["includeAll"] else offered[0]
+    return values
+
+
+def has_number(run, target, values):
+    """Return whether a query has a number in the run, or now if Grafana asks only for the present."""
+    expression = fill_in(target["expr"], values)
+    if target.get("instant", False):
+        return any(math.isfinite(value) for _, value in run.query(expression))
+    series = run.query_range(expression, run.moments["start"], time.time(), 2.0)
+    return any(math.isfinite(value) for _, points in series for _, value in points)
+
+
+@pytest.mark.parametrize("name", ["arpd-robot", "arpd-fleet"])
+def test_every_query_of_a_dashboard_returns_data(run, name):
+    """Each query of each panel has a number of this run, with the variables' values on opening."""
+    document = json.loads((REPO / f"etc/grafana/dashboards/{name}.json").read_text())
+    values = as_opened(run, document)
+    empty = [(title, target["expr"]) for title, target in targets(document) if not has_number(run, target, values)]
+    assert empty == []
+
+
+# -- in a terminal
+
+
+def command(*arguments):
+    """Run ``arpd`` in a pipe; return its exit code and its output."""
+    environment = {**os.environ, "COLUMNS": "400", "LINES": "200"}  # wide enough for everything
+    done = subprocess.run(
+        [sys.executable, "-m", "arpd.cli", *arguments], capture_output=True, text=True, check=False, env=environment
+    )
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_status_reports_the_recovered_robot_as_well(run):
+    """It exits with 0, and prints the daemon's verdict and every topic with its announced rate and depth."""
+
+    def is_well():
+        status = run.status()
+        code, told = command("status", "--url", run.url)
+        lines = told.splitlines()
+        return (
+            code == 0
+            and lines[1].startswith(status["verdict"]["headline"])
+            and all(
+                re.search(
+                    rf"^{topic['topic']} +{topic['confirmed']['rate_hz']:.3g}\b.* {topic['confirmed']['depth']} ",
+                    told,
+                    re.MULTILINE,
+                )
+                for topic in status["topics"]
+            )
+        )
+
+    run.eventually("arpd status tells what the daemon does", is_well)
+
+
+def test_top_shows_the_run_in_one_frame(run):
+    """The frame has topics, capacity, the admitted part through the outage and the log, without control codes."""
+    before = run.status()
+    code, told = command("top", "--once", "--url", run.url)
+    assert code == 0
+    assert "\x1b" not in told
+    lines = told.splitlines()
+    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "admitted "))}
+    assert all(set(line) & set("▁▂▃▄▅▆▇█") for line in course.values())
+    assert len(set(course["admitted"]) & set("▁▂▃▄▅▆▇█")) > 1, "the outage admits less"
+    for topic in before["topics"]:
+        assert any(line.startswith(f"{topic['topic']} ") for line in lines), told
+    assert before["events"]
+    assert any(line.endswith(before["events"][-1]["text"]) for line in lines), told
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+def test_the_page_shows_what_the_status_says(run, browser):
+    """Verdict, plan and every topic with its node on the live page are those of its last status document."""
+    with visit(browser, run.url) as seen:
+        seen.await_charts()
+        assert seen.complaints == []
+        document = seen.last_status()
+        topics = document["topics"]
+        assert seen.texts("#verdict p") == [document["verdict"]["text"]]
+        assert seen.texts("[data-field='plan.generation|count']") == [str(document["plan"]["generation"])]
+        named = {f"{topic['topic']} {topic['node']}, {topic['direction']}" for topic in topics}
+        assert set(seen.texts("#topics tbody th")) == named
+        assert sum(topic["direction"] != "local" for topic in topics) >= 12
+        assert all(request.startswith((run.url, "data:")) for request in seen.requests)
+
+
+def test_the_history_has_the_run(run):
+    """The outage is in the history at its time, and all columns are as long as the times."""
+    history = json.loads(run.get("/api/v1/history"))
+    states = list(zip(history["times"], history["link"]["state"], strict=True))
+
+    def states_between(begin, end):
+        return {state for at_s, state in states if run.moments[begin] < at_s < run.moments[end]}
+
+    assert "outage" in states_between("outage", "outage_end")
+    assert states_between("steady", "slow") != {"outage"}
+    assert len(history["topics"]) >= 12
+    assert {len(topic["published_rate_hz"]) for topic in history["topics"]} == {len(history["times"])}

@@ -1,0 +1,106 @@
+"""What stands between the fences of the documents: each command exists, and what a user copies can be read."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from arpd.adapters.config.load import load_settings
+from arpd.cli.main import _parser
+
+REPO = Path(__file__).resolve().parents[2]
+UNITS = {path.stem for path in (REPO / "systemd").glob("*.service")}
+# Sections whose blocks without a language are pictures and output.
+SHOWN = {"How it works", "See"}
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(name):
+    """Return the fenced blocks of a document: section, language, text."""
+    sections = re.split(r"^## (.*)\n", (REPO / name).read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return [
+        (heading, *fence)
+        for heading, text in zip(sections[1::2], sections[2::2], strict=True)
+        for fence in _FENCE.findall(text)
+    ]
+
+
+def commands(name):
+    """Return the lines of a document that a user types, in order."""
+    typed = [text for heading, language, text in blocks(name) if not language and heading not in SHOWN]
+    lines = [line.removeprefix("$ ") for text in typed for line in text.replace("\\\n", " ").splitlines()]
+    return [bare for line in lines if (bare := re.sub(r"(^|\s+)#.*", "", line).strip())]
+
+
+def is_known(line):
+    """Return whether a command line names only what there is."""
+    program, *arguments = re.split(r" [|>] ", line)[0].removeprefix("sudo ").split()
+    if program.startswith("scripts/"):
+        return _is_script(program, arguments)
+    return program in KNOWN and KNOWN[program](arguments)
+
+
+def _is_script(program, arguments):
+    path = REPO / program
+    return path.is_file() and all(word in path.read_text() for word in arguments if word.startswith("-"))
+
+
+def _is_usage(arguments):
+    try:
+        _parser().parse_args(arguments)
+    except SystemExit:
+        return False
+    return True
+
+
+def _names_the_profile(arguments):
+    found = re.fullmatch(r"FASTRTPS_DEFAULT_PROFILES_FILE=/usr/local/share/arpd/(\S+)", arguments[0])
+    return bool(found) and (REPO / "arpd/adapters/ros" / found[1]).is_file()
+
+
+KNOWN = {
+    "arpd": _is_usage,
+    "systemctl": lambda arguments: set(arguments) - {"status", "reload", "enable", "--now"} <= UNITS,
+    "journalctl": lambda arguments: arguments[0] == "-u" and arguments[1] in UNITS,
+    "apt": lambda arguments: arguments[0] == "install" and arguments[1].startswith("./arpd-ros_"),
+    "export": _names_the_profile,
+}
+
+
+@pytest.mark.parametrize("line", commands("README.md"))
+def test_every_line_is_a_command_that_there_is(line):
+    """Scripts, their options, subcommands, units and files of every line in the README's blocks exist."""
+    assert is_known(line)
+
+
+@pytest.mark.parametrize("name", ["docs/configuration.md", "docs/operating.md", "docs/security.md"])
+def test_commands_of_arpd_in_the_manual_exist(name):
+    """Every line of the manual that begins with arpd or a script is one that they accept."""
+    typed = [line for line in commands(name) if re.match(r"(sudo )?(arpd|scripts/)", line)]
+    assert [line for line in typed if not is_known(line)] == []
+
+
+def test_what_a_user_copies_into_files_can_be_read(tmp_path):
+    """Each YAML block of the README is a configuration, and each Python block compiles."""
+    found = {"yaml": 0, "python": 0}
+    for _, language, text in blocks("README.md"):
+        if language == "yaml":
+            (tmp_path / "arpd.yaml").write_text(text)
+            load_settings(tmp_path / "arpd.yaml", interfaces=None)
+        elif language == "python":
+            ast.parse(text)
+        else:
+            assert not language
+            continue
+        found[language] += 1
+    assert min(found.values()) > 0
+
+
+def test_the_table_of_commands_has_every_command():
+    """No row of the README's table names another command, and none is missing."""
+    rows = re.findall(r"^\| `arpd ([^`]+)` \|", (REPO / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    (subcommands,) = (action.choices for action in _parser()._actions if action.metavar == "COMMAND")
+    assert {row.split()[0] for row in rows} == set(subcommands)

@@ -1,0 +1,157 @@
+"""The unit files, as systemd reads them, and the launcher."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+UNITS = sorted(path.name for path in SYSTEMD.glob("*.service"))
+LAUNCHER = SYSTEMD / "arpd-launch"
+INSTALLED = "/usr/local/lib/arpd"
+
+
+def settings(unit):
+    lines = (SYSTEMD / unit).read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_systemd_finds_nothing_to_complain_about(tmp_path):
+    """systemd-analyze verify accepts all units."""
+    shutil.copy(LAUNCHER, tmp_path)
+    for unit in UNITS:
+        text = (SYSTEMD / unit).read_text()
+        (tmp_path / unit).write_text(text.replace(f"{INSTALLED}/", f"{tmp_path}/"))
+    checked = subprocess.run(
+        ["systemd-analyze", "verify", *(tmp_path / unit for unit in UNITS)], capture_output=True, text=True, check=False
+    )
+    assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_unit_keeps_the_notify_protocol_and_the_exit_codes(unit):
+    """Every unit uses notify from its main process, and no restart follows a bad configuration or command line."""
+    assert settings(unit)["Type"] == "notify"
+    assert settings(unit)["NotifyAccess"] == "main"
+    assert settings(unit)["RestartPreventExitStatus"].split() == ["78", "2"]
+    assert settings(unit)["ExecStart"].startswith(f"{INSTALLED}/arpd-launch ")
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_hardening_leaves_dds_its_network_and_its_shared_memory(unit):
+    """No sandbox setting separates a unit from DDS or deletes shared memory of other nodes."""
+    assert set(settings(unit)["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
+    assert settings(unit)["RemoveIPC"] == "no"
+    assert not {"PrivateIPC", "PrivateNetwork", "DynamicUser", "ProcSubset"} & set(settings(unit))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_unit_needs_no_disk_no_ntp_and_nobody_to_reset_it(unit):
+    """A unit starts without disk space and NTP, and after any number of failures."""
+    assert settings(unit)["StartLimitIntervalSec"] == "0"
+    assert "time-sync.target" not in settings(unit)["After"].split()
+    on_disk = {"LogsDirectory", "StateDirectory", "CacheDirectory", "PrivateTmp", "PrivateDevices"}
+    assert not on_disk & set(settings(unit))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_a_unit_is_hardened(unit):
+    """systemd-analyze security rates the exposure of every unit 2.0 or less."""
+    judged = subprocess.run(
+        ["systemd-analyze", "security", "--offline=yes", "--no-pager", "--threshold=20", SYSTEMD / unit],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert judged.returncode == 0, judged.stdout
+
+
+def test_each_unit_has_folders_and_an_enclave_of_its_own():
+    """No unit removes another's log folder when it stops, and none has another's rights."""
+    for unit in UNITS:
+        name = unit.removesuffix(".service")
+        assert settings(unit)["RuntimeDirectory"] == name
+        assert f"Environment=ROS_LOG_DIR=%t/{name} ROS_HOME=%t/{name}" in (SYSTEMD / unit).read_text()
+    enclaves = [name for unit in UNITS for name in re.findall(r"ENCLAVE_OVERRIDE=(\S+)", (SYSTEMD / unit).read_text())]
+    assert sorted(enclaves) == ["/arpd/peer", "/arpd/relay", "/arpd/relay_far", "/arpd/run"]
+
+
+def test_notify_reload_sends_the_signal_once():
+    """The drop-in leaves the signal to systemd and keeps the check, so that a bad file fails the reload."""
+    lines = (SYSTEMD / "notify-reload.conf").read_text().splitlines()
+    reloads = [line for line in (SYSTEMD / "arpd.service").read_text().splitlines() if line.startswith("ExecReload=")]
+    signal, check = reloads
+    assert "-HUP $MAINPID" in signal
+    assert [line for line in lines if "=" in line and line[0] != "#"] == ["Type=notify-reload", "ExecReload=", check]
+
+
+def test_the_environment_file_is_all_comments_with_settings_that_parse():
+    """The environment file has only comments, and every commented setting is an assignment."""
+    lines = (SYSTEMD / "arpd.default").read_text().splitlines()
+    assert all(line.startswith("#") for line in lines if line)
+    offered = [line[1:] for line in lines if re.match(r"#[A-Z]", line)]
+    assert {"ARPD_ROS_SETUP", "ARPD_BIN", "ARPD_PEER_ARGS", "ROS_DOMAIN_ID"} <= {
+        line.partition("=")[0] for line in offered
+    }
+    assert all(re.fullmatch(r'[A-Z_]+=("[^"]*"|\S*)', line) for line in offered)
+
+
+# -- the launcher
+
+
+@pytest.fixture
+def launch(tmp_path):
+    """Return a function that runs the launcher with an arpd that prints its arguments."""
+    arpd = tmp_path / "arpd"
+    arpd.write_text('#!/bin/sh\necho "pid=$$"\necho "layers=$LAYERS"\nfor a; do echo "arg=$a"; done\nexit 69\n')
+    arpd.chmod(0o755)
+
+    def run(*arguments, **environ):
+        clean = {name: text for name, text in os.environ.items() if not name.startswith("ARPD_")}
+        process = subprocess.Popen(
+            [LAUNCHER, *arguments],
+            env={**clean, "ARPD_BIN": str(arpd), **environ},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        output, errors = process.communicate()
+        return process, output.splitlines(), errors
+
+    return run
+
+
+def setup_file(path, layer):
+    # As ROS's files may, it reads an unset variable and positional parameters, and returns a failure.
+    path.write_text(f'export LAYERS="$LAYERS${{NEVER_SET}}{layer}$1"\nfalse\n')
+    return str(path)
+
+
+def test_the_launcher_becomes_arpd(tmp_path, launch):
+    """The launcher sources the setup files in order and becomes arpd, with its process id and exit code."""
+    under, over = setup_file(tmp_path / "under.bash", "a"), setup_file(tmp_path / "over.bash", "b")
+    process, output, _ = launch("run", "--config", "a b*.yaml", ARPD_ROS_SETUP=f"{under} {over}")
+    assert output == [f"pid={process.pid}", "layers=ab", "arg=run", "arg=--config", "arg=a b*.yaml"]
+    assert process.returncode == 69
+
+
+def test_a_missing_setup_file_is_a_configuration_error(tmp_path, launch):
+    """A missing setup file ends the launcher with 78 and the file's name."""
+    process, output, errors = launch("run", ARPD_ROS_SETUP=str(tmp_path / "gone.bash"))
+    assert (process.returncode, output) == (78, [])
+    assert "gone.bash" in errors
+    assert "/etc/default/arpd" in errors
+
+
+def test_a_missing_arpd_is_a_configuration_error(tmp_path, launch):
+    """A missing arpd ends the launcher with 78 and the way out."""
+    process, _, errors = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(tmp_path / "nowhere"))
+    assert process.returncode == 78
+    assert "install.sh" in errors
