@@ -1,7 +1,6 @@
 """Real rclpy for every test: its own context, on this host only, with executors in threads."""
 
 import threading
-import time
 from contextlib import ExitStack
 
 import pytest
@@ -45,19 +44,9 @@ def ros(monkeypatch):
     rclpy.try_shutdown(context=context)
 
 
-@pytest.fixture
-def eventually():
-    """Wait for a condition, with a long timeout: the machine is shared and noisy."""
-
-    def wait(condition, timeout_s=15.0):
-        until_s = time.monotonic() + timeout_s
-        while time.monotonic() < until_s:
-            if condition():
-                return
-            time.sleep(0.02)
-        assert condition(), "did not happen in time"
-
-    return wait
+@pytest.fixture(scope="module", autouse=True)
+def _own_network(network):
+    """Keep what a file of tests sends from the other workers."""
 
 
 @pytest.fixture

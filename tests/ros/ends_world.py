@@ -15,7 +15,7 @@ from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
 
 REPO = Path(__file__).resolve().parents[2]
-ROBOT, CEDDP, LINK = DOMAIN, DOMAIN + 101, DOMAIN + 146
+ROBOT, CEDDP, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
 
 
 class TwoEnds:
@@ -23,7 +23,7 @@ class TwoEnds:
 
     def __init__(self, folder, stack, relay=(), domains=(ROBOT, CEDDP)):
         self._folder = folder
-        self._stack = stack
+        self._stack = self.nodes = stack
         self._domains = dict(zip(("robot", "ceddp"), domains, strict=True))
         self.config = folder / "arpd.yaml"
         lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", *(f"  {line}" for line in relay)]
@@ -62,10 +62,10 @@ class TwoEnds:
         process = self.processes[end]
         with suppress(ProcessLookupError):
             process.send_signal(number)
-        return process.wait(timeout=20)
+        return process.wait(timeout=60)
 
     def side(self, end):
-        """Return a maker of nodes on one side, all in one participant."""
+        """Return a maker of nodes on one side, all in one participant; the stack ``nodes`` destroys them."""
         return self._side(self._domains[end])
 
     def link_side(self):
@@ -75,8 +75,8 @@ class TwoEnds:
     def _side(self, domain):
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=domain)
-        self._stack.callback(rclpy.try_shutdown, context=context)
-        return Ros(context, self._stack)
+        self.nodes.callback(rclpy.try_shutdown, context=context)
+        return Ros(context, self.nodes)
 
     def _listen(self, end):
         address = f"\0arpd-test-{os.getpid()}-{end}-{len(self.processes)}-{os.urandom(4).hex()}"
@@ -111,3 +111,9 @@ class Counter:
 def numbers(texts, name):
     """Return the numbers that one writer gave, in the order of their arrival."""
     return [int(number) for writer, number in (text.split() for text in texts) if writer == name]
+
+
+def is_whole(texts, name):
+    """Return whether the numbers of a writer begin somewhere, and then none is missing, doubled or out of order."""
+    found = numbers(texts, name)
+    return found == list(range(found[0], found[0] + len(found)))

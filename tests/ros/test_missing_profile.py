@@ -30,7 +30,7 @@ heard = {}
 def hear(message):
     heard.update({status.name: from_status(status).lacks_profile for status in message.status})
 nodes[0].create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, hear, 10)
-until_s = time.monotonic() + 20.0
+until_s = time.monotonic() + 60.0
 while len(heard) < 2 and time.monotonic() < until_s:
     for node in nodes:
         rclpy.spin_once(node, timeout_sec=0.05)
@@ -42,14 +42,14 @@ rclpy.try_shutdown()
 def run(tmp_path, **variables):
     """Run a process with two nodes; return what it announces, and what it logs."""
     environment = {name: value for name, value in os.environ.items() if name not in PROFILE_VARIABLES}
-    environment |= {"ROS_DOMAIN_ID": str(DOMAIN + 1), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **variables}
+    environment |= {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **variables}
     done = subprocess.run(
         [sys.executable, "-c", PROCESS],
         env=environment | {"PYTHONPATH": os.pathsep.join([str(REPO), *filter(None, [os.environ.get("PYTHONPATH")])])},
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=True,
     )
     return done.stdout.strip(), done.stderr

@@ -1,7 +1,6 @@
 """A thread that takes samples says when it finished the last one, for the watchdog."""
 
 import threading
-import time
 
 import pytest
 
@@ -25,7 +24,7 @@ def thread():
 def test_a_thread_without_samples_finishes_rounds(thread, eventually):
     """A thread that has nothing to take finishes a round every second."""
     begun_s = thread.finished_s
-    eventually(lambda: thread.finished_s > begun_s, 5.0)
+    eventually("the thread finishes a round", lambda: thread.finished_s > begun_s)
 
 
 def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
@@ -34,22 +33,21 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
 
     def deliver(sample):
         begun.append(thread.finished_s)
-        gates[len(begun) - 1].wait(15.0)
+        gates[len(begun) - 1].wait()
 
     node = ros.node("raw_reader_check")
     reader = RawReader(node, String, "/raw_reader_check", QoSProfile(depth=10), deliver=deliver, thread=thread)
     publisher = node.create_publisher(String, "/raw_reader_check", 10)
     try:
-        eventually(lambda: publisher.get_subscription_count() == 1)
+        eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
         for _ in gates:
             publisher.publish(String(data="x"))
         for number, gate in enumerate(gates, 1):
-            eventually(lambda number=number: len(begun) == number)
-            time.sleep(1.2)  # longer than a wait for samples
+            eventually(f"sample {number} is delivered", lambda number=number: len(begun) == number)
             assert thread.finished_s == begun[-1]
             gate.set()
         assert begun[0] < begun[1] < begun[2]
-        eventually(lambda: thread.finished_s > begun[2])
+        eventually("the last sample is finished", lambda: thread.finished_s > begun[2])
     finally:
         for gate in gates:
             gate.set()
@@ -61,9 +59,9 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread
     taken, node = [], ros.node("raw_reader_check")
     reader = RawReader(node, String, "/stuck", QoSProfile(depth=10), deliver=taken.append, thread=thread)
     publisher = ros.node("talker").create_publisher(String, "/stuck", 10)
-    eventually(lambda: publisher.get_subscription_count() == 1)
+    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
     publisher.publish(String(data="one"))
-    eventually(lambda: len(taken) == 1)
+    eventually("the first sample arrives", lambda: len(taken) == 1)
     before = reader.handle
 
     class Stuck:
@@ -76,10 +74,10 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread
     real = thread._rcl
     monkeypatch.setattr(thread, "_rcl", Stuck())
     publisher.publish(String(data="two"))
-    eventually(lambda: reader.handle is not before)
-    eventually(lambda: publisher.get_subscription_count() == 1)
+    eventually("the reader is replaced", lambda: reader.handle is not before)
+    eventually("the new reader matches alone", lambda: publisher.get_subscription_count() == 1)
     assert len(taken) == 1
     publisher.publish(String(data="three"))
-    eventually(lambda: taken[-1].data.endswith(b"three\0"))
+    eventually("the third sample arrives", lambda: taken[-1].data.endswith(b"three\0"))
     assert len({sample.sequence for sample in taken}) == len(taken)
     reader.destroy()

@@ -42,7 +42,8 @@ def test_a_clamped_publisher_is_not_settled(ros, eventually):
     strict = QoSProfile(depth=3, deadline=Duration(nanoseconds=100_000_000))
     ros.node("reader").create_subscription(String, "/scan", lambda _m: None, strict)
     publisher = AdaptivePublisher(ros.node("talker"), String, "/scan", strict)
-    eventually(lambda: publisher.get_subscription_count() == 1)
+    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    eventually("the graph shows its request", lambda: publisher._requests.tightest_ns() == 100_000_000)
     publisher.retune(ROW)
     state = announced(publisher)
     assert (state.refusal_reason, state.refusal_reason.is_lasting) == (RefusalReason.CLAMPED, False)
@@ -55,5 +56,6 @@ def test_a_publisher_that_keeps_all_gets_no_writer_for_a_depth(ros, eventually):
     publisher.retune(TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
     assert not publisher._flow._swap.is_busy
     publisher.retune(ROW)
-    eventually(lambda: is_confirmed(announced(publisher), ROW))
+    eventually("the plan is confirmed", lambda: is_confirmed(announced(publisher), ROW))
+    eventually("the swap ends", lambda: not publisher._flow._swap.is_busy)
     assert sum(announced(publisher).swaps_by_result.values()) == 1

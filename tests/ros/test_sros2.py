@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from fnmatch import fnmatchcase
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -19,12 +18,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher, AdaptiveSubscription
-from arpd.adapters.ros.runtime import best_executor, prepare_environment, spinning
-from tests.chaos.world import free_domain, free_port
+from arpd.adapters.ros.runtime import prepare_environment, spinning
+from tests.ros.domain import DOMAIN
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.ros
 REPO = Path(__file__).resolve().parents[2]
@@ -32,6 +31,7 @@ POLICY = REPO / "etc/sros2/arpd.policy.xml"
 MANAGED = REPO / "etc/sros2/managed.xml"
 NODE = REPO / "etc/sros2/node.xml"
 XI = "{http://www.w3.org/2001/XInclude}"
+NODES = ("arpd", "arpd_relay_robot", "arpd_peer", "driver")
 CHECK = "arpd_executor_check"
 TOPIC = "/sros2/scan"
 # Element → allowed children, by sros2's policy.xsd 0.2.0.
@@ -120,21 +120,20 @@ def graph(tmp_path_factory):
         json.dumps(
             {
                 "link": {"interface": "lo", "capacity": "10gbit"},
-                "http": {"port": free_port()},
+                "http": {"port": 0},
                 "relay": {"topics": [{"name": TOPIC}]},
             }
         )
     )
-    domain = free_domain()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        patch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
         patch.setenv("PYTHONPATH", str(REPO))
         prepare_environment()
         # On this one host the chaos tests' daemon treats another process as across the link.
         argvs = [
-            [str(REPO / "tests/chaos/nodes.py"), "daemon", str(config)],
+            [str(REPO / "tests/all/chaos/nodes.py"), "daemon", str(config)],
             ["-m", "arpd.cli", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
             ["-m", "arpd.cli", "peer", "--interface", "lo"],
         ]
@@ -143,7 +142,7 @@ def graph(tmp_path_factory):
             for argv in argvs
         ]
         context = rclpy.Context()
-        rclpy.init(context=context, domain_id=domain)
+        rclpy.init(context=context, domain_id=DOMAIN)
         node = rclpy.create_node("driver", context=context)
         publisher = AdaptivePublisher(node, String, TOPIC, 10)
         AdaptiveSubscription(node, String, "/sros2/cmd", lambda _sample: None, 10)
@@ -152,7 +151,7 @@ def graph(tmp_path_factory):
         executor.add_node(node)
         try:
             with spinning(executor):
-                yield wait_for_plan(node, publisher)
+                yield wait_for_plan(node)
         finally:
             for process in processes:
                 process.kill()
@@ -161,18 +160,19 @@ def graph(tmp_path_factory):
             rclpy.try_shutdown(context=context)
 
 
-def wait_for_plan(node, publisher):
+def wait_for_plan(node):
     """Return the endpoints of every node, once the driver's publisher has a plan and all nodes are there."""
-    wanted = {"arpd": 1, "arpd_relay_robot": 1, "arpd_peer": 1, "driver": 1}
-    until_s = time.monotonic() + 60.0
-    while time.monotonic() < until_s:
-        found = {name: opened(node, name) for name in wanted}
-        is_tuned = node.has_parameter("arpd.generation") and node.get_parameter("arpd.generation").value
+
+    def is_tuned():
+        return node.has_parameter("arpd.generation") and node.get_parameter("arpd.generation").value
+
+    def all_opened():
+        found = {name: opened(node, name) for name in NODES}
         is_carried = ("publish", f"/link{TOPIC}") in found["arpd_relay_robot"]
-        if is_tuned and is_carried and all(("reply", f"/{name}/list_parameters") in found[name] for name in wanted):
-            return found
-        time.sleep(0.1)
-    raise AssertionError(f"no plan reached the driver: {found}, {publisher.plan}")
+        return is_carried and all(("reply", f"/{name}/list_parameters") in found[name] for name in NODES) and found
+
+    eventually("a plan reaches the driver", is_tuned)
+    return eventually("every process has opened its endpoints", all_opened)
 
 
 def test_the_policy_has_sros2s_form():
@@ -206,22 +206,6 @@ def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
     assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC), ("subscribe", "/sros2/cmd")}
 
 
-def test_the_executors_check_is_allowed_everywhere(ros, monkeypatch):
-    """The node of the executor check opens exactly what each enclave allows it."""
-    seen = {}
-
-    class Observed(Node):
-        def destroy_node(self):
-            seen[self.get_name()] = opened(self, self.get_name())
-            super().destroy_node()
-
-    monkeypatch.setattr(rclpy, "create_node", Observed)
-    best_executor(ros.context).shutdown()
-    for enclave in ("/arpd/run", "/arpd/relay", "/arpd/peer"):
-        allowed = rules(profile_of(enclave, is_check=True))
-        assert beyond(seen[CHECK], allowed) == {rule for rule in allowed if not is_used(rule, seen[CHECK])} == set()
-
-
 def test_enforce_without_a_keystore_starts_nothing(tmp_path):
     """Under ROS_SECURITY_STRATEGY=Enforce a process without keys ends."""
     secured = {
@@ -236,7 +220,7 @@ def test_enforce_without_a_keystore_starts_nothing(tmp_path):
         cwd=REPO,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
     assert ended.returncode == 69

@@ -25,7 +25,8 @@ from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, encode_state
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.settings import GraphSettings
-from tests.ros.ends_world import ROBOT, Counter, TwoEnds, numbers
+from tests.ros.ends_world import ROBOT, Counter, TwoEnds, is_whole, numbers
+from tests.waiting import eventually as insist
 
 pytestmark = pytest.mark.ros
 
@@ -37,23 +38,61 @@ def latched(depth):
     return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
+class Running:
+    """Both ends, started once for several tests; each test has nodes and topics of its own."""
+
+    def __init__(self, folder):
+        self._folder, self._stack, self._ends = folder, ExitStack(), None
+
+    def ends(self):
+        if self._ends is None:
+            ends = TwoEnds(self._folder, self._stack).start()
+            try:
+                insist("the ends meet", lambda: all("topics cross" in status for status in ends.status.values()))
+            except AssertionError as fault:
+                self.stop()  # the next test starts a pair of its own
+                raise AssertionError(f"{fault}: {ends.status}") from fault
+            self._ends = ends
+        return self._ends
+
+    def stop(self):
+        self._stack.close()
+        self._ends = None
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    running = Running(tmp_path_factory.mktemp("ends"))
+    yield running
+    running.stop()
+
+
 @pytest.fixture
-def world(ros, tmp_path):
-    """Make a world with these lines under ``relay:``."""
+def ends(ros, running):
+    """Both ends with their defaults."""
+    ends = running.ends()
+    with ExitStack() as ends.nodes:
+        yield ends
+
+
+@pytest.fixture
+def world(ros, running, tmp_path):
+    """Make a world with these lines under ``relay:``, and no other ends in its domains."""
+    running.stop()
     with ExitStack() as stack:
         yield lambda *relay, **options: TwoEnds(tmp_path, stack, relay, **options)
 
 
 @pytest.fixture
 def talking(background):
-    """Let writers publish until the test ends, each 100 times a second unless the test says otherwise."""
+    """Let writers publish until the test ends, at most 100 times a second."""
 
-    def start(*writers, every_s=0.01):
+    def start(*writers):
         def talk(stopping):
             while not stopping.is_set():
                 for writer in writers:
                     writer.publish()
-                time.sleep(every_s)
+                time.sleep(0.01)
 
         background(talk)
 
@@ -66,32 +105,24 @@ def listen(node, topic, qos=RELIABLE, msg_type=String):
     return received
 
 
-def is_whole(received, name):
-    """Return whether the numbers of a writer begin somewhere, and then none is missing, doubled or out of order."""
-    found = numbers(received, name)
-    return found == list(range(found[0], found[0] + len(found)))
-
-
-def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(world, talking, eventually):
+def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(ends, talking, eventually):
     """A topic crosses under its own name while somebody reads it there, and the robot's writer has no reader before."""
-    ends = world().start()
-    writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
+    writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", RELIABLE)
     talking(writer)
     far = ends.side("ceddp").node("planner")
-    eventually(lambda: "/chatter" in dict(far.get_topic_names_and_types()), timeout_s=30)
+    eventually("the topic shows", lambda: "/chatter" in dict(far.get_topic_names_and_types()))
     assert writer.publisher.get_subscription_count() == 0
     received = []
-    reader = far.create_subscription(String, "/chatter", lambda message: received.append(message.data), 1000)
-    eventually(lambda: len(received) > 50)
+    reader = far.create_subscription(String, "/chatter", lambda message: received.append(message.data), RELIABLE)
+    eventually("samples arrive", lambda: len(received) > 50)
     assert is_whole(received, "sensor")
-    assert ends.status["robot"].startswith("1 of 1 topics cross to the CEDDP")
+    eventually("the status counts it", lambda: ends.status["robot"].startswith("1 of 1 topics cross to the CEDDP"))
     far.destroy_subscription(reader)
-    eventually(lambda: writer.publisher.get_subscription_count() == 0, timeout_s=20)
+    eventually("it is read no more", lambda: writer.publisher.get_subscription_count() == 0)
 
 
-def test_the_far_side_looks_as_the_robot(world, eventually):
+def test_the_far_side_looks_as_the_robot(ends, eventually):
     """Nodes, topics, types and the QoS of every writer look on the far side as on the robot."""
-    ends = world().start()
     robot = ends.side("robot")
     profile = QoSProfile(
         depth=7,
@@ -102,10 +133,10 @@ def test_the_far_side_looks_as_the_robot(world, eventually):
         liveliness_lease_duration=Duration(seconds=3),
     )
     sensor = robot.node("sensor", namespace="/left")
-    sensor.create_publisher(String, "/chatter", profile)
-    robot.node("other").create_publisher(String, "/chatter", latched(3))
+    sensor.create_publisher(String, "/looks", profile)
+    robot.node("other").create_publisher(String, "/looks", latched(3))
     far = ends.side("ceddp").node("rqt")
-    eventually(lambda: far.count_publishers("/chatter") == 2, timeout_s=30)
+    eventually("both writers show", lambda: far.count_publishers("/looks") == 2)
 
     def shown(node):
         return sorted(
@@ -120,76 +151,64 @@ def test_the_far_side_looks_as_the_robot(world, eventually):
                 info.qos_profile.liveliness,
                 info.qos_profile.liveliness_lease_duration.nanoseconds,
             )
-            for info in node.get_publishers_info_by_topic("/chatter")
+            for info in node.get_publishers_info_by_topic("/looks")
         )
 
-    eventually(lambda: shown(far) == shown(sensor))
-    assert {("sensor", "/left"), ("other", "/")} <= set(far.get_node_names_and_namespaces())
+    eventually("both sides look the same", lambda: shown(far) == shown(sensor))
+    nodes = {("sensor", "/left"), ("other", "/")}
+    eventually("the nodes show", lambda: nodes <= set(far.get_node_names_and_namespaces()))
 
 
-def test_every_latched_writer_keeps_its_own_history(world, eventually):
+def test_every_latched_writer_keeps_its_own_history(ends, eventually):
     """A late reader gets the one sample of a quiet latched writer beside the last ones of a busy one."""
-    ends = world().start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     quiet = Counter(robot.node("quiet"), String, "/tf_static", latched(1))
     busy = Counter(robot.node("busy"), String, "/tf_static", latched(1))
     quiet.publish()
     busy.publish(50)
     first = listen(ceddp.node("first"), "/tf_static", latched(100))
-    eventually(lambda: set(first) == {"quiet 0", "busy 49"}, timeout_s=30)
+    eventually("each one's last sample arrives", lambda: set(first) == {"quiet 0", "busy 49"})
     busy.publish(300)
-    eventually(lambda: first[-1] == "busy 349")
+    eventually("the newest sample arrives", lambda: first[-1] == "busy 349")
     assert numbers(first, "busy") == sorted(set(numbers(first, "busy")))
     late = listen(ceddp.node("late"), "/tf_static", latched(1000))
-    eventually(lambda: {"quiet 0", "busy 349"} <= set(late))
+    eventually("a late reader gets both", lambda: {"quiet 0", "busy 349"} <= set(late))
 
 
-def test_writers_on_both_sides_of_one_topic_are_heard_once_on_both(world, talking, eventually):
+def test_writers_on_both_sides_of_one_topic_are_heard_once_on_both(ends, talking, eventually):
     """With writers and readers of /tf on both sides, each reader gets every sample once, and none circles."""
-    ends = world().start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     here = [listen(robot.node("robot_reader"), "/tf"), listen(ceddp.node("ceddp_reader"), "/tf")]
     talking(
-        *(Counter(robot.node(name), String, "/tf", 100) for name in ("odom", "arm")),
-        Counter(ceddp.node("slam"), String, "/tf", 100),
+        *(Counter(robot.node(name), String, "/tf", RELIABLE) for name in ("odom", "arm")),
+        Counter(ceddp.node("slam"), String, "/tf", RELIABLE),
     )
     for received in here:
-        eventually(
-            lambda: all(len(numbers(received, name)) > 50 for name in ("odom", "arm", "slam")),  # noqa: B023 - called now
-            timeout_s=30,
-        )
-        assert all(is_whole(received, name) for name in ("odom", "arm", "slam"))
+        for name in ("odom", "arm", "slam"):
+            eventually(f"{name} is heard", lambda heard=received, name=name: len(numbers(heard, name)) > 50)
+            assert is_whole(received, name)
 
 
-def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(world, talking, eventually):
+def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(ends, talking, eventually):
     """A reliable reader hears the reliable writer only, a best-effort one both, as on the robot."""
-    ends = world().start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     strict, loose = listen(ceddp.node("strict"), "/mixed"), listen(ceddp.node("loose"), "/mixed", BEST_EFFORT)
     talking(
-        Counter(robot.node("sure"), String, "/mixed", 100),
+        Counter(robot.node("sure"), String, "/mixed", RELIABLE),
         Counter(robot.node("maybe"), String, "/mixed", BEST_EFFORT),
     )
-    eventually(lambda: len(numbers(loose, "sure")) > 30 and len(numbers(loose, "maybe")) > 30, timeout_s=30)
-    eventually(lambda: len(numbers(strict, "sure")) > 30)
+    for received, name in ((loose, "sure"), (loose, "maybe"), (strict, "sure")):
+        eventually(f"{name} is heard", lambda heard=received, name=name: len(numbers(heard, name)) > 30)
     assert is_whole(strict, "sure")
     assert not numbers(strict, "maybe")
 
 
-def test_a_reader_that_no_writer_suits_moves_nothing(world, talking, eventually):
-    """A reader with incompatible QoS alone does not make its topic cross; a compatible one that joins does."""
-    ends = world().start()
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
-    writer = Counter(robot.node("maybe"), String, "/loose", BEST_EFFORT)
-    talking(writer)
-    deaf = listen(ceddp.node("strict"), "/loose", RELIABLE)
-    far = ceddp.node("far")
-    eventually(lambda: far.count_publishers("/loose") == 1, timeout_s=30)
-    time.sleep(1.0)
-    assert writer.publisher.get_subscription_count() == 0
-    heard = listen(far, "/loose", BEST_EFFORT)
-    eventually(lambda: len(heard) > 20)
-    assert not deaf
+def test_types_that_differ_between_the_sides_are_named(ends, eventually):
+    """A topic that has another type on the far side is named with both types."""
+    ends.side("robot").node("sensor").create_publisher(String, "/two_types", 10)
+    listen(ends.side("ceddp").node("planner"), "/two_types", msg_type=Float64)
+    words = "two types of /two_types: it is std_msgs/msg/String there and std_msgs/msg/Float64 here"
+    eventually("both types are named", lambda: words in ends.status["ceddp"])
 
 
 def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventually):
@@ -198,14 +217,14 @@ def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventual
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
-    talking(Counter(robot.node("sensor"), String, "/chatter", 10))
+    talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
     planner = ceddp.node("planner")
     maps, received = listen(planner, "/map", latched(10)), listen(planner, "/chatter")
-    eventually(lambda: maps and len(received) > 20, timeout_s=30)
+    eventually("the map and samples arrive", lambda: maps and len(received) > 20)
     ends.end("robot")
     before = len(received)
     ends.start("robot")
-    eventually(lambda: len(received) > before + 50, timeout_s=30)
+    eventually("samples go on", lambda: len(received) > before + 50)
     found = numbers(received, "sensor")
     assert found == sorted(set(found))
     assert maps == ["map_server 0"]
@@ -217,50 +236,57 @@ def test_a_killed_far_end_returns(world, talking, eventually):
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
-    talking(Counter(robot.node("sensor"), String, "/chatter", 1000), every_s=0.002)
+    talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
     received = listen(ceddp.node("planner"), "/chatter")
-    eventually(lambda: len(received) > 20, timeout_s=30)
+    eventually("samples arrive", lambda: len(received) > 20)
     ends.end("ceddp")
     before = len(received)
     ends.start("ceddp")
-    eventually(lambda: len(received) > before + 1500, timeout_s=30)  # 3 s: the robot's end has taken note by then
+    eventually("samples go on", lambda: len(received) > before + 300)  # the robot's end has taken note by then
     assert is_whole(received[before:], "sensor")
     found = numbers(received, "sensor")
     assert found == sorted(set(found))
     maps = listen(ceddp.node("late"), "/map", latched(10))
-    eventually(lambda: maps == ["map_server 0"])
+    eventually("a late reader gets the map", lambda: maps == ["map_server 0"])
 
 
 def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually):
     """A reader on the link of a process that was killed matches for some seconds; no history is read for it alone."""
     ends = world().start("robot")
-    still = Counter(ends.side("robot").node("map_server"), String, "/map", latched(1))
+    node = ends.side("robot").node("map_server")
+    still, other = Counter(node, String, "/map", latched(1)), Counter(node, String, "/other", RELIABLE)
     still.publish()
     dead, living = ends.link_side().node("dead"), ends.link_side().node("living")
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
+    heard = listen(living, "/other", RELIABLE, UInt8MultiArray)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
-    state = EndState(session="0" * 16, number=1, wants=frozenset({"/map"}), link_gids=own_participant(living).hex())
+    wants = frozenset({"/map", "/other"})
+    state = EndState(session="0" * 16, number=1, wants=wants, link_gids=own_participant(living).hex())
     states.publish(wrap(encode_state(state)))
-    eventually(lambda: dead.count_publishers("/map") == 1, timeout_s=30)
-    for _ in range(5):
+
+    def lives(condition):
         signs.publish(wrap(b"0" * 16))
-        time.sleep(0.4)
-        assert still.publisher.get_subscription_count() == 0
+        other.publish()
+        return condition()
+
+    eventually("the end writes the topic", lambda: lives(lambda: dead.count_publishers("/map") == 1))
+    eventually("what the living process reads crosses", lambda: lives(lambda: heard))
+    assert still.publisher.get_subscription_count() == 0
     received = listen(living, "/map", RELIABLE, UInt8MultiArray)
-    eventually(lambda: len(received) == 1)
+    eventually("the living reader gets the map", lambda: lives(lambda: len(received) == 1))
 
 
 def test_without_its_other_end_an_end_waits(world, eventually):
     """An end whose other end is missing says so and carries nothing; it says so again when that one leaves for good."""
     ends = world().start("robot")
     writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
-    eventually(lambda: "waiting for the CEDDP's end; 1 topics" in ends.status["robot"], timeout_s=30)
+    eventually("the end waits", lambda: "waiting for the CEDDP's end; 1 topics" in ends.status["robot"])
     assert writer.publisher.get_subscription_count() == 0
     ends.start("ceddp")
-    eventually(lambda: "0 of 1 topics cross to the CEDDP" in ends.status["robot"], timeout_s=30)
+    eventually("the ends meet", lambda: "0 of 1 topics cross to the CEDDP" in ends.status["robot"])
     ends.end("ceddp")
-    eventually(lambda: "the CEDDP's end is silent" in ends.status["robot"], timeout_s=30)
+    eventually("the silent end is named", lambda: "the CEDDP's end is silent" in ends.status["robot"])
 
 
 def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
@@ -270,33 +296,21 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
-    eventually(lambda: "it speaks version 9 (arpd 9.9), this end version 1" in ends.status["robot"], timeout_s=30)
+    words = "it speaks version 9 (arpd 9.9), this end version 1"
+    eventually("both versions are named", lambda: words in ends.status["robot"])
 
 
 def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventually):
     """Where both ends see each other in one domain, both say so, and a reader hears the writer itself, once."""
     ends = world(domains=(ROBOT, ROBOT)).start()
     robot = ends.side("robot")
-    talking(Counter(robot.node("sensor"), String, "/chatter", 10))
+    talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
     received = listen(robot.node("planner"), "/chatter")
     for end in ("robot", "ceddp"):
-        eventually(lambda: "both ends are in one ROS domain" in ends.status[end], timeout_s=30)  # noqa: B023 - called now
-    time.sleep(1.0)
-    before = len(received)
-    eventually(lambda: len(received) > before + 50)
+        eventually(f"the {end} end says so", lambda end=end: "both ends are in one ROS domain" in ends.status[end])
+    before = len(received) + 50  # what was under way has arrived
+    eventually("samples go on", lambda: len(received) > before + 50)
     assert is_whole(received[before:], "sensor")
-
-
-def test_a_second_far_end_is_ignored_and_named(world, talking, eventually, tmp_path):
-    """Of two ends on the far side the first one stays in force, and the robot's end names the other one's host."""
-    ends = world().start()
-    eventually(lambda: "topics cross" in ends.status["robot"], timeout_s=30)
-    first = ends.processes["ceddp"]
-    ends.start("ceddp")
-    eventually(lambda: "ignored another CEDDP's end on" in ends.status["robot"], timeout_s=30)
-    first.kill()
-    first.wait()
-    eventually(lambda: "ignored" not in ends.status["robot"], timeout_s=30)
 
 
 def test_only_what_the_configuration_lets_out_crosses(world, eventually):
@@ -310,45 +324,17 @@ def test_only_what_the_configuration_lets_out_crosses(world, eventually):
     goals = listen(robot.node("base"), "/goal")
     goal = Counter(far, String, "/r1/goal", 10)
     far.create_publisher(String, "/goal", 10)
-    eventually(lambda: "/r1/camera/image" in dict(far.get_topic_names_and_types()), timeout_s=30)
-    eventually(lambda: goal.publisher.get_subscription_count() == 1, timeout_s=30)
+    eventually("the image shows", lambda: "/r1/camera/image" in dict(far.get_topic_names_and_types()))
+    eventually("the goal is wanted", lambda: goal.publisher.get_subscription_count() == 1)
     goal.publish()
-    eventually(lambda: goals == ["planner 0"])
+    eventually("the goal arrives", lambda: goals == ["planner 0"])
+    eventually("the camera shows", lambda: ("camera", "/r1") in far.get_node_names_and_namespaces())
     topics = dict(far.get_topic_names_and_types())
     assert not {"/r1/camera/raw", "/r1/secret", "/camera/image"} & topics.keys()
-    assert ("camera", "/r1") in far.get_node_names_and_namespaces()
-
-
-def test_types_that_differ_between_the_sides_are_named(world, eventually):
-    """A topic that has another type on the far side is named with both types."""
-    ends = world().start()
-    ends.side("robot").node("sensor").create_publisher(String, "/chatter", 10)
-    listen(ends.side("ceddp").node("planner"), "/chatter", msg_type=Float64)
-    words = "two types of /chatter: it is std_msgs/msg/String there and std_msgs/msg/Float64 here"
-    eventually(lambda: words in ends.status["ceddp"], timeout_s=30)
-
-
-def test_two_hundred_topics_are_wanted_at_once(world, background, eventually):
-    """When a reader of 200 topics comes, each of them arrives."""
-    ends = world().start()
-    robot = ends.side("robot").node("robot")
-    writers = [Counter(robot, String, f"/many/t{k}", 10) for k in range(200)]
-    far = ends.side("ceddp").node("rviz")
-    eventually(lambda: far.count_publishers("/many/t199") == 1, timeout_s=60)
-    received = {topic: listen(far, f"/many/t{topic}") for topic in range(200)}
-
-    def talk(stopping):
-        while not stopping.is_set():
-            for writer in writers:
-                writer.publish()
-            stopping.wait(0.5)
-
-    background(talk)
-    eventually(lambda: all(received.values()), timeout_s=90)
 
 
 def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):
-    """Thinned to a low rate, a group delivers only whole sets: the same stamps on all its topics."""
+    """Thinned to two sets a second, a group delivers only whole sets: the same stamps on all its topics."""
     topics = ("/left/image", "/left/camera_info", "/right/image")
     ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}], by: stamp}}]").start()
     camera, far = ends.side("robot").node("camera"), ends.side("ceddp").node("planner")
@@ -370,19 +356,18 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
                 return
 
     background(shoot)
-    eventually(lambda: len(stamps[topics[0]]) > 50, timeout_s=30)
+    eventually("sets arrive", lambda: len(stamps[topics[0]]) > 50)
     relay = ends.link_side().node("tuner")
     service = f"/{default_node_name(platform.node())}/set_parameters_atomically"
     client = relay.create_client(SetParametersAtomically, service)
-    assert client.wait_for_service(10)
-    rate = Parameter("arpd./stereo.publisher.rate", value=10.0).to_parameter_msg()
+    eventually("the relay takes parameters", client.service_is_ready)
+    rate = Parameter("arpd./stereo.publisher.rate", value=2.0).to_parameter_msg()
     request = client.call_async(SetParametersAtomically.Request(parameters=[rate]))
-    eventually(request.done)
+    eventually("the rate is set", request.done)
     assert request.result().result.successful, request.result()
-    time.sleep(0.5)
-    before = len(stamps[topics[0]])
-    time.sleep(2.0)
-    assert len(stamps[topics[0]]) - before < 60, "the group is thinned"
+    first = stamps[topics[0]]
+    # Two sets a second are fewer than the camera takes on any machine.
+    eventually("the group is thinned", lambda: len(first) > 5 and first[-1] - first[-5] > 8)
     common = min(map(len, stamps.values()))
     assert stamps[topics[0]][:common] == stamps[topics[1]][:common] == stamps[topics[2]][:common]
     assert all(number % 7 for number in stamps[topics[0]])
@@ -409,28 +394,28 @@ def test_services_and_actions_are_called_across_the_link(world, eventually):
     action_server = ActionServer(server, Fibonacci, "/count", count)
     for node, name in ((planner, "/add"), (server, "/far/add")):
         client = node.create_client(BasicTypes, name)
-        assert client.wait_for_service(30)
-        answers = [
-            client.call_async(BasicTypes.Request(uint64_value=number)) for number in range(10)
-        ]  # a client keeps ten
-        eventually(lambda: all(answer.done() for answer in answers))  # noqa: B023 - called now
+        eventually("the service crosses", client.service_is_ready)
+        # A client keeps ten.
+        answers = [client.call_async(BasicTypes.Request(uint64_value=number)) for number in range(10)]
+        eventually("the calls are answered", lambda answers=answers: all(answer.done() for answer in answers))
         assert [answer.result().uint64_value for answer in answers] == list(range(1, 11))
     action = ActionClient(planner, Fibonacci, "/count")
-    assert action.wait_for_server(30)
-    eventually(lambda: server.count_subscribers("/count/_action/feedback") == 1)  # feedback crosses on demand
+    eventually("the action crosses", action.server_is_ready)
+    eventually("its feedback is wanted", lambda: server.count_subscribers("/count/_action/feedback") == 1)
     feedback = []
     goal = action.send_goal_async(
         Fibonacci.Goal(order=5), feedback_callback=lambda message: feedback.append(list(message.feedback.sequence))
     )
-    eventually(goal.done)
+    eventually("the goal is taken", goal.done)
     assert goal.result().accepted
     result = goal.result().get_result_async()
-    eventually(result.done)
+    eventually("the result arrives", result.done)
     assert list(result.result().result.sequence) == [0, 1, 2, 3, 4]
-    eventually(lambda: [4] in feedback)
+    eventually("feedback arrives", lambda: [4] in feedback)
     action_server.destroy()
     ends.end("robot")
-    eventually(lambda: not planner.create_client(BasicTypes, "/add").service_is_ready())
+    client = planner.create_client(BasicTypes, "/add")
+    eventually("the service goes with the other end", lambda: not client.service_is_ready())
 
 
 def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually):
@@ -444,43 +429,22 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
     def seen():
         return daemon.observe(time.monotonic())
 
-    eventually(lambda: seen().relay is not None and seen().relay.to_ceddp.wanted == 1, timeout_s=30)
-    relay = seen().relay
+    def shows(condition):
+        return (relay := seen().relay) is not None and condition(relay) and relay
+
+    relay = eventually("the daemon sees what crosses", lambda: shows(lambda relay: relay.to_ceddp.wanted == 1))
     assert (relay.is_reachable, relay.other_host, relay.fault) == (True, platform.node(), "")
     assert (relay.to_ceddp.offered, relay.to_robot.offered, relay.to_ceddp.refused) == (1, 0, {})
-    assert node.count_publishers("/arpd/relay/summary") == 1
-    assert node.count_subscribers("/arpd/relay/summary") == 1
+    eventually("one end alone tells it", lambda: node.count_publishers("/arpd/relay/summary") == 1)
     ends.end("ceddp")
-    eventually(lambda: seen().relay is not None and not seen().relay.is_reachable)
+    eventually("the daemon sees who is silent", lambda: shows(lambda relay: not relay.is_reachable))
     liar = node.create_publisher(UInt8MultiArray, "/arpd/relay/summary", BEST_EFFORT)
 
     def is_refused():
         liar.publish(UInt8MultiArray(data=b"{}"))
         return seen().taken.refused.get((MessageKind.RELAY_SUMMARIES, MessageRefusal.MALFORMED))
 
-    eventually(is_refused)
+    eventually("a false summary is refused", is_refused)
     ends.end("robot")
-    eventually(lambda: seen().is_relay_silent)
+    eventually("the daemon sees that the relay ended", lambda: seen().is_relay_silent)
     assert seen().relay is None
-
-
-def test_a_restarted_far_end_serves_at_once(world, eventually):
-    """Calls work again soon after a kill -9 of the far end, although its ghosts stay in the graph for a while."""
-    ends = world("services: [/add]").start()
-    server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
-    server.create_service(BasicTypes, "/add", lambda request, response: response)
-    client = planner.create_client(BasicTypes, "/add")
-    assert client.wait_for_service(30)
-    for _ in range(2):
-        ends.end("ceddp")
-        ends.start("ceddp")
-        eventually(lambda: "0 of 0 topics cross to the robot" in ends.status["ceddp"], timeout_s=30)
-
-        def is_answered():
-            call = client.call_async(BasicTypes.Request())
-            until_s = time.monotonic() + 2.0
-            while not call.done() and time.monotonic() < until_s:
-                time.sleep(0.02)
-            return call.done()
-
-        eventually(is_answered, timeout_s=15)

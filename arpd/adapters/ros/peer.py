@@ -77,6 +77,7 @@ class Peer:
             take=self._on_probe,
             refuse=lambda: log.debug("ignored a message that is longer than any probe"),
             calm_hz=_MOST_PROBES_HZ,
+            clock=clock,
         )
         # Steady time, so that reports continue when this host's clock is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)

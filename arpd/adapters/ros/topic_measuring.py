@@ -64,6 +64,7 @@ def list_topics(
     on_progress: Callable[[float, str], None] = lambda _elapsed_s, _what: None,
     is_here: Callable[[bytes], bool] | None = None,
     clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> TopicList:
     """Find the topics of the graph, and measure those of this host.
 
@@ -75,8 +76,10 @@ def list_topics(
     is_of_interest : returns whether to list a topic, by its name
     on_progress : called with the time of the measurement that has passed (s), and what happens
     is_here : returns whether a process is on this host, by the first bytes of its GUIDs; by default Fast DDS tells
+    clock : monotonic clock (s)
+    sleep : waits for the given time (s)
     """
-    survey = _Survey(node, prefix=prefix, is_of_interest=is_of_interest, is_here=is_here, clock=clock)
+    survey = _Survey(node, prefix=prefix, is_of_interest=is_of_interest, is_here=is_here, clock=clock, sleep=sleep)
     try:
         survey.discover(on_progress)
         survey.measure(seconds, on_progress)
@@ -98,11 +101,13 @@ class _Survey:
         is_of_interest: Callable[[str], bool],
         is_here: Callable[[bytes], bool] | None,
         clock: Callable[[], float],
+        sleep: Callable[[float], None],
     ) -> None:
         self._node = node
         self._prefix = prefix
         self._is_of_interest = is_of_interest
         self._clock = clock
+        self._sleep = sleep
         self._own = own_participant(node)
         self._rmw = current_rmw()
         self.blind = "" if is_here is not None else cannot_tell_hosts(self._rmw)
@@ -123,7 +128,7 @@ class _Survey:
             if self._look():
                 changed_s = self._clock()
             # A large graph takes long to read, and the robot's nodes need the processor, too.
-            time.sleep(max(_LOOK_S, _REST * (self._clock() - now_s)))
+            self._sleep(max(_LOOK_S, _REST * (self._clock() - now_s)))
 
     def measure(self, seconds: float, on_progress: Callable[[float, str], None]) -> None:
         """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
@@ -141,7 +146,7 @@ class _Survey:
                 self._begin_all()
                 now_s = self._clock()
                 look_s = now_s + max(_LOOK_AGAIN_S, _REST * (now_s - looking_s))
-            time.sleep(min(_TURN_S, seconds - elapsed_s))
+            self._sleep(min(_TURN_S, seconds - elapsed_s))
         for each in self._measured.values():
             self._end(each)
 

@@ -2,7 +2,6 @@
 
 import math
 import random
-import struct
 from dataclasses import replace
 
 import pytest
@@ -39,14 +38,9 @@ def test_a_report_of_the_version_before_is_understood():
     message = bytes(encode_report(REPORT).data)
     older = b"\x02" + message[1:20] + message[24:]
     assert decode_report(older, received_at_s=12.5) == replace(REPORT, probe_packets=None)
-    for size in (0, 1, 19, 20, 23, len(older) - 1):
+    for broken in (b"\x01" + older[1:], *(older[:size] for size in (0, 1, 19, 20, 23, len(older) - 1))):
         with pytest.raises(ValueError, match="peer report"):
-            decode_report(older[:size], received_at_s=0.0)
-
-
-def test_a_count_of_packets_goes_round():
-    """Packets are counted modulo 2^32."""
-    assert decode(encode_report(replace(REPORT, probe_packets=2**32 + 5))).probe_packets == 5
+            decode_report(broken, received_at_s=0.0)
 
 
 def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
@@ -54,67 +48,6 @@ def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
     reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
     early, late = (decode(encode_report(report)).delays_s[0] for report in reports)
     assert late - early == pytest.approx(1e-5, abs=1e-6)
-
-
-@pytest.mark.parametrize(("name", "size"), [("ceddp", 37), ("x", 33), ("ceddp-3f2a", 42)])
-def test_a_report_is_as_short_as_its_name(name, size):
-    """With one delay a report has 32 bytes and the name; ten a second and a train are far below 1 kB/s."""
-    report = replace(REPORT, peer=name, delays_s=(0.1,), trains=())
-    assert len(encode_report(report).data) == size
-    assert 10 * size + 14 < 1000
-
-
-def test_a_long_name_is_cut_between_characters():
-    """A name is cut to 64 bytes, between two characters."""
-    decoded = decode(encode_report(replace(REPORT, peer="x" + "é" * 40)))
-    assert decoded.peer == "x" + "é" * 31
-
-
-def test_more_than_a_report_holds_is_cut_to_the_newest():
-    """Of a hundred delays and trains the last 32 are sent; counts beyond 32 bits are clipped."""
-    delays = tuple(float(i) for i in range(100))
-    report = replace(REPORT, delays_s=delays, trains=REPORT.trains * 100, rx_bytes=10**12)
-    decoded = decode(encode_report(report))
-    assert decoded.delays_s == delays[-32:]
-    assert (len(decoded.trains), decoded.rx_bytes) == (32, 2**32 - 1)
-
-
-def test_a_train_of_nothing_is_left_out():
-    """A train without time, bytes or packets has no rate."""
-    (whole,) = REPORT.trains
-    empty = (replace(whole, duration_s=0.0), replace(whole, payload_bytes=0), replace(whole, packets=0))
-    assert decode(encode_report(replace(REPORT, trains=(*empty, whole)))).trains == (whole,)
-
-
-def test_a_report_of_another_version_is_refused():
-    """Version 1, which had no departures, is refused."""
-    message = encode_report(REPORT)
-    message.data[0] = 1
-    with pytest.raises(ValueError, match="version"):
-        decode(message)
-
-
-@pytest.mark.parametrize(
-    "broken",
-    [
-        {"interval_s": 0.0},
-        {"interval_s": 60.0},
-        {"delays_s": (math.nan,)},
-        {"delays_s": (1e300,)},
-        {"delays_s": (-1e11,)},
-        {"trains": (replace(REPORT.trains[0], packets=5000),)},
-        {"trains": (replace(REPORT.trains[0], payload_bytes=10**9),)},
-        {"trains": (replace(REPORT.trains[0], duration_s=1e30),)},
-        {"peer": "ceddp\x1b[2J"},
-        {"trains": (replace(REPORT.trains[0], duration_s=math.inf),)},
-        {"trains": (replace(REPORT.trains[0], sent_s=-1.0),)},
-        {"peer": ""},
-    ],
-)
-def test_impossible_numbers_are_refused(broken):
-    """Values that no peer can have measured are refused."""
-    with pytest.raises(ValueError, match="impossible"):
-        decode(encode_report(replace(REPORT, **broken)))
 
 
 def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
@@ -140,19 +73,3 @@ def test_a_probe_says_its_place():
     message = encode_probe(header, payload_bytes=1300)
     assert len(message.data) == 1300
     assert decode_probe(bytes(message.data)) == replace(header, train=7)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"\x01",
-        struct.pack("<BxHHI", 2, 0, 1, 1),
-        struct.pack("<BxHHI", 1, 5, 5, 1),
-        struct.pack("<BxHHI", 1, 5, 60000, 1),
-    ],
-)
-def test_what_is_no_probe_is_refused(data):
-    """A probe that is too short, of another version, or outside its own train is refused."""
-    with pytest.raises(ValueError, match="probe"):
-        decode_probe(data)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.adapters.ros.profile import missing_in_profile, profile_line
+from arpd.adapters.ros.profile import missing_in_profile
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES, TWO_ENDED_PROFILE, prepare_environment
 
 
@@ -75,12 +75,6 @@ def test_a_profile_of_the_users_own_is_judged_by_its_settings(period, size, miss
     assert found == (f"{path} sets {missing}" if missing else "")
 
 
-def test_a_profile_in_the_working_directory_counts(tmp_path):
-    """Fast DDS reads it without a variable."""
-    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_bytes(FASTDDS_PROFILE.read_bytes())
-    assert missing_in_profile({}, folder=tmp_path) == ""
-
-
 @pytest.mark.parametrize(
     "content",
     [None, "<dds><profiles>", '<?xml version="1.0" encoding="klingon"?><dds/>', ""],
@@ -92,16 +86,3 @@ def test_a_profile_that_cannot_be_read_is_named(content, tmp_path):
     if content is not None:
         path.write_text(content)
     assert missing_in_profile({PROFILE_VARIABLES[1]: str(path)}, folder=tmp_path) == f"{path} cannot be read"
-
-
-def test_without_any_profile_the_variable_is_named(tmp_path):
-    """An empty variable is none."""
-    assert PROFILE_VARIABLES[0] in missing_in_profile({PROFILE_VARIABLES[0]: ""}, folder=tmp_path)
-
-
-def test_the_line_names_the_stable_path_or_the_file_beside_the_module(tmp_path):
-    """Where nothing is installed, the file of the checkout or of the workspace serves."""
-    installed = tmp_path / "fastdds.xml"
-    assert profile_line(installed) == f"export FASTRTPS_DEFAULT_PROFILES_FILE={FASTDDS_PROFILE}"
-    installed.touch()
-    assert profile_line(installed) == f"export FASTRTPS_DEFAULT_PROFILES_FILE={installed}"

@@ -1,18 +1,14 @@
 """Abilities of a middleware, by its name."""
 
 from contextlib import nullcontext
-from dataclasses import replace
 
 import pytest
-from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.adapters.http.metrics import SnapshotCollector
 from arpd.adapters.ros.crossing import Crossing, Endpoint, crossing_without_hosts
 from arpd.adapters.ros.ends.run import check_middleware, profile_variables
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 from arpd.model.endpoints import Direction
 from arpd.model.errors import RosUnavailableError
-from arpd.report.status import status_document
 
 MS = 1_000_000
 
@@ -69,43 +65,3 @@ def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
         writers=frozenset({""}),
     )
     assert crossing.tightest_request_ns() == 5 * MS
-
-
-@pytest.mark.parametrize(("writers", "readers"), [((b"a",), (b"a",)), ((b"a",), ()), ((), (b"b",))])
-def test_without_hosts_one_process_is_local(writers, readers):
-    """A topic within one process, or with one side only, does not cross."""
-    crossing = crossing_without_hosts(writers=map(endpoint, writers), readers=map(endpoint, readers))
-    assert (crossing.direction, crossing.remote_readers, crossing.tightest_request_ns()) == (Direction.LOCAL, 0, 0)
-
-
-def test_the_readers_that_arpd_drives_bind_nobody():
-    """The tightest request leaves out the named nodes, and `requests_of` returns those of one node."""
-    readers = [
-        Endpoint(host=b"", participant=b"b", deadline_ns=ns, node=node) for node, ns in (("/a", 5 * MS), ("/b", 7 * MS))
-    ]
-    crossing = crossing_without_hosts(writers=[endpoint(b"a")], readers=readers)
-    assert (crossing.tightest_request_ns(), crossing.tightest_request_ns(besides={"/a"})) == (5 * MS, 7 * MS)
-    assert (crossing.requests_of("/b"), crossing.requests_of("/c")) == ((7 * MS,), ())
-
-
-def exposition(snapshot):
-    registry = CollectorRegistry()
-    registry.register(SnapshotCollector(lambda: snapshot, clock=lambda: snapshot.finished_at_s))
-    return generate_latest(registry).decode()
-
-
-def test_status_and_metrics_say_that_swaps_are_off(sample_snapshot):
-    """Status and metrics name an unsupported middleware, the status with the reason."""
-    sample = sample_snapshot
-    rmw = rmw_of("rmw_cyclonedds_cpp")
-    snapshot = replace(sample, observation=replace(sample.observation, rmw=rmw.name, rmw_refusal=rmw.refusal))
-    assert status_document(snapshot)["rmw"] == {"name": rmw.name, "swaps": False, "refusal": rmw.refusal}
-    assert 'arpd_rmw_info{rmw="rmw_cyclonedds_cpp",swaps="no"} 1.0' in exposition(snapshot)
-
-
-def test_a_world_without_ros_names_no_middleware(sample_snapshot):
-    """A simulated world shows no middleware."""
-    sample = sample_snapshot
-    snapshot = replace(sample, observation=replace(sample.observation, rmw=""))
-    assert status_document(snapshot)["rmw"] is None
-    assert "arpd_rmw" not in exposition(snapshot)

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import threading
-import time
 
 import pytest
 from hypothesis import given
@@ -47,15 +45,6 @@ def test_only_those_that_are_due_are_taken(events):
             due_s = {name: at_s for name, at_s in due_s.items() if event < at_s < math.inf}
 
 
-@given(st.permutations(sorted(SIZES)))
-def test_the_smallest_comes_first(names):
-    """Those that are due at the same time are taken by size, in whatever order they were woken."""
-    wakeups: Wakeups[str] = Wakeups(SIZES.__getitem__)
-    for name in names:
-        wakeups.wake(name)
-    assert taken(wakeups, 0.0) == ["b", "a", "c", "d"]
-
-
 def test_one_that_becomes_due_meanwhile_comes_before_larger_ones(wakeups):
     """Between two large ones a small one is found and taken."""
     wakeups.wake("c")
@@ -94,48 +83,3 @@ def test_one_that_is_woken_while_it_is_served_is_due_again(wakeups):
     wakeups.set("a", 100.0)
     wakeups.wait(0.0)
     assert taken(wakeups, 0.0) == ["a"]
-
-
-def test_no_wake_is_lost_among_threads():
-    """When many threads wake at once, each woken one is taken after its last wake."""
-    wakeups: Wakeups[int] = Wakeups(float)
-    asked = dict.fromkeys(range(8), 0)
-    seen: dict[int, int] = {}
-
-    def ask(name):
-        for _ in range(2000):
-            asked[name] += 1
-            wakeups.wake(name)
-
-    threads = [threading.Thread(target=ask, args=(name,)) for name in asked]
-    for thread in threads:
-        thread.start()
-    until_s = time.monotonic() + 20
-    while seen != dict.fromkeys(asked, 2000) and time.monotonic() < until_s:
-        wakeups.wait(1.0)
-        for name in taken(wakeups, 0.0):
-            seen[name] = asked[name]
-    assert seen == dict.fromkeys(asked, 2000)
-
-
-def test_waiting_ends_when_told(wakeups):
-    """`end` lets a wait return at once, with none due."""
-    waiter = threading.Thread(target=wakeups.wait, args=(1000.0,), daemon=True)
-    waiter.start()
-    wakeups.end()
-    waiter.join(timeout=20)
-    assert not waiter.is_alive()
-    assert taken(wakeups, math.inf) == []
-
-
-def test_times_that_no_longer_count_are_forgotten(wakeups):
-    """One that is woken again and again, long before its time, takes no more memory."""
-    for step in range(10_000):
-        wakeups.wake("a")
-        assert taken(wakeups, float(step)) == ["a"]
-        wakeups.set("a", 1e9)
-        wakeups.set("b", 1e9)
-    assert len(wakeups._by_time) < 300
-    assert len(wakeups._by_size) == 0
-    assert wakeups.next_s() == 1e9
-    assert sorted(taken(wakeups, 1e9)) == ["a", "b"]

@@ -1,0 +1,26 @@
+"""A clock that tests put forward, so that what takes seconds need not be waited for."""
+
+import time
+
+from arpd.adapters.ros.attached import attached
+from arpd.adapters.ros.node_publishers import NodePublishers
+from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
+
+
+class SkippingClock:
+    """The time of this computer, and what was skipped."""
+
+    def __init__(self):
+        self._skipped_s = 0.0
+
+    def __call__(self):
+        return time.monotonic() + self._skipped_s
+
+    def skip(self, seconds):
+        self._skipped_s += seconds
+
+    def rule(self, node):
+        """Let what arpd makes for the endpoints of a new node use this clock."""
+        for kind in (NodePublishers, NodeSubscriptions):
+            attached(node, kind, lambda kind=kind: kind(node, clock=self))
+        return node
