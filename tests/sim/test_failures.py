@@ -7,14 +7,11 @@ from dataclasses import replace
 import pytest
 
 from arpd.adapters.sim import world
-from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule
-from arpd.daemon import plant
-from arpd.govern.classes import class_of_deadline
+from arpd.daemon import scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.model.settings import OnLost, ProgramSettings, Settings, TopicSettings
 from tests.sim.watched import watch
 
@@ -49,39 +46,6 @@ SLACK = Settings(program=ProgramSettings(deadline_slack=3.0))  # changes QoS of 
 
 
 # -- reload
-
-
-def test_a_reload_during_a_swap_wins():
-    """The last of several reloads is in force in the end, and no sample is lost."""
-    played = play(do={14.0: reload(SLACK), 15.0: reload(Settings()), 16.0: reload(SLACK)})
-    assert played.plans(14.0, LASTS_S) == ["reload", "reload", "reload"]
-    assert settled(played)
-    assert lost(played) == 0
-    assert played.ticks[-1].decision.plan.topics["/odom"].deadline_ns == class_of_deadline(
-        3 * NANOSECONDS_PER_SECOND // 20
-    )
-
-
-def test_a_reload_in_an_outage_is_planned_for_when_the_link_is_back():
-    """The settings are in force at once; the plan waits until the link is back."""
-    played = play(do={13.0: reload(SLACK)}, model=LinkModel(outages=((10.0, 16.0),)))
-    assert played.plans(10.0, 16.0) == []
-    assert played.daemon.settings == SLACK
-    assert played.plans(16.0, LASTS_S)[:1] == ["reload"]
-    assert settled(played)
-
-
-def test_a_reload_while_standing_by_is_in_force_when_it_is_called_to_drive():
-    """A daemon makes no plan while another one drives, and then one plan with the new settings."""
-    played = play(
-        do={10.0: reload(SLACK)},
-        see=lambda t_s, seen: (
-            replace(seen, active_daemon="robot-2", other_daemons=("robot-2",)) if 6.0 <= t_s < 14.0 else seen
-        ),
-    )
-    assert played.plans(6.0, 14.0) == []
-    assert played.plans(14.0, LASTS_S) == ["start"]
-    assert settled(played)
 
 
 def test_a_lease_comes_and_goes_without_a_swap():
@@ -170,46 +134,13 @@ def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(others_hz,
     assert settled(played)
 
 
-@pytest.mark.parametrize(("trickle_kbit", "is_followed"), [(16, False), (24, False), (100, True)])
-def test_a_trickle_is_an_outage_and_a_slow_link_is_followed(trickle_kbit, is_followed):
-    """A silent peer and a trickle of frames are an outage; on a slow link in use the estimate follows the rate."""
-    rate = trickle_kbit * 1e3 / 8
-    frame, begin_s, end_s = 1514, 10.0, 26.0
-    first = []
-
-    def see(t_s, seen):
-        if not begin_s <= t_s < end_s:
-            return seen
-        first.append(seen.counters)
-        frames = int(rate * (t_s - begin_s) / frame)
-        counters = replace(
-            first[0],
-            rx_packets=first[0].rx_packets + 6 * frames,
-            tx_bytes=first[0].tx_bytes + frame * frames,
-            backlog_bytes=150_000,
-        )
-        return replace(seen, reports=(), counters=counters)
-
-    played = play(see=see, duration_s=36.0)
-    last = played.between(begin_s, end_s)[-1]
-    assert (last.snapshot.link.state is LinkState.OUTAGE) is not is_followed
-    assert ("down" in played.plans(begin_s, end_s)) is is_followed
-    if is_followed:
-        # A frame takes 0.12 s, so the capacity is known only roughly.
-        assert last.snapshot.link.capacity_bytes_per_second == pytest.approx(rate, rel=0.3)
-        assert last.snapshot.allocation.capacity_bytes_per_second < rate
-    else:
-        assert played.plans(begin_s, 36.0) == []
-    assert settled(played)
-
-
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
 def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(monkeypatch, step_s):
     """A step of the peer's or of this host's clock slows no topic, and makes no queue, outage or plan."""
 
     def step(_daemon):
         monkeypatch.setattr(world, "_PEER_CLOCK_S", world._PEER_CLOCK_S + step_s)
-        monkeypatch.setattr(plant, "_UNIX_S", plant._UNIX_S - step_s)
+        monkeypatch.setattr(scenario, "_UNIX_S", scenario._UNIX_S - step_s)
 
     undisturbed, played = (play(do=do, duration_s=20.0).between(10.0, 20.0) for do in ({}, {10.0: step}))
     assert played[-1].snapshot.unix_time_s == pytest.approx(undisturbed[-1].snapshot.unix_time_s - step_s, abs=1.0)
@@ -265,15 +196,6 @@ def test_depths_fall_as_soon_as_memory_does():
     rates = [{name: row.rate_hz for name, row in made.plan.topics.items()} for made in (before, asked.decision)]
     assert rates[0] == rates[1]  # the link has not changed
     assert lost(played) == 0
-
-
-def test_memory_that_falls_slowly_is_followed_in_steps():
-    """Slowly falling memory makes at most twelve plans."""
-    played = play(settings=DEEP, see=memory(lambda t_s: RESERVE + MIB * max(1.0, 20.0 - t_s)), duration_s=26.0)
-    made, last = played.plans(12.0, 26.0), played.ticks[-1].snapshot
-    assert set(made) == {"memory"}
-    assert len(made) <= 12
-    assert planned_bytes(last.decision, last.observation.publishers) <= 1.12 * MIB
 
 
 def test_memory_that_swings_is_not_followed_upwards():

@@ -6,8 +6,6 @@ from dataclasses import replace
 from functools import cache
 from random import Random
 
-import pytest
-
 from arpd.adapters.sim.link import LinkModel
 from arpd.adapters.sim.robot import SimTopic
 from arpd.adapters.sim.schedule import RateSchedule, RateStep
@@ -72,22 +70,6 @@ def test_small_topics_of_weight_keep_their_rates_through_a_fall():
     assert falling().sent_hz("/camera", FALLS_S + 3.0, LASTS_S) < 0.3 * 100.0
 
 
-def test_large_topics_of_one_weight_get_equal_parts_of_the_link():
-    """Camera and point cloud have one weight and different sizes; each sends as many bytes."""
-    camera, points = (
-        topic.payload_bytes * falling().sent_hz(topic.name, FALLS_S + 3.0, LASTS_S) for topic in ROBOT[:2]
-    )
-    assert camera == pytest.approx(points, rel=0.15)
-
-
-def test_after_a_fall_the_link_is_used_and_its_queue_is_short():
-    """From three seconds after a fall on, payload fills two thirds of the link, and half of all waits are short."""
-    assert goodput(falling(), FALLS_S + 3.0, LASTS_S) > 0.67 * 5.0 * MBIT
-    waits = queues(falling(), FALLS_S + 3.0, LASTS_S)
-    assert waits[len(waits) // 2] < 0.1
-    assert waits[-1] < 0.4
-
-
 # -- a link that swings
 
 
@@ -99,17 +81,6 @@ def swinging():
     count = round((SWINGS_TO_S - SWINGS_FROM_S) / SWING_S)
     marks = [(SWINGS_FROM_S + k * SWING_S, 20.0 if k % 2 else 5.0) for k in range(count)]
     return play(at((0, 20), *marks), SWINGS_TO_S), marks
-
-
-def test_rates_follow_a_swing_both_ways():
-    """In the second half of every swing the payload on the fast link is more than twice that on the slow one."""
-    played, marks = swinging()
-    by_rate = {
-        rate: [goodput(played, at_s + SWING_S / 2, at_s + SWING_S - 0.1) for at_s, r in marks if r == rate]
-        for rate in (5.0, 20.0)
-    }
-    assert min(by_rate[20.0]) > 2.0 * max(by_rate[5.0])
-    assert max(by_rate[5.0]) < 5.0 * MBIT
 
 
 def test_a_swing_makes_no_plan_and_no_swap():
@@ -162,45 +133,14 @@ def test_floors_are_back_when_the_link_is():
 DIES_S, RETURNS_S = 13.0, 48.0
 
 
-@cache
-def dying(seed):
-    """Fall within 4 s to between 0.01 and 0.25 Mbit/s, another rate every second, and return."""
-    random = Random(f"near zero {seed}")
+def test_floors_do_not_flood_a_dying_link_and_traffic_returns_with_it():
+    """At up to 0.25 Mbit/s less than 4 s of it ever wait; 5 s after the return payload fills half of the link."""
+    random = Random("near zero")
     leaving = [(DIES_S + 0.2 * k, 20.0 / 80.0 ** (k / 20)) for k in range(20)]
     low = [(DIES_S + 4.0 + k, 0.01 * 25.0 ** random.random()) for k in range(round(RETURNS_S - DIES_S - 4.0))]
-    return play(at((0, 20), *leaving, *low, (RETURNS_S, 20)), RETURNS_S + 12.0, settings=FLOORS, seed=seed)
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_floors_do_not_flood_a_dying_link(seed):
-    """At up to 0.25 Mbit/s, with floors of 2.8, less than four seconds of the latter ever wait."""
+    schedule = at((0, 20), *leaving, *low, (RETURNS_S, 20))
+    played = play(schedule, RETURNS_S + 12.0, settings=FLOORS)
     # The wait of a packet is no measure where the rate itself goes to 0, so this counts what waits.
-    waiting = [
-        tick.snapshot.observation.counters.backlog_bytes for tick in dying(seed).between(DIES_S + 6.0, RETURNS_S)
-    ]
+    waiting = [tick.snapshot.observation.counters.backlog_bytes for tick in played.between(DIES_S + 6.0, RETURNS_S)]
     assert max(waiting) < 4.0 * 0.25 * MBIT
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_traffic_returns_with_a_dying_link(seed):
-    """Five seconds after the return the payload is more than half of what the link carries."""
-    assert goodput(dying(seed), RETURNS_S + 5.0, RETURNS_S + 11.0) > 0.5 * 20.0 * MBIT
-
-
-# -- what is promised at every tick
-
-
-@pytest.mark.parametrize(
-    ("course", "until_s"), [(falling, LASTS_S), (lambda: swinging()[0], SWINGS_TO_S), (starved, 45.0)]
-)
-def test_a_price_admits_no_more_than_the_budget(course, until_s):
-    """The rates that a price gives all topics together fit into the budget of its tick, floors included."""
-    judged = 0
-    for tick in course().between(0.0, until_s):
-        price, rows = tick.decision.price, tick.decision.plan.topics.values()
-        if price is not None and rows:
-            judged += 1
-            wanted = (replace(row, rate_hz=row.rate_hz / 1.25) for row in rows)  # the ceiling leaves room for jitter
-            wire = sum(price.rate_hz(row) * row.wire_bytes for row in wanted)
-            assert wire <= 1.02 * tick.snapshot.allocation.capacity_bytes_per_second, tick.t_s
-    assert judged > 100
+    assert goodput(played, RETURNS_S + 5.0, RETURNS_S + 11.0) > 0.5 * 20.0 * MBIT

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unittest import mock
 
 from arpd.adapters.sim.world import SimulatedWorld
-from arpd.daemon import plant, scenario
+from arpd.daemon import scenario
 from arpd.daemon.tick import Daemon
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def watch(
             if self._timeline.now_s < STARTS_S + mute_s:
                 super()._reach(node, wire_bytes, deliver)
 
-    with mock.patch.object(plant, "Daemon", Beside), mock.patch.object(plant, "SimulatedWorld", Seen):
+    with mock.patch.object(scenario, "Daemon", Beside), mock.patch.object(scenario, "SimulatedWorld", Seen):
         result = scenario.run(settings, schedule, duration_s, seed=seed, managed=True, **options)
     return Watched(result=result, daemon=daemons[0], ticks=tuple(ticks))
 

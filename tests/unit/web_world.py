@@ -41,26 +41,29 @@ class Clock:
 class Running:
     """A server under a web-config, and a client for it."""
 
-    def __init__(self, server, counts, folder):
-        self.server, self.counts, self.folder = server, counts, folder
+    def __init__(self, server, counts):
+        self.server, self.counts = server, counts
         self.address = ("127.0.0.1", server.port)
 
-    def get(self, path="/-/healthy", *, tls=None, method="GET", body=None, **headers):
+    def get(self, path="/-/healthy", *, tls=None, method="GET", **headers):
         connection = (
-            HTTPSConnection("localhost", self.server.port, timeout=10.0, context=tls)
+            HTTPSConnection("localhost", self.server.port, timeout=60.0, context=tls)
             if tls
-            else HTTPConnection("127.0.0.1", self.server.port, timeout=10.0)
+            else HTTPConnection("127.0.0.1", self.server.port, timeout=60.0)
         )
         try:
-            connection.request(method, path, body=body, headers=headers)
+            connection.request(method, path, headers=headers)
             answer = connection.getresponse()
-            return SimpleNamespace(status=answer.status, headers=answer.headers, text=answer.read().decode())
+            raw = answer.read()
+            return SimpleNamespace(
+                status=answer.status, headers=answer.headers, raw=raw, text=raw.decode(errors="replace")
+            )
         finally:
             connection.close()
 
     def send(self, data, *, end=True):
         """Send bytes, and perhaps their end, and return all that comes back."""
-        with socket.create_connection(self.address, timeout=10.0) as raw:
+        with socket.create_connection(self.address, timeout=60.0) as raw:
             try:
                 raw.sendall(data)
                 if end:
@@ -77,7 +80,8 @@ class Running:
 
 
 @contextmanager
-def running(folder, text=None, *, snapshot=lambda: None, collector=None):
+def running(folder=None, text=None, *, snapshot=lambda: None, collector=None, **options):
+    """Run a server, under a web-config of ``text`` in ``folder`` if there is one."""
     path = None
     if text is not None:
         path = folder / "web.yaml"
@@ -86,10 +90,10 @@ def running(folder, text=None, *, snapshot=lambda: None, collector=None):
     registry.register(counts)
     if collector is not None:
         registry.register(collector)
-    server = HttpServer("127.0.0.1", 0, snapshot=snapshot, registry=registry, web_config=path, counts=counts)
+    server = HttpServer("127.0.0.1", 0, snapshot=snapshot, registry=registry, web_config=path, counts=counts, **options)
     server.start()
     try:
-        yield Running(server, counts, folder)
+        yield Running(server, counts)
     finally:
         server.stop()
 

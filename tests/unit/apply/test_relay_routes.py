@@ -17,11 +17,6 @@ STRING = Route(type_name="std_msgs/msg/String", is_reliable=True, is_latched=Fal
 LATCHED = Route(type_name="std_msgs/msg/String", is_reliable=True, is_latched=True)
 
 
-def test_nobody_publishes():
-    """Without a publisher there is no route."""
-    assert route() is None
-
-
 def test_the_weakest_publisher_decides():
     """One best-effort publisher makes the reader best-effort, one volatile publisher makes it volatile."""
     assert route(source(is_latched=True), source("/b", is_latched=True)) == LATCHED

@@ -5,7 +5,7 @@ from itertools import chain
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.apply.relay_status import RelayStatus, shard_name, shards
+from arpd.apply.relay_status import RelayStatus, shards
 
 
 @given(st.integers(0, 2000))
@@ -18,11 +18,6 @@ def test_shards_hold_every_topic_once(number):
     assert len(parts) == max(1, -(-number // 100))
     assert max(sizes) <= 100
     assert max(sizes) - min(sizes) <= 1
-
-
-def test_the_first_shard_has_the_relays_name():
-    """A relay with one shard is named as ever, and further ones are numbered."""
-    assert [shard_name("arpd_relay_pi", k) for k in range(3)] == ["arpd_relay_pi", "arpd_relay_pi_2", "arpd_relay_pi_3"]
 
 
 def test_the_status_covers_all_shards():

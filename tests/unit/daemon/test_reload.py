@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from functools import cache
 from typing import Any
@@ -15,31 +14,29 @@ from arpd.adapters.config.schema import SECTIONS, flatten
 from arpd.daemon.tick import Daemon
 from arpd.estimate.estimator import Estimator
 from arpd.govern.governor import Governor
-from arpd.model.errors import ConfigError
-from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import Glance, MemoryState, Observation
+from arpd.model.observation import MemoryState
+from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
+from tests.unit.daemon.world import QuietWorld
 
 DT_S = 1.0
-COURSE_S = 100.0
+COURSE_S = 60.0
 TOPICS: list[dict[str, Any]] = [{"name": "/b", "weight": 3}, {"name": "/a"}]
 RELAY = {"topics": [{"name": "/scan"}]}
 # Bit rate of the radio from a time on (s, bytes/s); without it the first estimate stays.
-RADIO = ((6.0, 2.2e6), (20.0, 0.8e6), (60.0, 3e6))
+RADIO = ((6.0, 2.2e6), (20.0, 0.8e6), (38.0, 3e6))
 LATE_S = 15.0  # a third topic comes
 
 # Every key: its new value, and other keys of the file that make it matter.
 TWO_ENDS: dict[str, Any] = {
     "relay": {"link_domain": 77, "robot": "10.0.0.1", "ceddp": "10.0.0.2", "groups": [{"topics": ["/left", "/right"]}]}
 }
-FLEET: dict[str, Any] = {"fleet": {"robots": [{"domain": 11, "name": "rover"}]}}
 CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.interface": ("wlan7", {}),
     "link.capacity": ("4mbit", {}),
     "link.initial_capacity": ("4mbit", {}),
     "link.headroom": (0.5, {}),
     "link.packet_overhead": ("2ms", {}),
-    "link.cell": ("hall", {}),
     "program.policy": ("uniform", {}),
     "program.backend": ("exact", {}),
     "program.deadline_slack": (3, {}),
@@ -84,11 +81,6 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "relay.topics.name": ("/imu", {}),
     "relay.topics.overflow": ("queue", {}),
     "relay.topics.depth": (77, {}),
-    "fleet.airtime": (0.5, {}),
-    "fleet.robots.domain": (12, FLEET),
-    "fleet.robots.name": ("arm", FLEET),
-    "fleet.robots.weight": (3, FLEET),
-    "fleet.robots.address": ("10.0.0.3", FLEET),
     "on_stop": ("keep", {}),
     "on_lost": ("baseline", {}),
     "lost_after": ("9s", {"on_lost": "baseline"}),
@@ -99,27 +91,23 @@ FREE = sorted(key for key in CHANGES if not needs_restart(key))
 BOUND = sorted(key for key in CHANGES if needs_restart(key))
 
 
-class World:
+class World(QuietWorld):
     """Two topics, and later a third, over a link whose radio has a bit rate; keeps the transitions it was sent."""
 
     def __init__(self, settings):
+        super().__init__(settings.graph)
         self.settings = settings
-        self.graph = settings.graph
         self.sent = []
 
     def observe(self, now_s):
         names = {"/a": 200.0, "/b": 20_000.0} | ({"/c": 4000.0} if now_s >= LATE_S else {})
-        return Observation(
-            now_s=now_s,
-            counters=LinkCounters(
-                interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
-            ),
-            reports=(),
+        return observation(
+            now_s,
+            counters=INTERFACE,
             publishers=tuple(
                 publisher("/n", name, payload_bytes=size, source_rate_hz=200.0, remote_readers=1)
                 for name, size in names.items()
             ),
-            readers=(),
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
             sensing_topics=2 if self.graph.sensing_topics is None else self.graph.sensing_topics,
             actuation_topics=0 if self.graph.actuation_topics is None else self.graph.actuation_topics,
@@ -129,30 +117,6 @@ class World:
 
     def apply(self, transitions, *, now_s):
         self.sent += ((now_s, step.topics, step.lease_s) for step in transitions)
-
-    def set_price(self, price):
-        pass
-
-    def ask(self, ask):
-        pass
-
-    def probe(self, request):
-        pass
-
-    def reconfigure(self, graph):
-        self.graph = graph
-
-    def results(self):
-        return {}
-
-    def stand_by(self):
-        pass
-
-    def glance(self):
-        return Glance(has_reports=True, backlog_bytes=None)
-
-    def probes_sent(self):
-        return 0, 0
 
 
 def document(key=None):
@@ -294,21 +258,12 @@ def unusable(path):
     """Spoil a configuration file in one way after the other, and name each."""
     path.unlink()
     yield "does not exist"
-    path.mkdir()
-    yield "is a directory"
-    path.rmdir()
     path.write_text(json.dumps(document())[:-40])
     yield "yaml: "
-    with path.open("wb") as file:
-        file.truncate(100_000_000)
-    yield "is larger than"
+    path.write_text("links: {}")
+    yield f"{path}:1:1: links"
     path.write_bytes(b"")
     yield "is empty"
-    path.write_bytes(b"\0\1")
-    yield "a control character"
-    path.chmod(0)
-    if not os.access(path, os.R_OK):  # root may read everything
-        yield "may not be read"
 
 
 def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
@@ -333,33 +288,19 @@ def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
     assert (daemon.settings.on_stop, daemon.snapshot.config_error) == ("keep", "")
 
 
-def test_a_flood_of_faults_is_counted_and_not_logged(load, caplog):
-    """A file with thousands of faults does not fill the journal."""
-
-    def load_wrong():
-        raise ConfigError([f"arpd.yaml:{line}:1: x: is wrong; right it" for line in range(1, 5001)])
-
-    assert not daemon_of(load(document())).reload(load_wrong)
-    assert len(caplog.records) < 30
-    assert caplog.records[-1].message == "4980 more faults; arpd check shows all"
-
-
 def test_what_changed_is_logged_and_counted(load, caplog):
-    """Each changed key has a line, keys that wait for a restart say so, and an unchanged file makes no plan."""
+    """Each changed key has a line, keys that wait for a restart count apart, and an unchanged file makes no plan."""
     caplog.set_level("INFO")
     world = World(load(document()))
     now_s = 0.0
     daemon: Any = Daemon(world, world.settings, interface="w", clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s)
     while daemon.tick(now_s).plan.generation == 0:
         now_s += DT_S
-    caplog.clear()
     wanted = changed("http.port") | {"on_stop": "keep", "program": {"deadline_slack": 2}}
     assert daemon.reload(lambda: load(wanted))
-    assert [record.message for record in caplog.records] == [
-        "reloaded: program.deadline_slack: 1.25 -> 2.0",
-        "reloaded: on_stop: restore -> keep",
-        "http.port: 9464 -> 1234; takes effect after a restart",
-    ]
+    told = "\n".join(record.message for record in caplog.records[-3:])
+    for change in ("program.deadline_slack: 1.25 -> 2.0", "on_stop: restore -> keep", "http.port: 9464 -> 1234"):
+        assert change in told
     assert daemon.tick(now_s + DT_S).reason == "reload"
     assert daemon.reload(lambda: load(wanted))
     assert daemon.tick(now_s + 2 * DT_S).reason == ""
@@ -368,20 +309,8 @@ def test_what_changed_is_logged_and_counted(load, caplog):
     assert seen.totals.changed_keys_by_effect == {"in_force": 2, "awaiting_restart": 1}
     assert seen.config_loaded_at_s == 1.7e9 + now_s
     assert daemon.reload(lambda: load(document()))
-    assert caplog.records[-1].message == "reloaded: on_stop: keep -> restore"
     daemon.tick(now_s + 3 * DT_S)
     assert daemon.snapshot.keys_awaiting_restart == ()
-
-
-def test_counts_go_on_through_a_reload(load):
-    """Solves are counted since the start, not since the last reload."""
-    daemon, now_s = daemon_of(load(document())), 0.0
-    while daemon.tick(now_s).plan.generation == 0:
-        now_s += DT_S
-    before = sum(daemon.snapshot.totals.solves_by_outcome.values())
-    assert daemon.reload(lambda: load(changed("program.backend")))
-    daemon.tick(now_s + DT_S)
-    assert sum(daemon.snapshot.totals.solves_by_outcome.values()) > before > 0
 
 
 def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeypatch, caplog):

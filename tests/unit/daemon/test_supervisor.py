@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import signal
 import threading
-import time
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from arpd.daemon.run import stop
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import TICK_S
 from arpd.model.settings import OnStop, Settings
+from tests.waiting import PATIENCE_S, eventually
 
 NUMBERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -66,7 +68,6 @@ class Daemon:
         self.refused = []
         self.failed = 0
         self.ticked = 0
-        self.late_s = []
         self.record = self.configuration = self
         self.pause_s = TICK_S
 
@@ -93,7 +94,7 @@ class Daemon:
         self.failed += 1
 
     def note_lateness(self, late_s, *, is_late):
-        self.late_s.append(late_s)
+        pass
 
     def status_line(self):
         return "fine"
@@ -118,111 +119,63 @@ def run(daemon, signals, load=Settings, **options):
     return notifier
 
 
+@contextmanager
+def running(daemon, signals, load):
+    """Let a daemon tick beside the test, which sends it signals; gives the notifier."""
+    daemon.then = itertools.repeat(nothing)
+    notifier: Any = Notifier()
+    thread = threading.Thread(target=Supervisor(daemon, signals, notifier, load=load).run)
+    thread.start()
+    try:
+        eventually("the daemon is ready", lambda: "READY" in notifier.messages)
+        yield notifier
+    finally:
+        signals.stop = True
+        thread.join()
+
+
+def protocol(notifier):
+    return [message for message in notifier.messages if message in {"READY", "RELOADING"}]
+
+
 # -- ticks
-
-
-def test_others_know_when_no_tick_runs(signals):
-    """`resting` is set between two ticks, also after one that failed, and never within one."""
-    resting, seen = threading.Event(), []
-
-    def look():
-        seen.append(resting.is_set())
-
-    def look_and_fail():
-        look()
-        fail()
-
-    daemon = Daemon(signals, look, look_and_fail, look)
-    run(daemon, signals, resting=resting)
-    assert seen == [False] * 3
-    assert resting.is_set()
-
-
-def test_how_late_each_tick_begins_is_told(signals):
-    """A tick that follows one of twice the period is at least a period late; an early one is not late."""
-    daemon = Daemon(signals, lambda: time.sleep(2 * TICK_S), nothing, nothing)
-    run(daemon, signals)
-    assert len(daemon.late_s) == 4  # the last ends the loop
-    assert daemon.late_s[1] >= TICK_S
-    assert min(daemon.late_s) >= 0.0
 
 
 # -- reload
 
 
 def test_ten_reloads_in_a_second_are_few_and_the_last_file_wins(signals):
-    """Signals during a reload lead to one more reload, of the file as it is by then."""
+    """Signals during a reload lead to one more reload, of the file as it is by then; ticks go on meanwhile."""
     file = ["first"]
     reading, go_on = threading.Event(), threading.Event()
 
     def load():
         found = file[0]
         reading.set()
-        assert go_on.wait(10.0)
+        assert go_on.wait(PATIENCE_S)
         return found
 
-    def change():
-        assert reading.wait(10.0)
+    daemon = Daemon(signals)
+    with running(daemon, signals, load) as notifier:
+        send(signal.SIGHUP)
+        eventually("the file is being read", reading.is_set)
         file[0] = "last"
         send(signal.SIGHUP, 9)
+        ticked = daemon.ticked
+        eventually("ticks go on during the reading", lambda: daemon.ticked > ticked + 5)
         go_on.set()
-
-    daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP), nothing, change)
-    daemon.then = until(lambda: len(daemon.loaded) == 2)
-    notifier = run(daemon, signals, load)
+        eventually("both reloads are answered", lambda: protocol(notifier) == ["READY", *2 * ("RELOADING", "READY")])
     assert daemon.loaded == ["first", "last"]
-    assert [message for message in notifier.messages if message in {"READY", "RELOADING"}] == [
-        "READY",
-        *2 * ("RELOADING", "READY"),
-    ]
-
-
-def until(condition, timeout_s=10.0):
-    """Continue the ticks until a condition holds."""
-    until_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until_s, "did not happen in time"
-        yield nothing
-
-
-def test_a_file_that_takes_long_to_read_does_not_stop_the_ticks(signals):
-    """Ticks go on during the reading, and the file is in force afterwards."""
-    go_on = threading.Event()
-
-    def load():
-        assert go_on.wait(10.0)
-        return "slow"
-
-    daemon = Daemon(signals, lambda: send(signal.SIGHUP), *5 * [nothing], go_on.set)
-    daemon.then = until(lambda: daemon.loaded)
-    run(daemon, signals, load)
-    assert daemon.loaded == ["slow"]
-    assert daemon.ticked >= 7
 
 
 def test_whatever_a_reload_raises_is_refused_and_answered(signals, caplog):
     """A bug in reading or taking a configuration ends the reload, not the daemon."""
-    daemon = Daemon(signals, nothing, lambda: send(signal.SIGHUP))
-    daemon.then = until(lambda: daemon.refused)
-    notifier = run(daemon, signals, fail)
+    daemon = Daemon(signals)
+    with running(daemon, signals, fail) as notifier:
+        send(signal.SIGHUP)
+        eventually("the reload is answered", lambda: protocol(notifier) == ["READY", "RELOADING", "READY"])
     assert daemon.refused == ["ValueError: a bug"]
-    assert [message for message in notifier.messages if message in {"READY", "RELOADING"}] == [
-        "READY",
-        "RELOADING",
-        "READY",
-    ]
-    assert "reload failed; the configuration in force stays" in caplog.text
-
-
-def test_a_reload_does_not_end_the_start(signals):
-    """READY is sent once a tick has finished; a reload before that is not announced."""
-    daemon = Daemon(signals, *3 * [fail])
-    daemon.then = until(lambda: daemon.loaded)
-    send(signal.SIGHUP)
-    notifier = run(daemon, signals, lambda: "file")
-    before = notifier.messages.index("READY")
-    assert "RELOADING" not in notifier.messages[:before]
-    assert daemon.failed == 3
+    assert "the configuration in force stays" in caplog.text
 
 
 # -- ticks that fail
@@ -280,18 +233,6 @@ def test_more_of_the_same_signal_does_not_cut_a_restore_short(signals, caplog, t
     assert "every publisher has its original QoS back" in caplog.text
 
 
-def test_a_restore_that_fails_still_is_a_clean_end(signals, caplog):
-    """The log says that publishers may keep their plan."""
-
-    class Restoring(Daemon):
-        def restore(self, *, wait):
-            fail()
-
-    daemon: Any = Restoring(signals)
-    stop(daemon)
-    assert "publishers may keep their plan" in caplog.text
-
-
 def test_a_daemon_told_to_keep_restores_nothing(signals):
     """`on_stop: keep` leaves the plan in force."""
     daemon: Any = Daemon(signals)
@@ -314,15 +255,3 @@ def test_the_loop_ends_when_a_new_process_would_reach_more(signals):
     daemon = Daemon(signals, *9 * [nothing])
     run(daemon, signals, is_cut_off=lambda: next(cut_off))
     assert (daemon.ticked, signals.stop) == (2, False)
-
-
-def test_a_thread_that_hangs_starves_the_watchdog(signals):
-    """Finished ticks feed it only while every watched thread finishes its rounds."""
-    for finished_s, fed in ((time.monotonic, 1), (lambda: time.monotonic() - 60.0, 0)):
-        signals.stop = False
-        notifier: Any = Notifier()
-        fake: Any = Daemon(signals, nothing)
-        supervisor = Supervisor(fake, signals, notifier, load=Settings)
-        supervisor.watch(finished_s)
-        supervisor.run()
-        assert notifier.count("WATCHDOG") == fed

@@ -31,14 +31,3 @@ def test_news_brings_a_turn_at_once():
     assert not turns.is_due(10.1, facts=BEFORE, publishers=announced)
     turned(turns, 10.0, is_settled=False)
     assert turns.is_due(10.1, facts=BEFORE, publishers=announced)
-
-
-def test_turns_that_take_long_are_rarer_but_not_rare():
-    """They rest for thirty times their duration, and for two seconds at most: something else may have held one up."""
-    turns = Turns()
-    turned(turns, 10.0, took_s=0.02)
-    assert not turns.is_due(10.55, facts=AFTER, publishers=())
-    assert turns.is_due(10.65, facts=AFTER, publishers=())
-    turned(turns, 10.0, took_s=5.0)
-    assert not turns.is_due(11.9, facts=AFTER, publishers=())
-    assert turns.is_due(12.1, facts=AFTER, publishers=())

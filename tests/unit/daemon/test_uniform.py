@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from arpd.daemon.tick import TICK_S, Daemon
-from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import Glance, MemoryState, Observation
+from arpd.model.observation import MemoryState
 from arpd.model.settings import (
     GraphSettings,
     LinkSettings,
@@ -20,21 +19,21 @@ from arpd.model.settings import (
     TopicSettings,
 )
 from arpd.model.wire import wire_size
-from arpd.report.status import status_document
+from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
+from tests.unit.daemon.world import QuietWorld
 from tests.unit.solve.test_eq4 import TABLE_2
 
 PAYLOAD_BYTES, SOURCE_HZ = 100.0, 1000.0
 WIRE_BYTES = wire_size(PAYLOAD_BYTES, rate_hz=SOURCE_HZ)[0]
 
 
-class World:
+class World(QuietWorld):
     """Publishers that take every row at once, on a graph that has more topics than those."""
 
     def __init__(self, settings, managed=12):
-        self.graph, self.seen = settings.graph, managed
-        self.price: Any = None
-        self.steps = []
+        super().__init__(settings.graph)
+        self.seen = managed
         self.publishers = {
             f"/t{i:02}": publisher(
                 "/n", f"/t{i:02}", payload_bytes=PAYLOAD_BYTES, source_rate_hz=SOURCE_HZ, remote_readers=1
@@ -44,12 +43,9 @@ class World:
 
     def observe(self, now_s):
         pinned = self.graph
-        return Observation(
-            now_s=now_s,
-            counters=LinkCounters(
-                interface="w", rx_bytes=0, tx_bytes=0, rx_packets=0, tx_packets=0, tx_dropped=0, state=InterfaceState.UP
-            ),
-            reports=(),
+        return observation(
+            now_s,
+            counters=INTERFACE,
             publishers=tuple(self.publishers.values()),
             memory=MemoryState(total_bytes=2**33, available_bytes=2**32),
             sensing_topics=self.seen - 1 if pinned.sensing_topics is None else pinned.sensing_topics,
@@ -59,7 +55,6 @@ class World:
 
     def apply(self, transitions, *, now_s):
         for step in transitions:
-            self.steps.append(step)
             for name, row in step.topics.items():
                 self.publishers[name] = replace(
                     self.publishers[name],
@@ -68,30 +63,6 @@ class World:
                     depth=row.depth,
                     deadline_ns=row.deadline_ns,
                 )
-
-    def set_price(self, price):
-        self.price = price
-
-    def ask(self, ask):
-        pass
-
-    def probe(self, request):
-        pass
-
-    def reconfigure(self, graph):
-        self.graph = graph
-
-    def results(self):
-        return {}
-
-    def stand_by(self):
-        pass
-
-    def glance(self):
-        return Glance(has_reports=True, backlog_bytes=None)
-
-    def probes_sent(self):
-        return 0, 0
 
 
 class Robot:
@@ -127,7 +98,7 @@ class Robot:
     @property
     def rates_hz(self):
         """Return the rates that publishers have in force: those of the last price sent, and of their rows."""
-        return {round(self.world.price.rate_hz(row), 6) for row in self.rows}
+        return {round(self.world.prices[-1].rate_hz(row), 6) for row in self.rows}
 
 
 @pytest.mark.parametrize("row", TABLE_2, ids=str)
@@ -158,16 +129,6 @@ def test_a_topic_that_arpd_does_not_manage_counts():
     assert after > 1.5 * before
 
 
-def test_a_count_that_comes_back_causes_no_plan():
-    """A topic that is in the graph for less than the debounce changes the rate, but no QoS."""
-    robot = Robot()
-    robot.run(3.0)
-    robot.world.seen = 24
-    assert robot.run(0.5) == []
-    robot.world.seen = 12
-    assert robot.run(5.0) == []
-
-
 def test_pinned_counts_replace_those_of_the_graph():
     """N is the sum of the counts in ``graph``."""
     robot = Robot(graph=GraphSettings(sensing_topics=30, actuation_topics=10))
@@ -175,38 +136,3 @@ def test_pinned_counts_replace_those_of_the_graph():
     robot.run(3.0)
     assert robot.daemon.snapshot.allocation.uniform.topics == 40
     assert [*robot.rates_hz] == pytest.approx([200 / 40 - 1], rel=0.01)
-
-
-def test_preferences_of_a_topic_do_not_count():
-    """Weight, floor, bounds and budget of a single topic change nothing; those of all topics do."""
-    own = TopicSettings(weight=9.0, min_rate_hz=20.0, max_rate_hz=3.0, min_depth=7, max_depth=9, latency_budget_s=0.1)
-    robot = Robot(topics={"/t03": own}, default_topic=TopicSettings(min_rate_hz=2.0, latency_budget_s=None))
-    robot.run(3.0)
-    assert [*robot.rates_hz] == pytest.approx([200 / 12 - 2], rel=0.01)
-    assert len({row.depth for row in robot.rows}) == 1
-
-
-def test_a_reload_changes_the_policy():
-    """A reload gives every topic the common rate with one plan, and its own rate back with another."""
-    robot = Robot(program=ProgramSettings(memory_budget_bytes=2.0**31), topics={"/t03": TopicSettings(weight=4.0)})
-    robot.run(3.0)
-    assert len(robot.rates_hz) == 2
-    per_topic = robot.settings
-    uniform = replace(per_topic, program=replace(per_topic.program, policy=Policy.UNIFORM))
-    for settings, rates in ((uniform, 1), (per_topic, 2)):
-        assert robot.daemon.reload(lambda settings=settings: settings)
-        assert robot.run(0.2) == ["reload"]
-        assert len(robot.rates_hz) == rates
-        assert robot.run(3.0) == []
-
-
-def test_the_status_tells_the_optimum():
-    """The status has N, Rmax, R and D; with the other policy it has null."""
-    robot = Robot()
-    robot.run(3.0)
-    uniform = status_document(robot.daemon.snapshot)["allocation"]["uniform"]
-    assert (uniform["topics"], uniform["depth"]) == (12, 390)
-    assert uniform["max_rate_hz"] == pytest.approx(200, rel=0.01)
-    other = Robot(program=ProgramSettings())
-    other.run(3.0)
-    assert status_document(other.daemon.snapshot)["allocation"]["uniform"] is None

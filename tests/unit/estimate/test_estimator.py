@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.estimate import parameters
@@ -15,6 +15,7 @@ from arpd.model.link import MOST_YIELDED, CapacityKind, EstimatorEvent, LinkStat
 from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
 from arpd.model.wire import probe_wire_bytes
+from tests.examples import examples
 from tests.sample_link import INTERFACE, LINK, observation
 from tests.sample_publishers import publisher
 
@@ -552,7 +553,7 @@ ODD_TICKS = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(ODD_TICKS)
 def test_odd_evidence_makes_no_nonsense(ticks):
     """At any observations, all numbers of the estimate are finite and not negative, and probes are few."""

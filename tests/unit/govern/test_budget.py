@@ -90,12 +90,6 @@ def test_in_an_outage_there_is_none():
 # -- lasting
 
 
-def test_before_any_link_nothing_lasts():
-    """Before the first estimate, and in an outage from the start, nothing could be counted on."""
-    assert Budget().lasting_bytes_per_second == 0.0
-    assert course(Budget(), (5.0, replace(LINK, state=LinkState.OUTAGE))).lasting_bytes_per_second == 0.0
-
-
 @pytest.mark.parametrize(("bad_s", "lasts"), [(2.0, C), (4.0, 0.25 * C), (20.0, 0.25 * C)])
 def test_what_nine_tenths_of_the_last_half_minute_allowed_lasts(bad_s, lasts):
     """A fall shorter than three seconds leaves the lasting budget, and a longer one lowers it."""
@@ -115,22 +109,3 @@ def test_queues_caution_and_outages_are_left_out_of_what_lasts():
     troubled = replace(LINK, standing_delay_s=1.0, cautious_ratio=0.3)
     budget = course(Budget(), (20.0, LINK), (10.0, troubled), (20.0, replace(LINK, state=LinkState.OUTAGE)))
     assert budget.lasting_bytes_per_second == pytest.approx(C)
-
-
-def test_a_fleet_s_airtime_takes_the_place_of_the_headroom():
-    """A robot that may use a fifth of the time gets a fifth of what the link carries, and less while a queue stands."""
-    calm = Budget().update(5.0, LINK, headroom=0.8, airtime=0.2)
-    queued = Budget().update(5.0, replace(LINK, standing_delay_s=0.1), headroom=0.8, airtime=0.2)
-    assert calm == pytest.approx(0.2 * C)
-    assert 0.0 < queued < calm
-
-
-def test_an_airtime_that_falls_for_a_moment_changes_the_lasting_budget_late():
-    """Deadlines follow the airtime of the last half minute, not that of each grant; without a fleet the headroom."""
-    budget = Budget()
-    for tick in range(300):
-        budget.update(0.1 * tick, LINK, headroom=0.8, airtime=0.1 if tick > 285 else 0.3)
-    assert budget.lasting_budget(headroom=0.8) == pytest.approx(0.3 * C)
-    for tick in range(300, 700):
-        budget.update(0.1 * tick, LINK, headroom=0.8)
-    assert budget.lasting_budget(headroom=0.5) == pytest.approx(0.5 * budget.lasting_bytes_per_second)

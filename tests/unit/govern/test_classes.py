@@ -34,11 +34,6 @@ def test_a_deadline_goes_up_to_its_class(deadline_ns):
     assert class_of_deadline(period_ns) == period_ns
 
 
-def test_no_deadline_stays_none():
-    """A topic without a deadline has no class."""
-    assert class_of_deadline(0) == 0
-
-
 @given(DEPTHS)
 def test_a_depth_goes_down_to_its_class(depth):
     """The class is at most as deep, more than half as deep, and its own class."""
@@ -79,13 +74,6 @@ def test_a_request_bounds_the_deadline_exactly(request_ns):
 def test_a_row_moves_when_its_class_is_left_by_a_margin(kept, move):
     """A tenth beyond what the program gives, or one sample, stays; less is only asked for where a quarter is spare."""
     assert fit().move(kept, CLASSES) is move
-
-
-def test_a_class_near_the_border_does_not_rise():
-    """A shorter deadline must fit with a quarter to spare."""
-    kept = row(16, 187_500_000)
-    assert fit(offered_ns=93_000_000).move(kept, CLASSES) is Move.NONE
-    assert fit(offered_ns=74_000_000).move(kept, CLASSES) is Move.TIGHTEN
 
 
 def test_a_paused_topic_offers_no_deadline():

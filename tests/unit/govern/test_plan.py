@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.govern.plan import make_plan
@@ -12,6 +12,7 @@ from arpd.model.allocation import Topic
 from arpd.model.plan import QosPlan
 from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
 from arpd.solve.program import Program
+from tests.examples import examples
 from tests.sample_publishers import publisher
 
 PUBLISHER = publisher("/n", "/t")
@@ -46,7 +47,6 @@ def test_an_operators_cap_is_a_cap():
     assert planned(1e8, [topic], settings=capped).topics["/t"].rate_hz == 15.0
 
 
-@settings(deadline=None)
 @given(st.floats(1.0, 5.0), st.integers(1, 10**10), st.floats(5e3, 1e6), st.floats(0.5, 1000.0))
 def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, capacity, source_hz):
     """The offer has the slack, 10 ms at least, is at most twice that, and is never longer than a reader requests."""
@@ -61,18 +61,13 @@ def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, 
     assert made.deadline_ns == min(requested_ns, free.deadline_ns)
 
 
-def test_a_paused_topic_offers_no_deadline():
-    """A topic that the lasting budget pauses has deadline 0, which is none."""
-    assert planned(0.0).topics["/t"].deadline_ns == 0
-
-
 def four(capacity, factor=1.0, previous=EMPTY):
     topics = [replace(TOPIC, name=f"/t{i}", wire_bytes=900.0 * (i + 1)) for i in range(4)]
     publishers = [replace(PUBLISHER, topic=topic.name) for topic in topics]
     return planned(capacity * factor, topics, publishers, previous=previous)
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(st.floats(1e4, 1e8), st.floats(0.92, 1.08))
 def test_a_small_change_swaps_nothing_twice(capacity, factor):
     """A row that a small change moves into another class stays there when the change is undone, and when it returns."""
@@ -84,7 +79,7 @@ def test_a_small_change_swaps_nothing_twice(capacity, factor):
         }
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(st.floats(1e3, 1e8), st.floats(0.1, 10.0))
 def test_whatever_was_in_force_rows_promise_no_more_than_the_program_gives(capacity, factor):
     """No period is shorter than that of the rate, and no history much deeper than the program allows."""

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.govern.plan import make_plan
@@ -13,6 +13,7 @@ from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.settings import ProgramSettings, Settings
 from arpd.solve.program import Program
+from tests.examples import examples
 from tests.sample_publishers import publisher
 
 PROGRAM = Program(settings=ProgramSettings(), headroom=0.85)
@@ -67,7 +68,7 @@ def divided(topics, capacity, share, overhead=0.0):
     return allocation
 
 
-@settings(deadline=None, max_examples=400)
+@examples(150)
 @given(robots(), CAPACITIES, SHARES, OVERHEADS)
 def test_the_price_gives_everybody_the_programs_rate(topics, capacity, share, overhead):
     """With its ceiling at the desired rate, each publisher computes the rate that the program divided, to 1e-9."""
@@ -86,7 +87,7 @@ def test_weights_that_almost_agree_are_two_classes():
     assert [price.rate_hz(row_of(topic)) for topic in topics] == [0.0, 0.25]
 
 
-@settings(deadline=None, max_examples=200)
+@examples(100)
 @given(robots(), CAPACITIES, SHARES, OVERHEADS)
 def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):
     """With room above each source in the ceilings, what the sources publish takes no more than the share."""
@@ -99,7 +100,7 @@ def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):
     assert spent <= share * (1 + 1e-9)
 
 
-@settings(deadline=None, max_examples=200)
+@examples(100)
 @given(robots(), CAPACITIES, st.tuples(SHARES, SHARES).map(sorted), OVERHEADS)
 def test_no_rate_falls_when_the_budget_rises(topics, capacity, shares, overhead):
     """Every publisher's rate is monotone in the budget, also where floors give way."""
@@ -135,22 +136,11 @@ def test_floors_never_admit_more_than_is_usable(capacity):
         assert all(rate_hz >= topic.min_rate_hz for topic, rate_hz in rates.items())
 
 
-def test_one_topic_that_wants_the_whole_link_gets_what_it_carries():
-    """Where the link, not the wish, is the ceiling, the price stays finite."""
-    price = divided([CAMERA], 5 * MBIT, 1.0).price
-    assert price.rate_hz(row_of(CAMERA, margin=1.25)) == pytest.approx(5 * MBIT / CAMERA.wire_bytes)
-
-
 @pytest.mark.parametrize("change", [{"weight": 0.0}, {"wire_bytes": 0.0}])
 @pytest.mark.parametrize("share", [0.0, 0.1, math.inf])
 def test_without_terms_the_rate_is_the_ceiling(change, share):
     """A row without weight or size has the rate that it says: no price applies."""
     assert replace(PRICE, share_per_weight=share).rate_hz(replace(ROW, **change)) == ROW.rate_hz
-
-
-def test_a_size_too_small_to_count_costs_nothing():
-    """A link time that rounds to 0 gives the ceiling, not an error."""
-    assert replace(PRICE, packet_overhead_s=0.0).rate_hz(replace(ROW, wire_bytes=5e-324)) == ROW.rate_hz
 
 
 @pytest.mark.parametrize(("weight", "floor_hz"), [(1.0, 0.0), (2.0, 0.5), (4.0, 2.0)])
@@ -161,7 +151,6 @@ def test_light_topics_give_way_first(weight, floor_hz):
     assert short.rate_hz(replace(ROW, weight=weight)) == floor_hz
 
 
-@settings(deadline=None)
 @given(
     st.floats(0.1, 10.0),
     st.tuples(*[st.one_of(st.just(1.0), st.floats(0.98, 1.02)) for _ in range(3)]),

@@ -67,19 +67,13 @@ def test_a_duration_is_the_nearest_float(text, seconds):
     ("parse", "text", "message"),
     [
         (parse_rate, "5", "'5' has no unit; write a rate like 20mbit"),
-        (parse_rate, "", "'' is not a rate"),
-        (parse_rate, "fast", "'fast' is not a rate"),
-        (parse_rate, "-5mbit", "is not a rate"),
         (parse_rate, "nanmbit", "is not a rate"),
         (parse_rate, "5mbps", "means bits to some and bytes to tc"),
-        (parse_rate, "5Mb", "'Mb' is not a unit of a rate"),
         (parse_rate, "5kB", "'kB' is not a unit of a rate"),
         (parse_rate, "1e999gbit", "too large"),
         (parse_rate, "9" * 5000 + "bit", "…' is not a rate"),
         (parse_rate, "1e99999999bit", "is not a rate"),
         (parse_size, "64Mi", "'Mi' is not a unit of a size"),
-        (parse_size, "5mbit", "'mbit' is not a unit of a size"),
-        (parse_duration, "2", "has no unit"),
         (parse_duration, "2 fortnights", "'fortnights' is not a unit of a duration"),
         (parse_duration, "٣s", "is not a duration"),
     ],
@@ -99,48 +93,23 @@ def test_a_spelled_quantity_reads_back_exactly(value):
     assert parse_duration(spell_duration(value)) == value
 
 
-def test_a_spelled_quantity_is_short():
-    """Spelling takes the unit a person would."""
-    assert [spell_rate(2.5e6), spell_size(64 * 2**20), spell_duration(0.25), spell_duration(40.0), spell_rate(0)] == [
-        "20mbit",
-        "64MiB",
-        "250ms",
-        "40s",
-        "0bit",
-    ]
-
-
 @pytest.mark.parametrize(
     ("formatted", "text"),
     [
         (format_rate(612_500), "4.9 Mbit/s"),
-        (format_rate(0), "0 bit/s"),
         (format_rate(124_999.9), "1 Mbit/s"),
-        (format_rate(12.5e6), "100 Mbit/s"),
         (format_rate(float("inf")), "unlimited"),
         (format_rate(float("nan")), "unknown"),
         (format_rate(None), "-"),
         (format_size(64 * 2**20), "64 MiB"),
         (format_payload(61_234), "61.2 kB"),
-        (format_payload(999_900), "1 MB"),
-        (format_payload(76), "76 B"),
-        (format_payload(None), "-"),
         (format_duration(0.0125), "12.5 ms"),
-        (format_duration(0), "0 s"),
-        (format_duration(7e-10), "0.7 ns"),
         (format_period(62_500_000), "62.5 ms"),
         (format_period(0), "none"),
-        (format_period(None), "none"),
-        (format_share(0.004), "0.4 %"),
         (format_share(0.756), "76 %"),
-        (format_share(None), "-"),
-        (format_share(float("nan")), "unknown"),
         (format_number(12.345), "12.3"),
-        (format_number(12.0), "12"),
         (format_number(12345.6), "12346"),
-        (format_number(99.96), "100"),
         (format_number(0.00001234, digits=4), "0.00001234"),
-        (format_number(-0.0), "0"),
         (format_number(1e20), "1e+20"),
     ],
 )

@@ -46,15 +46,6 @@ def test_a_silent_active_daemon_is_succeeded():
     assert not younger.others(7.1)
 
 
-def test_its_own_heartbeat_is_no_rival():
-    """A daemon receives its own heartbeat and ignores it."""
-    own = Leader(heartbeat(2, "a"))
-    for now_s in (0.0, 0.5):
-        own.note(heartbeat(2, "a"), now_s)
-        own.note(heartbeat(1, "a"), now_s)
-    assert not own.others(0.5)
-
-
 def test_invented_daemons_take_no_memory():
     """The number of remembered daemons is bounded, and known ones stay."""
     own = Leader(heartbeat(2, "a"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -64,19 +62,3 @@ def test_a_clock_that_is_set_between_probe_and_report_says_nothing():
     clocks.note(report(0.0))
     clocks.note(report(0.1, there_s=-5.0))
     assert clocks.offsets(0.1) == {}
-
-
-@pytest.mark.parametrize("missing", [{"delays_s": ()}, {"return_delay_s": None}])
-def test_half_a_round_trip_says_nothing(missing):
-    """Without a probe, or without the report's time stamps, there is no offset."""
-    clocks = PeerClocks()
-    clocks.note(replace(report(), **missing))
-    assert clocks.offsets(100.0) == {}
-
-
-def test_each_peer_has_a_clock_of_its_own():
-    """Peers are told apart by name."""
-    clocks = PeerClocks()
-    clocks.note(report(peer="a", ahead_s=1.0))
-    clocks.note(report(peer="b", ahead_s=-1.0))
-    assert {peer: round(each.offset_s, 6) for peer, each in clocks.offsets(100.0).items()} == {"a": 1.0, "b": -1.0}

@@ -44,16 +44,6 @@ def test_two_writers_add_up():
     assert meter.traffic(5.0).rate_hz == pytest.approx(15, rel=0.01)
 
 
-def test_a_burst_is_no_rate():
-    """Three samples within a millisecond are three in five seconds, not three thousand a second."""
-    assert fed([(b"a", n, 0.1 + n * 1e-4) for n in range(3)]).traffic(5.0).rate_hz < 1.0
-
-
-def test_one_sample_is_as_slow_as_the_wait():
-    """The period of a single sample is unknown; it counts as the time of the measurement."""
-    assert fed([(b"a", 7, 2.0)]).traffic(5.0).rate_hz == pytest.approx(0.2)
-
-
 def test_silence_is_a_rate_of_zero_without_a_size():
     """Where nothing arrived, the size is unknown."""
     traffic = fed([]).traffic(5.0)

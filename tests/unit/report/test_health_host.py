@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 
@@ -12,11 +12,9 @@ from arpd.report.health_host import (
     PythonRos,
     Unit,
     judge_buffers,
-    judge_configuration,
     judge_fragments,
     judge_numpy,
     judge_profile,
-    judge_rmw,
     judge_ros,
     judge_units,
     judge_versions,
@@ -55,26 +53,17 @@ def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(change
     """A default size that loses nothing harms nobody, and one that was raised is fine, although the counters stay."""
     judged = judge_buffers(replace(LIMITS, **changes))
     assert judged.health is health
+    assert "rmem_max" not in "".join(judged.remedies)  # tuning guides raise it far above what is enough
     assert bool(judged.remedies) is (health is Health.WRONG)
-
-
-def test_the_line_for_buffers_lowers_no_limit():
-    """DDS tuning guides raise net.core.rmem_max to 2 GiB; the default that Fast DDS takes is below what is enough."""
-    (line,) = judge_buffers(replace(LIMITS, overflowed=5000)).remedies
-    assert "net.core.rmem_default=8388608 " in line
-    assert "rmem_max" not in line
 
 
 @pytest.mark.parametrize(
     ("changes", "health"),
     [
         ({}, Health.FINE),
-        ({"incomplete": 50}, Health.FINE),
         ({"incomplete": 500}, Health.WRONG),
-        ({"incomplete": 500, "reassembly_s": 3}, Health.WRONG),
         ({"incomplete": 500, "reassembly_s": 3, "reassembly_bytes": 128 * 2**20}, Health.FINE),
         ({"incomplete": None}, Health.UNKNOWN),
-        ({"reassembly_s": None}, Health.UNKNOWN),
     ],
 )
 def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, health):
@@ -85,38 +74,13 @@ def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, he
 
 
 @pytest.mark.parametrize(
-    ("kept_s", "kept_mib", "settings"),
-    [
-        (30, 4, ["net.ipv4.ipfrag_time=3", "net.ipv4.ipfrag_high_thresh=134217728"]),
-        (30, 256, ["net.ipv4.ipfrag_time=3"]),
-        (1, 4, ["net.ipv4.ipfrag_high_thresh=134217728"]),
-    ],
-)
-def test_the_line_for_fragments_sets_only_what_is_unfit(kept_s, kept_mib, settings):
-    """What the user has set shorter or larger stays."""
-    limits = replace(LIMITS, incomplete=500, reassembly_s=kept_s, reassembly_bytes=kept_mib * 2**20)
-    (line,) = judge_fragments(limits).remedies
-    assert [word for word in line.split() if word.startswith("net.")] == settings
-
-
-def test_a_kernel_that_tells_nothing_alarms_nobody():
-    """No fact, no judgement."""
-    nothing = NetworkLimits()
-    assert all(getattr(nothing, field.name) is None for field in fields(nothing))
-    assert {judge_buffers(nothing).health, judge_fragments(nothing).health} == {Health.UNKNOWN}
-
-
-@pytest.mark.parametrize(
     ("found", "distro", "installed", "health", "remedy"),
     [
         (WORKS, "jazzy", ["jazzy"], Health.FINE, ""),
-        (WORKS, "", [], Health.FINE, ""),
         (WORKS, "humble", ["humble", "jazzy"], Health.WRONG, "source /opt/ros/jazzy/setup.bash"),
         (WORKS, "humble", ["humble"], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
         (PythonRos(python="p", fault="ImportError"), "", ["jazzy"], Health.UNKNOWN, ""),
         (PythonRos(python="p", fault="ImportError"), "", [], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
-        (PythonRos(python="p", fault="ImportError"), "jazzy", ["jazzy"], Health.WRONG, "source /opt/ros/jazzy"),
-        (PythonRos(python="p", fault="ImportError"), "jazzy", [], Health.WRONG, "sudo apt install ros-jazzy-ros-base"),
         (Unknown("no answer"), "jazzy", ["jazzy"], Health.UNKNOWN, ""),
     ],
 )
@@ -129,42 +93,15 @@ def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
     assert "jazzy" in installed or "source /opt" not in "".join(judged.remedies)
 
 
-PYPI = "/home/ubuntu/arpd/.venv/lib/python3.12/site-packages/rclpy/__init__.py"
-
-
-@pytest.mark.parametrize(
-    ("changes", "remedies"),
-    [
-        ({}, ["sudo apt install --reinstall ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp"]),
-        ({"rclpy": PYPI}, ["/venv/bin/python -m pip install --force-reinstall 'ros-jazzy-rclpy[fastrtps]'"]),
-        ({"numpy": "2.4.6"} | OWN_NUMPY, ["/venv/bin/python -m pip install 'numpy<2'"]),
-        (
-            {"fault": "it ended with status 102: Expected RMW implementation identifier of 'rmw_other'"},
-            ["unset RMW_IMPLEMENTATION", "sudo apt install --reinstall"],
-        ),
-    ],
-)
-def test_an_rclpy_that_does_not_work_is_mended_where_it_comes_from(changes, remedies):
-    """Apt mends its own, pip its own; an unfit numpy or middleware is the fault itself."""
-    found = replace(WORKS, **({"fault": "it ended with status -11"} | changes))
-    lines = judge_ros(found, distro="jazzy", installed=["jazzy"]).remedies
-    assert len(lines) == len(remedies)
-    assert all(line.startswith(start) for line, start in zip(lines, remedies, strict=True))
-
-
 @pytest.mark.parametrize(
     ("changes", "health", "remedy"),
     [
         ({}, Health.FINE, ""),
         ({"numpy": "2.4.6"} | OWN_NUMPY, Health.WRONG, "/venv/bin/python -m pip install 'numpy<2'"),
         ({"numpy": "2.1", "numpy_file": AT_HOME} | SYSTEM, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
-        ({"numpy": "2.1", "numpy_file": AT_HOME, "venv": "/venv"}, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
         ({"numpy": "2.1", "numpy_file": FOR_ALL} | SYSTEM, Health.WRONG, f"sudo /usr/bin/python3 {UNINSTALL}"),
-        ({"numpy": "2.1", "rclpy": ""} | SYSTEM, Health.WRONG, f"/usr/bin/python3 {UNINSTALL}"),
-        ({"numpy": "2.1", "rclpy": ""}, Health.FINE, ""),
         ({"numpy": "2.4.6", "rclpy": "/venv/lib/rclpy/__init__.py"}, Health.FINE, ""),
         ({"numpy": ""}, Health.UNKNOWN, ""),
-        ({"numpy": "dev"}, Health.FINE, ""),
     ],
 )
 def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
@@ -172,28 +109,6 @@ def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
     judged = judge_numpy([replace(WORKS, **changes)], installed=["jazzy"])
     assert judged.health is health
     assert "".join(judged.remedies) == remedy
-
-
-def test_the_systems_numpy_is_free_without_ros_from_apt():
-    """Nothing there is built for another one."""
-    assert judge_numpy([PythonRos(python="/usr/bin/python3", numpy="2.1")], installed=[]).health is Health.FINE
-
-
-def test_another_middleware_is_only_paced():
-    """Without any fact nothing is said."""
-    assert judge_rmw("rmw_fastrtps_cpp", "", is_of_daemon=True).health is Health.FINE
-    assert judge_rmw("rmw_cyclonedds_cpp", "it is only paced", is_of_daemon=True).health is Health.WRONG
-    assert judge_rmw("", None, is_of_daemon=False).health is Health.UNKNOWN
-
-
-def test_the_daemons_middleware_has_a_line_for_its_unit():
-    """What a shell exports reaches nodes that are started there, and no unit."""
-    of_daemon, of_shell = (
-        judge_rmw("rmw_cyclonedds_cpp", "it is only paced", is_of_daemon=is_of_daemon).remedies
-        for is_of_daemon in (True, False)
-    )
-    assert of_daemon[:1] == of_shell
-    assert "/etc/default/arpd && sudo systemctl restart 'arpd*'" in of_daemon[1]
 
 
 def test_versions_must_be_the_same():
@@ -214,28 +129,12 @@ def test_versions_must_be_the_same():
         ([Unit(name="arpd", active="inactive", is_enabled=False)], [Health.FINE]),
         ([Unit(name="arpd", active="activating", is_enabled=True)], [Health.FINE]),
         ([Unit(name="arpd", active="activating", is_enabled=True, is_looping=True)], [Health.WRONG]),
-        (
-            [
-                Unit(name="arpd", active="active", is_enabled=True),
-                Unit(name="arpd-relay", active="failed", is_enabled=False),
-            ],
-            [Health.WRONG, Health.FINE],
-        ),
         (Unknown("systemd does not run here"), [Health.UNKNOWN]),
     ],
 )
 def test_units_that_failed_or_do_not_run_are_wrong(units, health):
     """A unit that nobody enabled may rest."""
     assert [each.health for each in judge_units(units)] == health
-
-
-def test_a_faulty_configuration_shows_its_first_fault():
-    """`arpd check` shows the others."""
-    judged = judge_configuration("/etc/arpd/arpd.yaml", ["a:1:1: x", "a:2:1: y"], is_far=True)
-    assert (judged.health, judged.text) == (Health.WRONG, "a:1:1: x (and 1 more)")
-    assert judged.remedies == ("arpd check --far /etc/arpd/arpd.yaml",)
-    assert judge_configuration("x", [], is_far=False).health is Health.FINE
-    assert judge_configuration("x", Unknown("there is none"), is_far=False).health is Health.UNKNOWN
 
 
 def test_nodes_without_the_profile_are_named():

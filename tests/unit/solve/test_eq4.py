@@ -6,7 +6,7 @@ import math
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.settings import Backend
@@ -14,6 +14,7 @@ from arpd.solve import osqp_
 from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
 from arpd.solve.problem import Solved
 from arpd.solve.rows import rate_of, rational
+from tests.examples import examples
 
 TABLE_2 = [
     (100, 7, 365, Fraction(22, 3), Fraction(1097, 3)),
@@ -55,20 +56,6 @@ def test_integer_optimum_is_not_floored_away(backend, rate):
     assert solution.deadline_ns == -(-(10**9) // rate)
 
 
-def test_whole_depth_at_a_rate_without_a_whole_period():
-    """At Rmax 120 Hz the optimum is (9 Hz, 374), but at the whole period, a hair slower, only 373 samples keep (3)."""
-    solution = solve_eq4(Eq4Problem(max_rate_hz=120, topics=12))
-    assert (solution.rate_hz_floor, solution.depth_floor) == (9, 374)
-    assert (solution.deadline_ns, solution.depth_applied) == (111_111_112, 373)
-
-
-def test_decimal_inputs_are_taken_as_written():
-    """0.3 / 3 - 0.05 is exactly 0.05, so a floor of 0.05 is feasible although its binary value is not."""
-    solution = solve_eq4(Eq4Problem(max_rate_hz=0.3, topics=3, min_rate_hz=0.05))
-    assert solution.status is Eq4Status.OPTIMAL
-    assert solution.deadline_ns == 20 * 10**9
-
-
 @pytest.mark.parametrize("backend", Backend)
 def test_too_many_topics_are_infeasible(backend):
     """More topics than Rmax carries at Rmin give an infeasible answer that names (2)."""
@@ -85,12 +72,6 @@ def test_depth_floor_out_of_reach_is_infeasible():
     assert solution.binding.startswith("(3)")
 
 
-def test_infeasible_needs_no_solver(monkeypatch):
-    """An infeasible problem is answered without a call to the back end."""
-    monkeypatch.setattr(osqp_, "solve_eq4", lambda problem: pytest.fail("the solver was called"))
-    assert solve_eq4(Eq4Problem(max_rate_hz=20, topics=12), Backend.OSQP).status is Eq4Status.INFEASIBLE
-
-
 def test_a_wrong_back_end_is_overruled(monkeypatch):
     """A back end that returns a feasible point that is not the optimum is replaced by the exact vertex."""
     monkeypatch.setattr(osqp_, "solve_eq4", lambda problem: Solved(values=(5.0, 200.0)))
@@ -99,7 +80,7 @@ def test_a_wrong_back_end_is_overruled(monkeypatch):
     assert (solution.backend, solution.agreed) == (Backend.EXACT, False)
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(problem=problems)
 def test_exact_vertex_is_feasible_and_cannot_be_improved(problem):
     """The vertex satisfies Eq. (4) in exact arithmetic, and both (2) and (3) hold with equality there."""
@@ -115,7 +96,7 @@ def test_exact_vertex_is_feasible_and_cannot_be_improved(problem):
         assert depth <= problem.max_depth
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(problem=problems)
 def test_applied_values_keep_the_link_and_depth_constraints(problem):
     """The applied period and depth satisfy (2) and (3) exactly, unless the depth is Dmin."""
@@ -128,7 +109,7 @@ def test_applied_values_keep_the_link_and_depth_constraints(problem):
             assert solution.depth_applied <= problem.depth_limit(rate)
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(problem=problems)
 def test_osqp_agrees_with_the_vertex(problem):
     """OSQP on the share-scaled problem finds the exact vertex for any feasible Eq. (4)."""

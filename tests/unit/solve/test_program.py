@@ -9,7 +9,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.allocation import AllocationStatus, Binding, Topic
@@ -18,6 +18,7 @@ from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
 from arpd.solve.problem import Solved
 from arpd.solve.program import Program
 from arpd.solve.rows import rate_of, rational
+from tests.examples import examples
 
 AMPLE = 1e12  # bytes of memory that bind nothing
 
@@ -71,25 +72,7 @@ def link_time(topics, allocation, capacity, overhead=0.0):
     )
 
 
-@pytest.mark.parametrize("backend", Backend)
-@pytest.mark.parametrize("max_rate_hz", [100, 200, 500, 1000, 108, 120])
-def test_identical_topics_are_the_paper(backend, max_rate_hz):
-    """Identical topics, no headroom and Rmin as reserve give Eq. (4): Table 2, and where R* is whole."""
-    topics = [topic(f"/t{i}", desired_rate_hz=math.inf) for i in range(12)]
-    solver = program(backend, headroom=1.0, rate_reserve=1)
-    allocation = solver.solve(1000.0 * max_rate_hz, topics, AMPLE)
-    paper = solve_eq4(Eq4Problem(max_rate_hz=max_rate_hz, topics=12))
-    assert allocation.status is AllocationStatus.OPTIMAL
-    assert (allocation.backend, solver.disagreements) == (backend, 0)
-    for row in allocation.topics:
-        assert row.rate_hz == pytest.approx(paper.rate_hz, rel=1e-6)
-        assert row.depth == pytest.approx(paper.depth, rel=1e-6)
-        assert (row.deadline_ns, row.depth_applied) == (paper.deadline_ns, paper.depth_applied)
-        assert math.floor(row.rate_hz) == paper.rate_hz_floor
-        assert row.max_rate_hz == max_rate_hz
-
-
-@settings(deadline=None, max_examples=120)
+@examples(120)
 @given(
     count=st.integers(1, 60),
     max_rate_hz=st.one_of(st.integers(1, 5000), st.decimals("0.5", 5000, places=3)),
@@ -128,7 +111,7 @@ def test_identical_topics_are_eq4_exactly(count, max_rate_hz, min_rate_hz, depth
             assert (row.deadline_ns, row.depth_applied) == (paper.deadline_ns, paper.depth_applied)
 
 
-@settings(deadline=None, max_examples=80)
+@examples(80)
 @given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES, overhead=st.sampled_from([0.0, 1e-4]))
 def test_applied_values_are_feasible(topics, capacity, memory, overhead):
     """Periods keep the headroom, depths keep memory, caps and bounds, all in exact arithmetic."""
@@ -150,7 +133,7 @@ def test_applied_values_are_feasible(topics, capacity, memory, overhead):
         assert answer.depth_applied <= max(cap, row.min_depth)
 
 
-@settings(deadline=None, max_examples=80)
+@examples(80)
 @given(topics=robots(), capacity=CAPACITIES)
 def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
     """Every topic gets its floor when all floors fit below the headroom; otherwise the answer is degraded."""
@@ -163,7 +146,7 @@ def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
             assert answer.rate_hz >= floor * (1 - 1e-9)
 
 
-@settings(deadline=None, max_examples=80)
+@examples(80)
 @given(
     topics=robots(),
     capacity=CAPACITIES,
@@ -180,7 +163,7 @@ def test_rates_grow_with_capacity(topics, capacity, growth, overhead, reserve):
         assert high.rate_hz >= low.rate_hz
 
 
-@settings(deadline=None, max_examples=80)
+@examples(80)
 @given(
     topics=robots(),
     capacity=CAPACITIES,
@@ -199,7 +182,7 @@ def test_what_is_planned_is_1_lipschitz_in_the_capacity(topics, capacity, growth
     assert moved <= capacity * growth - capacity + 1e-12 * capacity
 
 
-@settings(deadline=None, max_examples=50)
+@examples(50)
 @given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES, seed=st.integers(0, 2**32))
 def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, seed):
     """Permuting the topics permutes the answer, real-valued and applied, bit for bit."""
@@ -213,7 +196,7 @@ def test_answers_do_not_depend_on_the_order_of_topics(topics, capacity, memory, 
 USED = program(Backend.OSQP)
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES)
 def test_every_back_end_plans_the_same(topics, capacity, memory):
     """Neither the back end nor the problems it solved before change a bit of the published answer."""
@@ -338,7 +321,7 @@ def test_no_capacity_pauses_everything(backend):
 SHARES = st.integers(0, 1000).map(lambda thousandths: thousandths / 1000)
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES, shares=st.tuples(SHARES, SHARES))
 def test_deep_histories_do_not_depend_on_the_budget(topics, capacity, memory, shares):
     """With ``deep``, any share of the link gives the depths of the ceiling, and none is less than without."""
@@ -360,7 +343,7 @@ def test_a_deep_history_is_that_of_the_desired_rate():
     assert (row.rate_hz, row.depth_applied, row.depth_binding) == (5.0, 49, Binding.LATENCY_BUDGET)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(topics=robots(), capacity=CAPACITIES, share=SHARES.filter(bool))
 def test_a_share_takes_the_place_of_the_headroom(topics, capacity, share):
     """The answer for a share is that of a program with this headroom."""

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from fractions import Fraction
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.allocation import Binding, Topic
@@ -23,7 +23,6 @@ def hertz(row, share):
     return Fraction(*row.rate_hz((share, 1)))
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(SIZES, RATES, RATES), min_size=1, max_size=5), st.floats(1e3, 1e8), st.floats(0.0, 0.1))
 def test_rows_are_the_equations_in_whole_numbers(preferences, capacity, overhead_s):
     """Link time is a = k·t + s/C, lo = a·ℓ and hi = a·u in one unit for all topics, to the last digit."""
@@ -43,7 +42,6 @@ def test_rows_are_the_equations_in_whole_numbers(preferences, capacity, overhead
         assert row.units.share % 20 == 0
 
 
-@settings(deadline=None)
 @given(st.fractions(0, 1000), st.fractions(0, 1000))
 def test_depth_cap_is_monotone_in_the_rate_and_within_bounds(one, other):
     """A faster topic never gets less history, and the cap stays within Dmin..Dmax."""
@@ -52,7 +50,6 @@ def test_depth_cap_is_monotone_in_the_rate_and_within_bounds(one, other):
     assert 2 * SAMPLE <= slow <= fast <= 50 * SAMPLE
 
 
-@settings(deadline=None)
 @given(SIZES, st.fractions(0, 1000), st.integers(1, 5000), st.one_of(st.none(), st.floats(0.001, 100.0)))
 def test_justified_history_is_eq_3(wire_bytes, rate_hz, max_depth, budget_s):
     """⌊τ·R − δ⌋ in whole samples agrees with exact arithmetic, for every window."""
@@ -73,7 +70,6 @@ def test_a_desired_rate_without_bound_means_what_the_link_carries():
 AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1, 2, 4, 16])), min_size=1, max_size=10)
 
 
-@settings(deadline=None)
 @given(AMOUNTS, st.integers(0, 500))
 def test_giving_up_takes_exactly_the_deficit_from_the_lightest_first(rows, deficit):
     """The cut is the deficit or everything; a class is cut only when every lighter one is at 0."""

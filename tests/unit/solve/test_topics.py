@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from arpd.model.endpoints import Direction
@@ -12,7 +10,6 @@ from arpd.model.settings import ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
 from arpd.solve.topics import (
     Demand,
-    Traffic,
     assumed_traffic,
     memory_budget_bytes,
     rows_of_traffic,
@@ -42,26 +39,6 @@ def test_an_assumed_topic_makes_the_row_of_a_measured_one():
     preferences = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
     settings = Settings(topics={"/scan": preferences})
     assert rows_of_traffic(assumed_traffic(settings), settings) == Demand().topics([driver()], settings)
-
-
-def test_only_topics_with_both_payload_and_source_rate_are_assumed():
-    """A topic needs both values to be assumed, and the defaults have neither."""
-    given = TopicSettings(payload_bytes=100.0, source_rate_hz=5.0)
-    settings = Settings(
-        topics={
-            "/b": given,
-            "/no_payload": replace(given, payload_bytes=None),
-            "/no_rate": replace(given, source_rate_hz=None),
-            "/neither": TopicSettings(),
-        }
-    )
-    assert assumed_traffic(settings) == (Traffic(topic="/b", payload_bytes=100.0, source_rate_hz=5.0, copies=1),)
-
-
-def test_rows_are_sorted_by_name():
-    """The order of the publishers does not matter."""
-    publishers = [driver("/b"), driver("/a"), driver("/c")]
-    assert [row.name for row in Demand().topics(publishers, Settings())] == ["/a", "/b", "/c"]
 
 
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
@@ -108,21 +85,3 @@ def test_histories_leave_the_host_its_reserve(available_mib, budget_mib):
     memory = MemoryState(total_bytes=int(1000 * MIB), available_bytes=int(available_mib * MIB))
     settings = ProgramSettings(memory_budget_bytes=64 * MIB, memory_reserve_bytes=128 * MIB)
     assert memory_budget_bytes(memory, settings) == budget_mib * MIB
-
-
-def test_noise_of_a_measurement_changes_no_row():
-    """Rows are the same objects until a rate moves by more than 2 %."""
-    demand, settings, other = Demand(), Settings(), driver(topic="/a")
-    first = demand.topics((other, driver(source_rate_hz=20.0)), settings)
-    assert demand.topics((other, driver(source_rate_hz=20.2)), settings) is first
-    moved = demand.topics((other, driver(source_rate_hz=20.6)), settings)
-    assert [new is old for new, old in zip(moved, first, strict=True)] == [True, False]
-    assert moved == Demand().topics((other, driver(source_rate_hz=20.6)), settings)
-
-
-def test_new_settings_make_new_rows():
-    """A reload gives every topic its new weight at once."""
-    demand, publishers = Demand(), (driver(),)
-    assert demand.topics(publishers, Settings())[0].weight == 1.0
-    heavier = Settings(topics={"/scan": TopicSettings(weight=5.0)})
-    assert demand.topics(publishers, heavier)[0].weight == 5.0

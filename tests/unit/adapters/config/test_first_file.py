@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import pytest
-import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from arpd.adapters.config.first_file import LinkChoice, first_file
 from arpd.adapters.config.load import load_settings
-from arpd.govern.what_if import OfflinePlanner
 from arpd.model.errors import ConfigError
 from arpd.model.link_topics import LinkTopic, TopicTraffic
 from arpd.report.first_guess import first_guess
-from arpd.solve.topics import assumed_traffic
-from tests.unit.report.test_first_guess import TOPICS, camera, topic
+from tests.examples import examples
+from tests.unit.report.test_first_guess import TOPICS
 
 LINK = LinkChoice(link_domain=77, robot="10.0.0.1", robot_is_guessed_from="wlan0")
-QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = examples(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 WORDS = st.text(max_size=80)
 # What breaks a line somewhere: in YAML, in Python, on a terminal.
 BREAKS = "\n", "\r", "\x85", "\u2028", "\u2029", "\x0b", "\x0c", "\x1b[2J", "\x00", "\ud800"
@@ -70,55 +68,13 @@ def test_words_from_outside_stay_in_their_comments(loaded, words, breaking):
 @pytest.mark.parametrize("name", ["/on", "/null", "/y", "/x1e3"])
 def test_names_that_yaml_could_take_for_something_else_stay_names(loaded, name):
     """Every name is read back as text."""
-    assert list(loaded([topic(name, "std_msgs/msg/String")])[1].topics) == [name]
+    assert list(loaded([LinkTopic(name=name, types=("std_msgs/msg/String",), writers=("/node",))])[1].topics) == [name]
 
 
 def test_without_an_address_check_names_the_line_to_fill_in(loaded):
-    """A robot whose address is unknown gets a file with one fault, and a comment at the line that mends it."""
+    """A robot whose address is unknown gets a file with one fault, at the key that is missing."""
     link = LinkChoice(link_domain=77)
     with pytest.raises(ConfigError) as error:
         loaded([], link)
     assert len(error.value.faults) == 1
     assert "relay.robot" in error.value.faults[0]
-    above, line = next(
-        pair
-        for text in [first_file(first_guess([]), link, origin="")]
-        for pair in zip(text.splitlines(), text.splitlines()[1:], strict=False)
-        if pair[1].strip() == "robot: none"
-    )
-    assert above.strip().startswith("#")
-    assert line.startswith("  ")
-
-
-def test_a_robot_without_topics_gets_a_valid_file(loaded):
-    """The file says that there are none."""
-    assert loaded([])[1].topics == {}
-
-
-def test_the_plan_for_a_robot_is_sensible(loaded):
-    """At 4 Mbit/s commands and state have all they want, the picture gets the rest, and nothing degrades."""
-    found = [
-        *camera(**{"image_raw": 30.0, "image_raw/compressed": 30.0, "camera_info": 30.0}),
-        topic("/cmd_vel", "geometry_msgs/msg/Twist", rate_hz=20.0, size=52),
-        topic("/imu", "sensor_msgs/msg/Imu", rate_hz=100.0, size=324),
-        topic("/scan", "sensor_msgs/msg/LaserScan", rate_hz=10.0, size=5828),
-        topic("/odom", "nav_msgs/msg/Odometry", rate_hz=50.0, size=716),
-        topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", rate_hz=1.0, size=300),
-    ]
-    _, read = loaded(found)
-    planner = OfflinePlanner(read, assumed_traffic(read))
-    plan = planner.plan(4e6 / 8)
-    rows = {row.topic.name: row for row in plan.topics}
-    assert all(rows[name].has_its_wish for name in ("/cmd_vel", "/imu", "/odom", "/scan", "/diagnostics"))
-    assert 2 < rows["/cam/image_raw/compressed"].rate_hz < 30
-    assert rows["/cam/image_raw"].rate_hz < 0.1
-    assert not plan.allocation.degradation
-    assert not planner.plan(2.5e6 / 8).allocation.degradation  # the floors and their headroom
-
-
-def test_values_are_the_yaml_librarys(loaded):
-    """Another reader of YAML sees the same file."""
-    text = first_file(first_guess(camera(image_raw=30.0, camera_info=30.0)), LINK, origin="x")
-    document = yaml.safe_load(text)
-    assert document["relay"]["groups"][0]["topics"] == ["/cam/image_raw", "/cam/camera_info"]
-    assert document["topics"][0]["max_depth"] == 5

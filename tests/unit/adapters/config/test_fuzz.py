@@ -5,37 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from arpd.adapters.config.load import load_settings
 from arpd.model.errors import ConfigError
 from scripts.bench.fuzz_target import FAULT
 from scripts.bench.fuzz_targets import TARGETS
+from tests.examples import examples
 
 SHIPPED = (Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml").read_text(encoding="utf-8")
 # Without its comments, which cost time and change nothing.
 LINES = [line for line in SHIPPED.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-ROS_TARGETS = {"report", "probe", "ask", "grant", "publisher", "reader", "wire", "claim", "parameters"}
-
-
-def leaves(text):
-    """Return every scalar of a file with its dotted key."""
-
-    def walk(node, key):
-        if isinstance(node, yaml.MappingNode):
-            for name, value in node.value:
-                yield from walk(value, f"{key}.{name.value}".lstrip("."))
-        elif isinstance(node, yaml.ScalarNode):
-            yield key, node
-
-    return list(walk(yaml.compose(text), ""))
-
-
-GOOD = "\n".join(LINES) + "\n"
-LEAVES = leaves(GOOD)
+QUICK = examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+ROS_TARGETS = {"report", "probe", "publisher", "reader", "wire", "claim", "parameters"}
 
 
 @pytest.fixture
@@ -47,32 +30,6 @@ def load(tmp_path):
         return load_settings(path, interfaces=None)
 
     return load
-
-
-def test_the_file_without_its_comments_is_good(load):
-    """The file that the tests below spoil loads and has a value for most keys."""
-    load(GOOD.encode())
-    assert len(LEAVES) > 25
-
-
-# None of these is a value of any key.
-WRONG = st.sampled_from(["[]", "{}", "[[1]]", "{a: b}", "!!", ".nan", "-1e999", '"\\0"'])
-
-
-@QUICK
-@given(st.sampled_from(LEAVES), WRONG)
-def test_one_wrong_value_is_one_fault_at_its_place(load, leaf, wrong):
-    """One value of a wrong kind is one fault, with its key, line and column."""
-    key, node = leaf
-    start, end = node.start_mark, node.end_mark
-    raw = GOOD[: start.index] + wrong + GOOD[end.index :]
-    with pytest.raises(ConfigError) as refused:
-        load(raw.encode())
-    (fault,) = refused.value.faults
-    assert FAULT.fullmatch(fault)
-    _, line, _, named, _ = fault.split(":", 4)
-    assert int(line) == start.line + 1
-    assert named.strip() in {key, "yaml"}
 
 
 MANGLED = st.tuples(
@@ -127,7 +84,7 @@ def test_a_fuzz_target_takes_its_seeds_and_what_is_near(name):
 
 
 @pytest.mark.parametrize(
-    "raw", [b"topics: [" + b"[]," * 300_000 + b"]", b"".join(b"k%d: 1\n" % k for k in range(90_000))]
+    "raw", [b"topics: [" + b"[]," * 30_000 + b"]", b"".join(b"k%d: 1\n" % k for k in range(25_000))]
 )
 def test_a_costly_file_is_refused_early(load, raw):
     """Reading stops early at a file that would take a quarter of a minute and half a gigabyte."""

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from arpd.adapters.host.kernel import (
     interface_to,
-    is_clock_synchronised,
     is_own_address,
     read_limits,
-    read_mtu,
     route_mtu,
 )
-from arpd.report.health import Unknown
 from arpd.report.health_host import NetworkLimits
 
 SNMP = """\
@@ -62,15 +57,7 @@ def test_what_the_kernel_does_not_tell_is_not_known(tmp_path, snmp):
     assert read_limits(tmp_path / "nowhere") == NetworkLimits()
 
 
-def test_the_mtu_is_the_interfaces(tmp_path):
-    """An interface that is not there has none."""
-    (tmp_path / "wlan0").mkdir()
-    (tmp_path / "wlan0/mtu").write_text("1400\n")
-    assert read_mtu("wlan0", sys_net=tmp_path) == 1400
-    assert isinstance(read_mtu("wlan1", sys_net=tmp_path), Unknown)
-
-
-def test_the_route_to_this_computer_is_the_loopback():
+def test_the_route_to_this_computer_is_the_loopback(network):
     """Interface and packet size come from the kernel, and nothing is sent."""
     assert interface_to("127.0.0.1") == "lo"
     assert (route_mtu("127.0.0.1") or 0) >= 16_384
@@ -81,15 +68,3 @@ def test_the_route_to_this_computer_is_the_loopback():
     assert not is_own_address("no.such.host.invalid")
     assert interface_to("no.such.host.invalid") is None
     assert route_mtu("256.0.0.1") is None
-
-
-@pytest.mark.parametrize(("state", "is_synchronised"), [(0, True), (5, False), (-1, None)])
-def test_the_kernel_tells_whether_its_clock_is_kept(state, is_synchronised):
-    """A refusal is no answer."""
-    assert is_clock_synchronised(lambda: state) is is_synchronised
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="adjtimex is Linux")
-def test_a_real_kernel_tells_it():
-    """Nobody needs to be root to ask."""
-    assert is_clock_synchronised() is not None

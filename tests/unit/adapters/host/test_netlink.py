@@ -2,7 +2,6 @@
 
 import socket
 import struct
-from unittest.mock import MagicMock
 
 import pytest
 
@@ -44,25 +43,6 @@ def test_the_root_queue_of_the_interface_is_found_among_others():
 def test_without_a_root_queue_there_is_no_backlog(answer):
     """No answer, an error, another interface or a queue without counters gives no backlog."""
     assert find_root(answer, 3)[0] is None
-
-
-def test_an_interface_without_a_queue_has_no_backlog():
-    """A queue inside mac80211 is unknown, not empty."""
-    assert find_root(qdisc(3, name=b"noqueue\0", waiting=0), 3) == (None, True)
-
-
-def test_an_answer_goes_on_until_its_end():
-    """A part without the queue and without an end asks for the next part."""
-    assert find_root(qdisc(2) + qdisc(4), 3) == (None, False)
-
-
-def test_a_cut_answer_is_none(monkeypatch):
-    """An answer that is cut off gives None and raises nothing."""
-    kernel = MagicMock()
-    kernel.__enter__.return_value.recv.return_value = qdisc(3)[:30]
-    monkeypatch.setattr(socket, "socket", lambda *_: kernel)
-    assert read_backlog(3) is None
-    kernel.__enter__.return_value.recv.assert_called_once()
 
 
 def test_the_kernel_answers_about_queues():

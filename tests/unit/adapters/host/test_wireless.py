@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 
 import pytest
 
@@ -11,22 +10,13 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.adapters.host.wireless import (
-    radios_beneath,
-    read_radio,
-    region_of,
-    runs_network_manager,
-    saves_power,
-    signal_dbm,
-)
-from arpd.adapters.systemd.services import ServiceState
+from arpd.adapters.host.wireless import radios_beneath, read_radio
 from arpd.report.health import Unknown
 from arpd.report.health_link import RadioState
 from tests.unit.adapters.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
 
 # linux/nl80211.h
 ATTR_WIPHY, ATTR_REG_ALPHA2, ATTR_PS_STATE = 1, 33, 93
-STA_INFO_SIGNAL_AVG = 13
 CMD_ANY = 62
 
 
@@ -53,26 +43,6 @@ def signal(kind, dbm):
 def region(code, radio=None):
     named = [] if radio is None else [attribute(ATTR_WIPHY, struct.pack("I", radio))]
     return answer(*named, attribute(ATTR_REG_ALPHA2, code.encode() + b"\0"))
-
-
-@pytest.mark.parametrize(("state", "is_on"), [(0, False), (1, True)])
-def test_power_save_is_on_or_off(state, is_on):
-    """An answer without it tells nothing."""
-    assert saves_power([power_save(state)]) is is_on
-    assert saves_power([answer()]) is None
-
-
-def test_the_strongest_signal_counts():
-    """The average before the last packet's, and the best of an access point's clients."""
-    assert signal_dbm([station(signal(STA_INFO_SIGNAL, -40), signal(STA_INFO_SIGNAL_AVG, -61))]) == -61
-    assert signal_dbm([station(signal(STA_INFO_SIGNAL, -81)), station(signal(STA_INFO_SIGNAL, -52))]) == -52
-    assert signal_dbm([answer(), station()]) is None
-
-
-def test_a_radio_with_its_own_domain_is_not_the_global_one():
-    """A radio that keeps to the global domain has no entry of its own."""
-    answers = [region("00"), region("US", radio=1)]
-    assert (region_of(answers, radio=1), region_of(answers, radio=0), region_of([], radio=0)) == ("US", "00", None)
 
 
 @pytest.fixture
@@ -124,33 +94,6 @@ def test_a_radio_that_refuses_is_not_known(sys_net):
     facts = (found.saves_power, found.signal_dbm, found.region)
     assert all(isinstance(fact, Unknown) for fact in facts)
     assert "not permitted" in str(facts[0])
-
-
-@pytest.mark.parametrize(
-    ("states", "runs"),
-    [
-        ({}, False),
-        ({"NetworkManager": ServiceState(is_installed=True, is_enabled=True, active="active")}, True),
-        ({"NetworkManager": ServiceState(is_installed=True, is_enabled=False, active="inactive")}, False),
-        ({"NetworkManager": ServiceState(is_installed=False, is_enabled=False, active="inactive")}, False),
-    ],
-)
-def test_network_manager_counts_only_while_it_runs(monkeypatch, states, runs):
-    """Where networkd runs, netplan may have left files for NetworkManager, which nobody reads."""
-    monkeypatch.setattr("arpd.adapters.host.wireless.service_states", lambda *_names: states)
-    assert runs_network_manager() is runs
-
-
-@pytest.mark.parametrize("name", ["eth0", "gone0"])
-def test_an_interface_without_a_radio_has_none(sys_net, name):
-    """Nor has one that is not there."""
-    assert read_radio(name, sys_net=sys_net) is None
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="nl80211 is Linux")
-def test_the_loopback_has_no_radio():
-    """On a real kernel."""
-    assert read_radio("lo") is None
 
 
 @pytest.mark.parametrize(

@@ -7,19 +7,15 @@ import hashlib
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from http.client import HTTPConnection
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from prometheus_client import CollectorRegistry
 
-from arpd.adapters.http.answers import PATHS, digest_of, label
-from arpd.adapters.http.server import HttpServer
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.history import History
 from arpd.report.status import status_document
+from tests.unit.web_world import running
 
 WEB = Path(__file__).parents[4] / "arpd" / "adapters" / "http"
 VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
@@ -31,17 +27,8 @@ def get(sample_snapshot):
     history = History()
     for second in range(30):
         history.note(replace(sample_snapshot, finished_at_s=float(second)))
-    server = HttpServer("127.0.0.1", 0, snapshot=lambda: sample_snapshot, registry=CollectorRegistry(), history=history)
-    server.start()
-
-    def ask(path, **headers):
-        connection = HTTPConnection("127.0.0.1", server.port, timeout=5.0)
-        connection.request("GET", path, headers=headers)
-        answer = connection.getresponse()
-        return SimpleNamespace(status=answer.status, headers=answer.headers, body=answer.read())
-
-    yield ask
-    server.stop()
+    with running(snapshot=lambda: sample_snapshot, history=history) as world:
+        yield world.get
 
 
 # -- assets
@@ -60,7 +47,7 @@ def test_what_is_vendored_is_what_its_readme_says():
 
 def test_everything_the_page_names_is_served_and_kept(get):
     """Scripts and styles lie under a path of their content, may be kept for good, and are found from the page."""
-    page = get("/").body.decode()
+    page = get("/").text
     named = re.findall(r'(?:src|href)="(assets/[^"]+)"', page)
     assert len(named) == 8
     for path in named:
@@ -84,43 +71,13 @@ def test_the_page_names_nobody_else():
         assert not re.search(r"\son\w+=|style=|<style|<script>", text), path
 
 
-def test_the_path_of_the_assets_follows_their_content(tmp_path):
-    """A changed script has another path, so no browser runs the old one."""
-    script = tmp_path / "vendor" / "page.js"
-    script.parent.mkdir()
-    names = []
-    for text in ("one", "two", "one"):
-        script.write_text(text)
-        names.append(digest_of(tmp_path))
-    assert names[0] == names[2] != names[1]
-
-
-@pytest.mark.parametrize("path", ["/", "/api/v1/schema/status-v1.json"])
-def test_what_has_not_changed_is_not_sent_again(get, path):
-    """The page and the schemas carry an ETag, and a client that has this version gets no body."""
-    first = get(path)
-    again = get(path, **{"If-None-Match": first.headers["ETag"]})
-    assert (first.headers["Cache-Control"], again.status, again.body) == ("no-cache", 304, b"")
-    assert get("/api/v1/status").headers["ETag"] is None
-
-
-def test_paths_in_metrics_stay_few():
-    """Every path, also an unknown one, has one of few labels."""
-    assert label("/assets/0123/page.js") == label("/assets/never/was.js") == "/assets/"
-    assert label("/api/v1/history") in PATHS
-    assert label("/etc/passwd") == "other"
-
-
-# -- compression
-
-
 def test_answers_get_smaller_and_stay_the_same(get):
     """A large answer comes in gzip with the same content; a small one as it is."""
     plain, small = get("/api/v1/history"), get("/api/v1/history", **{"Accept-Encoding": "gzip, deflate"})
     assert small.headers["Content-Encoding"] == "gzip"
     assert plain.headers["Content-Encoding"] is None
-    assert gzip.decompress(small.body) == plain.body
-    assert len(small.body) < len(plain.body) / 4
+    assert gzip.decompress(small.raw) == plain.raw
+    assert len(small.raw) < len(plain.raw) / 4
     assert get("/-/ready", **{"Accept-Encoding": "gzip"}).headers["Content-Encoding"] is None
 
 

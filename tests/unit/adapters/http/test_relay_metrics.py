@@ -16,11 +16,6 @@ def samples(**fields):
     }
 
 
-def test_a_robot_without_two_ends_has_no_series():
-    """Nor has one whose end has not told anything yet."""
-    assert samples() == {}
-
-
 def test_a_silent_end_is_down_and_nothing_else_is_known():
     """Its last counts would look as if they were new."""
     assert samples(is_relay_silent=True) == {("arpd_relay_end_up",): 0.0}

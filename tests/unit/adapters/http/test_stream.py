@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
-import base64
 import json
 import random
 import socket
 import zlib
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import MappingProxyType
 
 import pytest
 
-from arpd.adapters.http.handlers import MAX_STREAMS
-from arpd.adapters.http.stream import Feed
 from arpd.report.status import status_document
 from tests.sample_publishers import publisher
-from tests.unit.web_world import HASH, PASSWORD, running
+from tests.unit.web_world import running
 from tests.waiting import eventually
 
 EVENTS = 20
@@ -109,7 +104,7 @@ def applied(document, operations):
 
 def listen(world, *headers):
     """Open the stream; return the connection, and its file after the head of the answer."""
-    raw = socket.create_connection(world.address, timeout=10.0)
+    raw = socket.create_connection(world.address, timeout=60.0)
     raw.sendall("\r\n".join(("GET /api/v1/stream HTTP/1.1", "Host: x", *headers, "", "")).encode())
     answer = raw.makefile("rb")
     while answer.readline().strip():
@@ -151,7 +146,8 @@ def test_a_second_of_the_page_costs_little_and_says_everything(tmp_path, sample_
 
 def test_who_does_not_read_is_cut_off_and_holds_up_nobody(tmp_path, sample_snapshot, monkeypatch):
     """A listener that takes nothing costs the buffers of its socket; others have their events meanwhile."""
-    monkeypatch.setattr("arpd.adapters.http.handlers.ANSWER_S", 0.3)
+    monkeypatch.setattr("arpd.adapters.http.handlers.ANSWER_S", 1.0)
+    monkeypatch.setattr("arpd.adapters.http.handlers.MAX_STREAMS", 2)
     number = iter(range(10**9))
     snapshot = lambda: replace(sample_snapshot, config_path=f"{next(number)}" + "x" * 500_000)  # noqa: E731
     with running(tmp_path, snapshot=snapshot) as world:
@@ -159,58 +155,10 @@ def test_who_does_not_read_is_cut_off_and_holds_up_nobody(tmp_path, sample_snaps
         raw, answer = listen(world)
         with lazy, raw:
             seen = chunks(answer)
-            for _ in range(60):  # 30 MB, more than any socket's buffers
-                assert next(seen)
-            assert len(behind.read()) < 20_000_000  # to its end: the server has closed it
-
-
-def test_a_place_is_free_as_soon_as_its_listener_leaves(tmp_path, sample_snapshot):
-    """More listeners than places are refused, and one who leaves a silent daemon is no refused connection."""
-    with running(tmp_path, snapshot=lambda: sample_snapshot) as world:
-        held = []
-        for _ in range(MAX_STREAMS):
-            raw, answer = listen(world)
-            next(chunks(answer))
-            held.append((raw, answer))
-        try:
-            assert world.get("/api/v1/stream").status == 503
-            for raw, answer in held[:1]:
-                answer.close()
-                raw.close()
-            eventually(lambda: world.get("/api/v1/stream", method="HEAD").status == 200)
-            assert world.count("arpd_http_connections_refused_total", reason="gone") == 0
-        finally:
-            for raw, _ in held:
-                raw.close()
-
-
-def test_who_missed_an_event_gets_the_whole_document():
-    """A listener that waits for its client gets no changes of a document that it has not."""
-
-    async def heard():
-        numbers = iter(range(10**6))
-        with ThreadPoolExecutor(1) as pool:
-            feed = Feed(lambda: {"age_seconds": 0.0, "number": next(numbers)}, pool=pool)
-            quick, slow = feed.events(lambda: False), feed.events(lambda: False)
-            await anext(slow)
-            of_quick = [await anext(quick) for _ in range(4)]
-            of_slow = [await anext(slow) for _ in range(2)]
-            await quick.aclose()
-            await slow.aclose()
-        return [[event.partition(b"event: ")[2].partition(b"\n")[0] for event in each] for each in (of_quick, of_slow)]
-
-    quick, slow = asyncio.run(heard())
-    assert quick == [b"status", b"changes", b"changes", b"changes"]
-    assert slow == [b"status", b"changes"]
-
-
-def test_new_users_end_the_stream(tmp_path, sample_snapshot):
-    """Who listens under old rules has to come again."""
-    with running(tmp_path, f"basic_auth_users: {{robot: {HASH}}}", snapshot=Moving(sample_snapshot)) as world:
-        given = base64.b64encode(f"robot:{PASSWORD}".encode()).decode()
-        raw, answer = listen(world, f"Authorization: Basic {given}")
-        with raw:
-            sent = chunks(answer)
-            next(sent)
-            (tmp_path / "web.yaml").write_text(f"basic_auth_users: {{somebody: {HASH}}}")
-            assert len(list(sent)) < 100  # to the end of the body
+            assert world.get("/api/v1/stream", method="HEAD").status == 503
+            eventually(
+                "the listener that takes nothing is cut off",
+                lambda: next(seen) and world.get("/api/v1/stream", method="HEAD").status == 200,
+            )
+            assert next(seen)
+            behind.read()  # to its end

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import shutil
 import ssl
@@ -12,16 +11,15 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from arpd.adapters.http.access import Access, exposure
 from arpd.adapters.http.http_metrics import HttpCounts
-from arpd.adapters.http.tls import has_allowed_name
-from arpd.adapters.http.web_config import Protection, check_web_config, load_protection, web_config_path
+from arpd.adapters.http.web_config import Protection, load_protection
 from arpd.adapters.http.web_config_schema import TlsServer, WebDocument
 from arpd.model.errors import ConfigError
-from arpd.model.settings import HttpSettings
+from tests.examples import examples
 from tests.unit.web_world import HASH, Clock, make_certificate
 
 FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")
@@ -92,69 +90,52 @@ basic_auth_users:
 
 
 @pytest.mark.parametrize(
-    ("text", "fault"),
+    ("text", "place", "words"),
     [
-        (
-            "tls_servr_config: {}",
-            "1:1: tls_servr_config: is not a key of a web-config; did you mean tls_server_config?",
-        ),
-        (
-            f"{TLS}, key: x}}",
-            "1:66: tls_server_config.key: is a key of Prometheus exporters that arpd does not support; ",
-        ),
-        (f"{TLS}, curve_preferences: [X25519]}}", "remove it; OpenSSL chooses"),
-        (
-            "rate_limit: {interval: 1s}",
-            "1:1: rate_limit: is a key of Prometheus exporters that arpd does not support; ",
-        ),
-        ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file: is missing; "),
-        ("tls_server_config:", "1:19: tls_server_config: has no value; "),
-        ("basic_auth_users: [a]", "1:19: basic_auth_users: a list is not a mapping; "),
-        ("basic_auth_users:", "1:18: basic_auth_users: has no value; "),
-        (f"basic_auth_users: {{alice: {SECRET}}}", "1:27: basic_auth_users.alice: is not a bcrypt hash; "),
-        (f"basic_auth_users: {{a: '{HASH.replace('$04$', '$20$')}'}}", "has bcrypt cost 20, arpd takes 4..14; "),
-        (f"basic_auth_users: {{'a:b': {HASH}}}", "1:27: basic_auth_users.'a:b': cannot be a name (RFC 7617); "),
-        (f"{TLS}, min_version: TLS10}}", "'TLS10' is not one of the choices; write TLS12 or TLS13"),
-        (f"{TLS}, min_version: TLS13, max_version: TLS12}}", "min_version: is above max_version TLS12; "),
-        (f"{TLS}, client_auth_type: RequestClientCert}}", "'RequestClientCert' is not one of the choices; "),
-        (f"{TLS}, client_auth_type: RequireAndVerifyClientCert}}", "needs a CA to verify with; "),
-        (f"{TLS}, client_ca_file: other.crt}}", "does nothing while client_auth_type is NoClientCert; "),
-        (f"{TLS}, client_allowed_sans: [a]}}", "needs a certificate from every client; "),
-        (f"{TLS}, client_allowed_sans: a}}", "is not a list of names; "),
-        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "is not a list of ciphers that arpd has; "),
-        (f"{TLS}, prefer_server_cipher_suites: 1}}", "1 is neither true nor false; "),
+        ("tls_servr_config: {}", "1:1: tls_servr_config", "did you mean tls_server_config?"),
+        (f"{TLS}, key: x}}", "1:66: tls_server_config.key", "does not support"),
+        ("rate_limit: {interval: 1s}", "1:1: rate_limit", "does not support"),
+        ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file", "is missing"),
+        ("tls_server_config:", "1:19: tls_server_config", "has no value"),
+        ("basic_auth_users: [a]", "1:19: basic_auth_users", "a list is not a mapping"),
+        (f"basic_auth_users: {{alice: {SECRET}}}", "1:27: basic_auth_users.alice", "not a bcrypt hash"),
+        (f"basic_auth_users: {{a: '{HASH.replace('$04$', '$20$')}'}}", "1:23: basic_auth_users.a", "cost 20"),
+        (f"basic_auth_users: {{'a:b': {HASH}}}", "1:27: basic_auth_users.'a:b'", "cannot be a name"),
+        (f"{TLS}, min_version: TLS10}}", "1:79: tls_server_config.min_version", "write TLS12 or TLS13"),
+        (f"{TLS}, min_version: TLS13, max_version: TLS12}}", "tls_server_config.min_version", "max_version TLS12"),
+        (f"{TLS}, client_auth_type: RequireAndVerifyClientCert}}", "tls_server_config.client_auth_type", "needs a CA"),
+        (f"{TLS}, client_ca_file: other.crt}}", "tls_server_config.client_ca_file", "client_auth_type is NoClientCert"),
+        (f"{TLS}, client_allowed_sans: [a]}}", "tls_server_config.client_allowed_sans", "from every client"),
+        (f"{TLS}, client_allowed_sans: a}}", "tls_server_config.client_allowed_sans", "not a list"),
+        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "tls_server_config.cipher_suites", "not a list"),
         (
             "http_server_config: {headers: {X-Powered-By: x}}",
-            "1:32: http_server_config.headers.X-Powered-By: is not a key of a web-config; known here: Content-Security",
+            "1:32: http_server_config.headers.X-Powered-By",
+            "known here",
         ),
-        ('http_server_config: {headers: {X-XSS-Protection: "a\\r\\nb"}}', "'a\\r\\nb' is not a header's value; "),
-        (
-            "http_server_config: {headers: {X-Frame-Options: x}}",
-            "'x' is not one of the choices; write deny or sameorigin",
-        ),
-        ("tls_server_config: {cert_file: no.crt, key_file: server.key}", "no.crt does not exist; "),
-        ("tls_server_config: {cert_file: text.txt, key_file: server.key}", "text.txt holds no CERTIFICATE in PEM; "),
-        (
-            "tls_server_config: {cert_file: server.key, key_file: server.key}",
-            "server.key holds no CERTIFICATE in PEM; ",
-        ),
+        ('http_server_config: {headers: {X-XSS-Protection: "a\\r\\nb"}}', "", "not a header's value"),
+        ("http_server_config: {headers: {X-Frame-Options: x}}", "", "write deny or sameorigin"),
+        ("tls_server_config: {cert_file: no.crt, key_file: server.key}", "", "no.crt does not exist"),
+        ("tls_server_config: {cert_file: text.txt, key_file: server.key}", "", "text.txt holds no CERTIFICATE"),
         (
             "tls_server_config: {cert_file: server.crt, key_file: other.key}",
-            "1:54: tls_server_config.key_file: does not",
+            "1:54: tls_server_config.key_file",
+            "does not",
         ),
-        ("tls_server_config: {cert_file: junk.pem, key_file: other.key}", "cannot be used with key_file ("),
-        ("tls_server_config: {cert_file: ., key_file: other.key}", "cannot be read (Is a directory); "),
+        ("tls_server_config: {cert_file: junk.pem, key_file: other.key}", "", "cannot be used with key_file"),
+        ("tls_server_config: {cert_file: ., key_file: other.key}", "", "Is a directory"),
     ],
 )
-def test_faults_name_place_key_and_way_out(load, text, fault):
+def test_faults_name_place_key_and_way_out(load, text, place, words):
     """Each fault is one line, as for arpd.yaml, and no line shows a hash."""
     with pytest.raises(ConfigError) as refused:
         load(text)
-    assert len(refused.value.faults) == 1
-    assert FAULT.fullmatch(refused.value.faults[0])
-    assert fault in refused.value.faults[0]
-    assert SECRET not in str(refused.value)
-    assert "$2b$" not in str(refused.value)
+    (fault,) = refused.value.faults
+    assert FAULT.fullmatch(fault)
+    assert f"{place}: " in fault
+    assert words in fault
+    assert SECRET not in fault
+    assert "$2b$" not in fault
 
 
 KEYS = st.sampled_from(
@@ -174,7 +155,7 @@ DOCUMENTS = st.recursive(
 )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.dictionaries(KEYS, DOCUMENTS, max_size=3).map(yaml.safe_dump) | st.text(max_size=60))
 def test_any_file_is_understood_or_refused_in_our_words(load, text):
     """Any file loads or gives faults in their form, and none in pydantic's words."""
@@ -184,14 +165,6 @@ def test_any_file_is_understood_or_refused_in_our_words(load, text):
         for fault in error.faults:
             assert FAULT.fullmatch(fault), fault
             assert "see the manual" not in fault
-
-
-def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked(load, certificates):
-    """A key with a passphrase is a fault, because a daemon has no terminal."""
-    encrypted = "openssl pkey -in server.key -aes128 -passout pass:secret -out encrypted.key"
-    assert os.system(f"cd {certificates} && {encrypted}") == 0
-    with pytest.raises(ConfigError, match="has a passphrase, which a daemon cannot enter; "):
-        load("tls_server_config: {cert_file: server.crt, key_file: encrypted.key}")
 
 
 def test_the_shipped_example_is_only_comments_and_right(certificates):
@@ -206,15 +179,6 @@ def test_the_shipped_example_is_only_comments_and_right(certificates):
     assert protection.tls
     assert protection.users
     assert protection.headers
-
-
-def test_the_path_starts_from_the_configuration_file(tmp_path):
-    """A relative path starts in the folder of arpd.yaml; `none` names no file; `arpd check` checks the file."""
-    assert web_config_path(HttpSettings(), directory=tmp_path) is None
-    assert web_config_path(HttpSettings(web_config="a.yaml"), directory=tmp_path) == tmp_path / "a.yaml"
-    check_web_config(HttpSettings(), directory=tmp_path)
-    with pytest.raises(ConfigError, match=re.escape(f"{tmp_path}/a.yaml:1:1: file: does not exist; ")):
-        check_web_config(HttpSettings(web_config="a.yaml"), directory=tmp_path)
 
 
 # -- changes while the daemon runs
@@ -263,18 +227,6 @@ def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
     assert reloads(access) == {"failed": 1, "ok": 1}
 
 
-def test_a_file_that_a_broken_web_config_waits_for_is_found_when_it_comes(access, folder):
-    """A refused file is tried again every ten seconds, because the files that it names are not watched."""
-    first = access.current()
-    access.path.write_text(f"{TLS.replace('server.', 'late.')}}}\nbasic_auth_users: {{alice: {HASH}}}")
-    assert access.current() is first
-    for ending in ("crt", "key"):
-        (folder / f"other.{ending}").rename(folder / f"late.{ending}")
-    assert access.current() is first
-    access.clock.now_s = 11.0
-    assert access.current() is not first
-
-
 @pytest.mark.parametrize("text", ["http_server_config: {}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""])
 def test_no_change_of_the_file_opens_the_port(access, text):
     """TLS and users stay until a restart, so that an editor that writes a file in two steps cannot open the robot."""
@@ -289,25 +241,8 @@ def test_what_is_open_to_the_network_is_said(access):
     both = access.current()
     users = Protection(users=both.users)
     assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
-    assert exposure("0.0.0.0", Protection()).startswith("anyone who reaches it can read it; ")
-    assert exposure("fe80::1%eth0", Protection(tls=both.tls)).startswith("anyone who reaches it can read it; ")
-    assert exposure("::", users).startswith("passwords cross the network unencrypted; ")
+    assert "anyone" in exposure("0.0.0.0", Protection())
+    assert "anyone" in exposure("fe80::1%eth0", Protection(tls=both.tls))
+    assert "unencrypted" in exposure("::", users)
     assert exposure("192.0.2.1", both) == ""
     assert exposure("192.0.2.1", Protection(tls=both.tls, requires_certificate=True)) == ""
-
-
-@pytest.mark.parametrize(
-    ("allowed", "is_allowed"),
-    [
-        ({"a.example"}, True),
-        ({"2001:db8::1"}, True),
-        ({"x@y.z"}, True),
-        ({"b.example", "A.example"}, False),
-        ({""}, False),
-    ],
-)
-def test_alternative_names_are_matched_whole(allowed, is_allowed):
-    """DNS, IP in any spelling, e-mail and URI match as a whole; no certificate matches nothing."""
-    names = (("DNS", "a.example"), ("IP Address", "2001:DB8:0:0:0:0:0:1"), ("email", "x@y.z"), ("DirName", "b.example"))
-    assert has_allowed_name({"subjectAltName": names}, allowed) is is_allowed
-    assert not has_allowed_name(None, allowed)

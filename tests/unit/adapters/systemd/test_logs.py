@@ -47,12 +47,6 @@ def logged(stderr, text):
     return stderr.read()
 
 
-def test_a_terminal_gets_plain_lines(stderr, tmp_path):
-    """Outside systemd a line has level and logger, and no priority."""
-    configure(environ={}, stderr=stderr, journal=tmp_path / "none")
-    assert logged(stderr, "first\nsecond") == "WARNING arpd.daemon.tick: first\nsecond\n"
-
-
 def test_every_line_carries_its_priority(stderr, tmp_path):
     """If stderr leads to the journal but its socket is missing, every line of a warning has its priority."""
     configure(environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "none")

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
@@ -15,6 +15,7 @@ from arpd.model.endpoints import WithheldCause, WriterQos
 from arpd.model.price import Price
 from arpd.model.settings import Overflow
 from arpd.model.wire import FRAGMENT_BYTES
+from tests.examples import examples
 from tests.unit import swap_world
 
 STEP_S = 0.005
@@ -115,21 +116,7 @@ def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
     assert world.flow.state().queued <= 30
 
 
-def test_a_hold_conflates_nothing_that_pacing_lets_through():
-    """Held samples wait behind the pacing, so a swap of a slow conflating topic loses none of them."""
-    world = World()
-    world.retune(rate_hz=10.0)
-    for number in range(200):
-        if number == 20:
-            world.retune(depth=11)
-        world.flow.publish(name(number))
-        world.writers[-1].acknowledges = len(world.writers) > 1
-        world.wait(0.11)
-    assert len(world.writers) == 2
-    assert world.log == [name(number) for number in range(200)]
-
-
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(
     st.lists(
         st.one_of(
@@ -242,7 +229,7 @@ def test_what_gives_way_to_the_ceiling_is_told_from_what_gives_way_to_the_price(
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
 
 
-@settings(deadline=None, max_examples=50)
+@examples(50)
 @given(
     st.lists(
         st.tuples(st.one_of(st.just(math.inf), st.floats(0.0, 100.0)), st.sampled_from([0.05, 0.3, 1.5])),
@@ -275,14 +262,6 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
             assert last - first + 1 <= departures[last] - start + 4.0 + 1e-6  # 50 ms at the ceiling
 
 
-@pytest.mark.parametrize("overflow", Overflow)
-def test_a_paused_topic_gives_way_to_the_plan(overflow):
-    """The cause is the rate, not a blocked writer."""
-    world = World(overflow=overflow)
-    world.retune(rate_hz=0.0)
-    assert run(world, rate_hz=100.0, seconds=1.0).keys() == {WithheldCause.RATE}
-
-
 @pytest.mark.parametrize("rate_hz", [20.0, math.inf])
 def test_what_a_writer_that_blocks_kept_back_is_told_from_what_pacing_did(rate_hz):
     """Samples that wait only for the writing thread count as blocked, paced or not."""
@@ -307,27 +286,6 @@ def test_the_rate_at_which_samples_leave_is_measured():
     assert world.flow.state().published_rate_hz == pytest.approx(50.0, rel=0.02)
     world.wait(2.0)
     assert world.flow.state().published_rate_hz == 0.0
-
-
-def test_only_the_writer_in_force_misses_deadlines():
-    """Misses of a retired writer do not count, and its earlier ones stay counted."""
-    world = World()
-    first = world.writers[0]
-    first.missed, first.acknowledges = 3, True
-    assert world.flow.state().deadlines_missed == 3
-    world.retune(depth=2)
-    first.missed = 5
-    world.wait(1.01 * SwapTiming().settle_s)
-    world.flow.publish(name(0))
-    assert world.flow.writer is world.writers[1]
-    first.missed += 100
-    assert world.flow.state().deadlines_missed == 5
-    world.writers[1].missed = 2
-    assert world.flow.state().deadlines_missed == 7
-    world.writers[1].acknowledges = True
-    world.wait(10.0)
-    assert not first.is_alive
-    assert world.flow.state().deadlines_missed == 7
 
 
 def slow_start(world, seconds, *, daemon=True, sample=LARGE):
@@ -357,14 +315,6 @@ def test_large_samples_wait_for_their_first_plan_while_a_daemon_is_there():
 def test_what_need_not_wait_does_not(sample, overflow, daemon):
     """Small samples, those that may not be conflated, and all samples without a daemon leave as they come."""
     assert slow_start(World(overflow=overflow), 2.0, daemon=daemon, sample=sample) == 100
-
-
-def test_the_wait_ends_with_the_first_plan_and_never_returns():
-    """From the first plan on its rate is in force."""
-    world = World()
-    slow_start(world, 1.0)
-    world.retune()
-    assert slow_start(world, 2.0) == pytest.approx(100, abs=1)
 
 
 @pytest.mark.parametrize(("seconds", "daemon"), [(4.2, True), (1.0, False)], ids=["four seconds", "no daemon"])

@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.flow import Flow
@@ -13,6 +13,7 @@ from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.settings import Overflow
+from tests.examples import examples
 from tests.unit import swap_world
 
 CAPACITY = 100_000.0  # bytes/s
@@ -63,13 +64,6 @@ def test_a_large_sample_waits_until_all_that_left_has_crossed(link):
     assert wait_s(link, SMALL) == 0.0
     assert wait_s(link, now_s=STEADY_S + 0.04) == pytest.approx(0.02, abs=0.001)
     assert wait_s(link, now_s=STEADY_S + 0.06) == 0.0
-
-
-def test_it_waits_for_less_than_a_period_of_its_rate(link):
-    """Topics that nothing paces, or that were planned too fast, starve no large one."""
-    for _ in range(100):
-        link.occupy(LARGE, STEADY_S)
-    assert wait_s(link) == pytest.approx(0.08)
 
 
 def test_where_no_price_applies_none_waits(link):
@@ -138,7 +132,7 @@ def test_cameras_that_coincide_leave_one_by_one_and_fresh():
     assert max(age_s for _, _, age_s in departures) <= 0.06 + 2 * STEP_S
 
 
-@settings(deadline=None, max_examples=25)
+@examples(25)
 @given(st.lists(st.tuples(st.floats(1.0, 15.0), st.floats(2.0, 30.0)), min_size=1, max_size=4))
 def test_no_topic_loses_rate_to_its_turn(topics):
     """Each topic keeps its rate where the link carries them all, and most of it where it does not."""

@@ -5,7 +5,7 @@ from itertools import accumulate, pairwise
 from random import Random
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from arpd.apply.endpoint.pacing import Pacer
@@ -44,7 +44,6 @@ def play(pacer, arrivals, *, until_s):
     return departures
 
 
-@settings(deadline=None)
 @given(GAPS, st.lists(RATES, min_size=1, max_size=8), OVERFLOWS)
 def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflow):
     """Between any two departures at most ∫rate + one burst of samples leaves, also when the rate changes often."""
@@ -63,7 +62,6 @@ def test_no_window_carries_more_than_its_rate_and_one_burst(gaps, rates, overflo
             assert last - first + 1 <= departures[last] - start + burst + 1e-6
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.0, 0.3), st.booleans(), RATES, st.integers(1, 5)), max_size=60), OVERFLOWS)
 def test_every_sample_is_taken_withheld_or_waiting(steps, overflow):
     """Offered = taken + withheld + waiting at any time, and samples leave in the order they came."""
@@ -81,7 +79,6 @@ def test_every_sample_is_taken_withheld_or_waiting(steps, overflow):
     assert all(before < after for before, after in pairwise(taken))
 
 
-@settings(deadline=None)
 @given(RATES, st.lists(st.floats(0.0, 0.49), min_size=2, max_size=50))
 def test_a_source_at_its_rate_is_never_delayed(rate_hz, earliness):
     """A source at exactly the paced rate that is early by less than half a period passes at once."""
@@ -93,7 +90,6 @@ def test_a_source_at_its_rate_is_never_delayed(rate_hz, earliness):
         assert pacer.take(now_s + 1e-9) == name(number)
 
 
-@settings(deadline=None)
 @given(RATES, st.integers(2, 20))
 def test_due_is_the_first_moment_a_sample_may_leave(rate_hz, samples):
     """Just before `due_s` nothing leaves, at `due_s` one sample does."""
@@ -111,7 +107,6 @@ def test_due_is_the_first_moment_a_sample_may_leave(rate_hz, samples):
     assert pacer.due_s(now_s) == math.inf
 
 
-@settings(deadline=None)
 @given(st.floats(0.05, 0.97), st.floats(1.0, 100.0), st.integers(0, 2**32))
 def test_a_conflated_sample_leaves_as_it_arrives_and_the_rate_stays(share, source_hz, seed):
     """A steady source that must give way sends only fresh samples, at the paced rate."""
@@ -124,7 +119,6 @@ def test_a_conflated_sample_leaves_as_it_arrives_and_the_rate_stays(share, sourc
     assert len(departures) == pytest.approx(share * 400, abs=4)
 
 
-@settings(deadline=None)
 @example(477.5, [0.0, 1.2e-38, 1.2e-38])
 @given(RATES, GAPS)
 def test_the_last_sample_leaves_whatever_came_before(rate_hz, gaps):

@@ -1,8 +1,6 @@
 """Course of single writer swaps; test_writer_swap_machine.py has the invariants over any sequence of events."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from arpd.apply.endpoint.writer_swap import SwapState, SwapTiming
 from arpd.model.endpoints import SwapResult
@@ -28,38 +26,6 @@ def publish(swap, now_s):
 def acknowledge(world, *, is_acknowledging=True):
     for writer in world.live:
         writer.acknowledges = is_acknowledging
-
-
-@settings(deadline=None)
-@given(
-    st.lists(
-        st.one_of(
-            st.tuples(st.just("request"), st.integers(1, 4)),
-            st.tuples(st.just("wait"), st.sampled_from([0.005, 0.05, 0.2, 1.0, 2.0, 11.0])),
-            st.tuples(st.just("acknowledge"), st.booleans()),
-        ),
-        max_size=40,
-    )
-)
-def test_it_always_comes_to_rest(steps):
-    """Once the middleware behaves, the last request is in force, and one writer is left."""
-    world, swap = make()
-    now_s, wanted = 0.0, FIRST
-    for what, value in steps:
-        if what == "request":
-            wanted = qos(value)
-            swap.request(wanted)
-        elif what == "wait":
-            now_s += value
-        else:
-            swap.current.acknowledges = value
-        swap.step(now_s)
-    for writer in world.live:
-        writer.readers, writer.acknowledges = 1, True
-    run(swap, now_s, 20.0)
-    assert not swap.is_busy
-    assert swap.qos == wanted
-    assert world.live == [swap.current]
 
 
 def test_a_swap_settles_then_switches_when_acknowledged():
@@ -297,17 +263,6 @@ def test_requests_that_never_cease_do_not_starve_each_other():
     assert set(world.results) == {SwapResult.OK}
     run(swap, now_s, 5.0, publishing=True)
     assert swap.qos == qos(199)
-
-
-def test_a_request_back_to_what_is_in_force_only_abandons():
-    """The new writer is destroyed, and the old one stays."""
-    world, swap = make()
-    swap.request(qos(2))
-    swap.step(0.0)
-    swap.request(FIRST)
-    run(swap, 0.01, 1.0)
-    assert world.results == [SwapResult.SUPERSEDED]
-    assert world.live == [world.writers[0]]
 
 
 @pytest.mark.parametrize("is_under_way", [False, True])

@@ -3,12 +3,12 @@
 from collections import defaultdict
 
 import pytest
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from arpd.apply.endpoint.writer_swap import SwapState, WriterSwap
 from arpd.model.endpoints import SwapResult
+from tests.examples import examples
 from tests.unit.swap_world import FIRST, World, qos
 
 
@@ -165,4 +165,4 @@ class SwapMachine(RuleBasedStateMachine):
 
 
 TestSwapMachine = SwapMachine.TestCase
-TestSwapMachine.settings = settings(deadline=None, max_examples=150, stateful_step_count=40)
+TestSwapMachine.settings = examples(150, stateful_step_count=40)

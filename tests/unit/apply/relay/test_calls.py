@@ -3,23 +3,21 @@
 from collections import Counter
 from functools import partial
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from arpd.apply.relay import calls as calls_module
 from arpd.apply.relay.call_records import (
     Answer,
     CallFailure,
     FailureReason,
     Outcome,
-    Record,
     Request,
     Signal,
     decode_record,
-    encode_record,
 )
 from arpd.apply.relay.calls import KEEP_S, REPEAT_S, Callee, Caller, CallId
+from tests.examples import examples
 
 REQUEST = Request(service="/add", type_name="test_msgs/srv/BasicTypes", body=b"2+3")
 ANSWER = Answer(body=b"5")
@@ -71,28 +69,6 @@ def reasons(outcomes):
     return [outcome.reason for outcome in outcomes]
 
 
-def test_a_call_is_answered():
-    """The answer of the server ends the call, and both ends forget it."""
-    link = Link()
-    link.call()
-    link.deliver()
-    link.finish()
-    link.deliver()
-    assert link.outcomes == [ANSWER]
-    assert len(link.caller) == 0
-    assert not link.callee._calls
-
-
-def test_a_lost_request_is_repeated():
-    """A request that got lost runs once its copy arrives."""
-    link = Link()
-    link.call()
-    assert link.lose() == [REQUEST]
-    link.wait(REPEAT_S)
-    link.deliver()
-    assert len(link.running) == 1
-
-
 def test_a_repeated_request_does_not_carry_its_message_again_and_again():
     """Once the other end says that it has the request, only its number is repeated."""
     link = Link()
@@ -106,19 +82,6 @@ def test_a_repeated_request_does_not_carry_its_message_again_and_again():
     link.wait(REPEAT_S)
     link.finish()
     link.lose()
-    link.wait(REPEAT_S)
-    link.deliver()
-    assert link.outcomes == [ANSWER]
-    assert len(link.running) == 1
-
-
-def test_a_lost_answer_is_sent_again():
-    """A repeated request of an answered call gets the same answer, and does not run again."""
-    link = Link()
-    link.call()
-    link.deliver()
-    link.finish()
-    assert link.lose() == [ANSWER]
     link.wait(REPEAT_S)
     link.deliver()
     assert link.outcomes == [ANSWER]
@@ -152,19 +115,6 @@ def test_a_call_without_an_answer_times_out():
     link.finish()
     link.deliver()
     assert len(link.outcomes) == 1
-
-
-def test_a_call_without_a_time_out_waits():
-    """The result of an action may come after hours."""
-    link = Link()
-    link.call(timeout_s=None)
-    for _ in range(7200):
-        link.wait(1.0)
-        link.deliver()
-    assert not link.outcomes
-    link.finish()
-    link.deliver()
-    assert link.outcomes == [ANSWER]
 
 
 def test_an_unreachable_end_fails_calls_at_once():
@@ -213,17 +163,6 @@ def test_a_late_request_of_an_ended_caller_does_not_run():
     assert not link.callee.is_running(link.running[0])
 
 
-def test_a_failure_ends_a_call():
-    """The callee may say why there is no answer."""
-    link = Link()
-    link.call()
-    link.deliver()
-    failure = CallFailure(reason=FailureReason.NO_SERVER, message="no server here")
-    link.finish(failure)
-    link.deliver()
-    assert link.outcomes == [failure]
-
-
 def test_a_service_that_goes_ends_its_calls_only():
     """Calls of a service that the other end offers no more fail; those of others go on."""
     link = Link()
@@ -260,19 +199,6 @@ def test_a_request_that_comes_after_its_time_out_does_not_run():
     assert len(link.running) == 1
 
 
-def test_a_request_that_comes_after_later_ones_ended_does_not_run():
-    """The next request says which calls are over, so the end of a call may get lost."""
-    link = Link()
-    link.call(timeout_s=3.0)
-    late = link.to_callee.pop()
-    link.wait(3.0)
-    link.lose()
-    link.call()
-    link.deliver()
-    link.callee.receive(decode_record(late))
-    assert len(link.running) == 1
-
-
 def test_a_caller_that_forgot_frees_the_callee():
     """A call whose end got lost is forgotten with the next record of the caller."""
     link = Link()
@@ -284,29 +210,6 @@ def test_a_caller_that_forgot_frees_the_callee():
     link.call()
     link.deliver()
     assert not link.callee.is_running(link.running[0])
-
-
-def test_outcomes_of_others_are_ignored():
-    """A record of another caller ends no call."""
-    link = Link()
-    link.call()
-    link.caller.receive(Record(caller="stranger", callee="ceddp", number=1, content=ANSWER))
-    assert not link.outcomes
-
-
-@given(st.lists(st.tuples(st.booleans(), st.integers(1, 60)), max_size=80))
-def test_numbers_are_a_set(changes):
-    """The ranges hold exactly the numbers that were added, and touch each other nowhere."""
-    ranges, plain = calls_module._Numbers(), {0}
-    for is_below, number in changes:
-        if is_below:
-            ranges.add_below(number)
-            plain |= set(range(number))
-        else:
-            ranges.add(number)
-            plain.add(number)
-        assert {number for number in range(100) if number in ranges} == plain
-        assert all(end < start for end, start in zip(ranges._ends, ranges._starts[1:], strict=False))
 
 
 class Unreliable(RuleBasedStateMachine):
@@ -433,10 +336,10 @@ class Unreliable(RuleBasedStateMachine):
 
 
 TestUnreliable = Unreliable.TestCase
-TestUnreliable.settings = settings(max_examples=200, stateful_step_count=60, deadline=None)
+TestUnreliable.settings = examples(80, stateful_step_count=60)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60)
 @given(st.randoms(use_true_random=False), st.integers(1, 12))
 def test_a_bad_link_between_two_live_ends_costs_time_only(random, count):
     """Without restarts and time-outs every call gets its own answer, whatever happens to the records."""
@@ -464,15 +367,3 @@ def test_a_bad_link_between_two_live_ends_costs_time_only(random, count):
         link.wait(0.25)
         assert link.now_s < 10_000
     assert answers == {number: Answer(body=b"answer of " + bytes([number])) for number in range(count)}
-
-
-def test_a_record_for_the_callee_is_nothing_to_the_caller():
-    """Both parts of an end may be given every record."""
-    link = Link()
-    link.call()
-    record = decode_record(link.to_callee[0])
-    link.caller.receive(record)
-    link.callee.receive(Record(caller="robot", callee="ceddp", number=1, content=ANSWER))
-    link.callee.receive(decode_record(encode_record(record)))
-    assert len(link.running) == 1
-    assert not link.outcomes

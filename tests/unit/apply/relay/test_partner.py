@@ -73,10 +73,3 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     partner.hear("a", 40.0)
     partner.look(40.0)
     assert in_force(partner)
-
-
-def test_signs_of_life_alone_are_no_end():
-    """An end whose state never came is not in force."""
-    partner = Partner()
-    heard(partner, "a", from_s=0.0, to_s=3.0)
-    assert partner.state is None
