@@ -1,5 +1,6 @@
 """A thread that takes samples says when it finished the last one, for the watchdog."""
 
+import os
 import threading
 
 import pytest
@@ -52,6 +53,31 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
         for gate in gates:
             gate.set()
         reader.destroy()
+
+
+def test_an_event_stays_open_while_the_thread_may_still_read_it(ros, thread, eventually):
+    """The descriptor of a destroyed reader goes to nobody before the thread has finished its round."""
+    node, is_busy, gate = ros.node("raw_reader_check"), threading.Event(), threading.Event()
+
+    def deliver(_sample):
+        is_busy.set()
+        gate.wait()
+
+    reader = RawReader(node, String, "/busy", QoSProfile(depth=10), deliver=deliver, thread=thread)
+    other = RawReader(node, String, "/other", QoSProfile(depth=10), deliver=deliver, thread=thread)
+    publisher = node.create_publisher(String, "/busy", 10)
+    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(String(data="x"))
+    try:
+        eventually("the thread is busy", is_busy.is_set)
+        other.destroy()
+        new = os.eventfd(0)
+        assert new != other._event
+    finally:
+        gate.set()
+    eventually("it is closed", lambda: not os.path.lexists(f"/proc/self/fd/{other._event}"))
+    os.close(new)
+    reader.destroy()
 
 
 def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread, eventually, monkeypatch):

@@ -16,6 +16,7 @@ import os
 import select
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -64,6 +65,7 @@ class ReadingThread:
         self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
         self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
+        self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
         self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._events.register(self._stop, select.EPOLLIN)
@@ -74,6 +76,7 @@ class ReadingThread:
         """End the thread; samples that wait are dropped."""
         os.eventfd_write(self._stop, 1)
         self._thread.join(timeout=2.0)
+        self._close_retired()
         self._events.close()
         os.close(self._stop)
 
@@ -92,11 +95,17 @@ class ReadingThread:
             self._rcl.notify(reader.handle.pointer, None, None)
         del self._readers[event]
         self._events.unregister(event)
-        os.close(event)
+        # Closed here, its number could be a socket's before the thread reads it, and the thread would wait there.
+        self._retired.append(event)
+
+    def _close_retired(self) -> None:
+        while self._retired:
+            os.close(self._retired.popleft())
 
     def _run(self) -> None:
         unfinished: set[int] = set()  # readers with more samples than one turn takes
         while True:
+            self._close_retired()
             ready = {event for event, _ in self._events.poll(0 if unfinished else _TURN_S)}
             self.finished_s = self._clock()
             if self._stop in ready:
