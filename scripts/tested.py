@@ -1,12 +1,15 @@
 """Sums up pytest's runs: what failed, what passed only alone, what was not tested and why, and last the counts.
 
 Usage: python -m scripts.tested JUNIT.xml... [--again JUNIT.xml]
+
+Exits with 1 if a test failed, and failed again where it ran again.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -99,4 +102,6 @@ if __name__ == "__main__":
     parser.add_argument("files", type=Path, nargs="*")
     parser.add_argument("--again", type=Path, action="append", default=[])
     arguments = parser.parse_args()
-    print("\n".join(lines(tally(arguments.files, arguments.again))))
+    found = tally(arguments.files, arguments.again)
+    print("\n".join(lines(found)))
+    sys.exit(bool(found.wrong))
