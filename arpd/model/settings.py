@@ -73,6 +73,7 @@ class TopicSettings:
     ----------
     weight : share of link time relative to other topics
     min_rate_hz : floor (Hz)
+    is_floor_inherited : whether the floor is that of ``defaults``, which holds for small samples only
     max_rate_hz : desired rate (Hz); None = the rate at which the application publishes
     min_depth, max_depth : bounds of DEPTH (samples)
     latency_budget_s : cap on the time that a full history stands for (s); more is bufferbloat after an outage;
@@ -89,6 +90,7 @@ class TopicSettings:
     latency_budget_s: float | None = 1.0
     payload_bytes: float | None = None
     source_rate_hz: float | None = None
+    is_floor_inherited: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -234,7 +236,7 @@ class Settings:
     http: HttpSettings = field(default_factory=HttpSettings)
     relay: RelaySettings = field(default_factory=RelaySettings)
     graph: GraphSettings = field(default_factory=GraphSettings)
-    default_topic: TopicSettings = field(default_factory=TopicSettings)
+    default_topic: TopicSettings = field(default_factory=lambda: TopicSettings(is_floor_inherited=True))
     topics: dict[str, TopicSettings] = field(default_factory=dict)
     on_stop: OnStop = OnStop.RESTORE
     on_lost: OnLost = OnLost.KEEP

@@ -17,6 +17,8 @@ _DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
 #: Largest RTPS message of arpd's writers (arpd/adapters/ros/fastdds.xml). Fast DDS keeps room for a heartbeat in each.
 _MESSAGE_BYTES = 1392
 FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
+#: Most packets of a small sample: it comes before larger ones, and the floor of `defaults` holds for it.
+SMALL_PACKETS = 10
 HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
 ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
 #: Largest IP packet of arpd's writers.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Topic
 from arpd.model.endpoints import Direction
-from arpd.model.wire import wire_size
+from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -123,15 +123,18 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
     preferences = settings.topic(traffic.topic)
     source_hz = traffic.source_rate_hz
     desired_hz = source_hz if preferences.max_rate_hz is None else min(source_hz, preferences.max_rate_hz)
+    # One picture of 0.9 MB a second is more than a link of 5 Mbit/s carries: nobody asked for that floor.
+    is_small = traffic.payload_bytes <= SMALL_PACKETS * FRAGMENT_BYTES
+    desired_hz = desired_hz or preferences.min_rate_hz
     # A floor never exceeds what the source publishes.
-    floor_hz = min(preferences.min_rate_hz, desired_hz) if desired_hz > 0 else preferences.min_rate_hz
+    floor_hz = min(preferences.min_rate_hz, desired_hz) if is_small or not preferences.is_floor_inherited else 0.0
     # At a lower rate fewer samples share a heartbeat; the headroom covers that.
-    size, packets = wire_size(traffic.payload_bytes, rate_hz=max(desired_hz, floor_hz))
+    size, packets = wire_size(traffic.payload_bytes, rate_hz=desired_hz)
     return Topic(
         name=traffic.topic,
         wire_bytes=size * traffic.copies,
         packets=packets * traffic.copies,
-        desired_rate_hz=max(desired_hz, floor_hz),
+        desired_rate_hz=desired_hz,
         min_rate_hz=floor_hz,
         weight=preferences.weight,
         min_depth=preferences.min_depth,

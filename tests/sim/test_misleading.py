@@ -9,9 +9,10 @@ import pytest
 
 from arpd.adapters.sim.foreign import ForeignFlow
 from arpd.adapters.sim.link import LinkModel
-from tests.sim.test_price import MBIT, QUEUE, ROBOT, at, goodput, play, queues
+from tests.sim.test_price import MBIT, QUEUE, ROBOT, SETTINGS, at, goodput, play, queues
 
 FALLS_S, LASTS_S = 13.0, 28.0
+OWN_FLOORS = replace(SETTINGS.default_topic, is_floor_inherited=False)  # 1 Hz, of large samples, too
 DOWNLOAD = ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
 
 
@@ -37,7 +38,13 @@ def test_a_download_into_the_peer_is_no_capacity():
 @pytest.mark.parametrize(("before", "after"), [(20, 6), (5, 1)])
 def test_what_waits_in_a_hidden_queue_has_not_arrived(before, after):
     """Beyond the host's sight, too, a queue drains after a fall, and what entered it is not taken for carried."""
-    played = falling(before, after, into_peer=(DOWNLOAD,), model=LinkModel(queue_bytes=0, firmware_bytes=1_500_000))
+    played = play(
+        at((0, before), (FALLS_S, after)),
+        LASTS_S,
+        settings=replace(SETTINGS, default_topic=OWN_FLOORS),
+        into_peer=(DOWNLOAD,),
+        model=LinkModel(queue_bytes=0, firmware_bytes=1_500_000),
+    )
     waits = queues(played, FALLS_S + 3.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.25
     stated = sorted(estimates(played, FALLS_S + 3.0, LASTS_S))

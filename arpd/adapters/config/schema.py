@@ -170,7 +170,7 @@ class TopicEntry(NamedTopicPreferences):
             for key, kind in NamedTopicPreferences.kinds().items()
             if key in self.model_fields_set
         }
-        return replace(default, **given)
+        return replace(default, is_floor_inherited="min_rate_hz" not in given, **given)
 
 
 class RelayTopic(Section):
@@ -242,7 +242,7 @@ class Document(Section):
 
     def settings(self) -> Settings:
         """Return the settings that the file asks for."""
-        default_topic = TopicSettings(**self.defaults.attributes())
+        default_topic = TopicSettings(is_floor_inherited=True, **self.defaults.attributes())
         return Settings(
             link=LinkSettings(**self.link.attributes()),
             program=ProgramSettings(**self.program.attributes()),

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from arpd.model.wire import SMALL_PACKETS
+
 if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-MOST_PACKETS = 10  # a sample of more is large
+MOST_PACKETS = SMALL_PACKETS
 _STEP = 2.0
 _UNSTEADY_S = 5.0
 _PATIENCE = 0.8  # periods that a sample waits at most; after a whole one its successor would replace it

@@ -73,7 +73,7 @@ graph: {sensing_topics: 11, actuation_topics: 1}
 defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
 topics:
   - {name: /camera, max_rate_hz: source, latency_budget: 200ms, payload: measured, source_rate_hz: measured}
-  - {name: /scan, weight: 4, payload: 6kB, source_rate_hz: 12.5}
+  - {name: /scan, weight: 4, min_rate_hz: 3, payload: 6kB, source_rate_hz: 12.5}
 relay:
   link_domain: 77
   robot: robot1.local
@@ -93,7 +93,13 @@ on_lost: baseline
 lost_after: 1min
 """
     default_topic = TopicSettings(
-        weight=2.0, min_rate_hz=2.0, max_rate_hz=20.0, min_depth=2, max_depth=50, latency_budget_s=None
+        weight=2.0,
+        min_rate_hz=2.0,
+        max_rate_hz=20.0,
+        min_depth=2,
+        max_depth=50,
+        latency_budget_s=None,
+        is_floor_inherited=True,
     )
     assert load(text) == Settings(
         link=LinkSettings(
@@ -112,7 +118,14 @@ lost_after: 1min
         default_topic=default_topic,
         topics={
             "/camera": replace(default_topic, max_rate_hz=None, latency_budget_s=0.2),
-            "/scan": replace(default_topic, weight=4.0, payload_bytes=6000.0, source_rate_hz=12.5),
+            "/scan": replace(
+                default_topic,
+                weight=4.0,
+                min_rate_hz=3.0,
+                is_floor_inherited=False,
+                payload_bytes=6000.0,
+                source_rate_hz=12.5,
+            ),
         },
         relay=RelaySettings(
             topics=("/camera", "/scan"),
@@ -430,4 +443,4 @@ def test_the_policy_is_one_of_two(load):
     assert load("program: {backend: exact}").program.policy is Policy.PER_TOPIC
     loaded = load("program: {policy: uniform}\ndefaults: {weight: 2}\ntopics: [{name: /a, weight: 9}]")
     assert loaded.program.policy is Policy.UNIFORM
-    assert loaded.topic("/a") == loaded.topic("/b") == TopicSettings(weight=2.0)
+    assert loaded.topic("/a") == loaded.topic("/b") == TopicSettings(weight=2.0, is_floor_inherited=True)
