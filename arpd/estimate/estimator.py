@@ -101,7 +101,7 @@ class Estimator:
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         capacity, local = self._belief.capacity, self._local
-        self._bursts.update(observation.publishers, now_s, capacity=capacity)
+        self._bursts.update(() if observation.relay else observation.publishers, now_s, capacity=capacity)
         moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
         self._idle.note(observation, moved=moved - self._bursts.train_rate(now_s), capacity=capacity)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
@@ -273,11 +273,12 @@ class Estimator:
         shows_queue = self._bursts.largest_s > 2.0 * parameters.IDLE_S
         pinged = pinged if shows_queue and self._alarm_s == 0.0 else ()
         is_look = shows_queue and not has_reports and self._local.is_empty and self._is_queued_here
-        if not (has_arrived or pinged or is_look):
-            return
-        believed.wait(now_s)
+        carried = parameters.CAUTION * delivered if has_arrived else 0.0
+        # Where no ping shows a queue, to carry less than is believed is no news: the belief would only rise with time.
+        if (shows_queue and (has_arrived or pinged or is_look)) or carried > self._belief.capacity:
+            believed.wait(now_s)
         if has_arrived:
-            believed.carried(parameters.CAUTION * delivered, overhead=overhead)
+            believed.carried(carried, overhead=overhead)
         shown = 1.0 - parameters.IDLE_S / self._bursts.largest_s if shows_queue else 0.0
         for delay_s in pinged:
             is_idle = delay_s < parameters.IDLE_S

@@ -66,8 +66,8 @@ class QueueGauge:
         self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
         self._since_ping: tuple[float, float] | None = None  # bytes handed before it, received after it
         self._last_ping: SentPing | None = None
-        # Bytes on the way when pings that met no queue arrived.
-        self._in_flight: deque[float] = deque(maxlen=_MISSING_PINGS)
+        # Bytes on the way when pings that met no queue arrived, and the rate of arrivals then.
+        self._in_flight: deque[tuple[float, float]] = deque(maxlen=_MISSING_PINGS)
         self._missing: deque[float] = deque(maxlen=_MISSING_PINGS)  # as parts of the bytes handed over
 
     def note_sent(self, ping: SentPing) -> None:
@@ -111,13 +111,15 @@ class QueueGauge:
             self.backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
             return
         outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
+        rate = report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
         if report.delays_s and self.delay_s < parameters.QUEUE_LOW_S:
-            self._in_flight.append(outstanding)
-        # Some bytes are on the way even without a queue, and some arrivals since the ping are not counted yet.
-        backlog = outstanding - max(0.0, min(self._in_flight, default=0.0))
+            self._in_flight.append((outstanding, max(1.0, rate)))
+        # Some bytes are on the way even without a queue, fewer on a slower link, and some arrivals since the ping are
+        # not counted yet.
+        on_way = min((size * min(1.0, rate / then) for size, then in self._in_flight), default=0.0)
         # While the report waited on its way back, more was handed over, and as much arrived.
         late_s = max(0.0, self.return_delay_s or 0.0)
-        backlog -= 1.5 * late_s * report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
+        backlog = outstanding - max(0.0, on_way) - 1.5 * late_s * rate
         self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
         way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
         if self._overlaps or report.interval_s < way_s:

@@ -15,8 +15,10 @@ from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import SimulatedWorld
 from arpd.estimate.estimator import Estimator
 from arpd.model.link import CapacityKind, LinkState
+from arpd.model.relay import RelaySummary
 from arpd.model.settings import GraphSettings, LinkSettings
 from arpd.model.wire import wire_size
+from tests.sample_publishers import publisher
 
 MBIT = 125_000.0  # bytes/s
 TICK_S = 0.1
@@ -51,9 +53,13 @@ class Run:
     ----------
     samples : load in samples of 30 kB: start s, end s, Mbit/s
     upload, download, way_back : smooth load from this host, from others to the peer, and from the peer, likewise
+    sees : what the daemon observes besides
     """
 
-    def __init__(self, schedule, *, peers=None, samples=(), upload=(), download=(), way_back=(), model=None, seed=1):
+    def __init__(
+        self, schedule, *, peers=None, samples=(), upload=(), download=(), way_back=(), model=None, seed=1, **sees
+    ):
+        self.sees = sees
         self.timeline = Timeline(START_S)
         self.random = Random(f"{seed} samples")
         self.up, down = (
@@ -121,6 +127,7 @@ class Run:
             seen[0],
             reports=tuple(sorted(reports, key=lambda report: report.received_at_s)),
             peers=sum(peer.is_in_graph(run_s) for peer in self.peers),
+            **self.sees,
         )
         self.course.append((run_s, self.estimator.update(observation)))
         for request in self.estimator.wanted_probes(now_s):
@@ -181,6 +188,27 @@ def test_hole_1_a_queue_that_stays_is_a_busy_link(part, seed):
     run.until(12.0)
     assert run.right(20, 3.0, 6.0) > NEARLY_ALWAYS
     assert run.right(mbit, 7.5, within=0.15) == 1.0
+
+
+TWO_ENDS = {"relay": RelaySummary(), "publishers": (publisher("/arpd_relay_robot", "/image", payload_bytes=921_600.0),)}
+
+
+@pytest.mark.parametrize("mbit", [5, 20])
+def test_an_image_in_paced_chunks_shows_no_capacity(mbit):
+    """Two ends pace their chunks, so no ping meets a queue at any load, and the link is not taken for more."""
+    run = Run(steps((0, mbit)), upload=((1, 30, 0.93 * mbit),), **TWO_ENDS)
+    run.until(30.0)
+    assert run.right(mbit, 5.0, within=0.1) == 1.0
+
+
+@pytest.mark.parametrize("seed", [3, 14])
+def test_a_short_hidden_queue_shows_a_fall(seed):
+    """Two ends let 50 ms wait at most; though this host cannot see them wait, a fall is known within a second."""
+    hidden = LinkModel(queue_bytes=0, firmware_bytes=256_000)
+    run = Run(steps((0, 20), (6, 5)), upload=((0, 6.03, 18.6), (6.03, 12, 5)), model=hidden, seed=seed, **TWO_ENDS)
+    run.until(12.0)
+    assert run.right(20, 3.0, 6.0) > NEARLY_ALWAYS
+    assert run.right(5, 7.0, within=0.15) == 1.0
 
 
 @pytest.mark.parametrize(("share", "mbit"), [(0.4, 5), (0.05, 9)])
