@@ -164,7 +164,7 @@ class Daemon:
             lease_s=self.settings.lease_s,
         )
         if not observation.active_daemon:
-            self._send(now_s, decision.price, link)
+            self._send(now_s, decision.price, link, budget=budget, divided=rates)
             self._world.apply(steps.transitions, now_s=now_s)
         self._report(
             now_s,
@@ -211,7 +211,7 @@ class Daemon:
             )
             decision = replace(decision, price=price, level_changed=False, reason="")
             allocation = replace(allocation, price=price, capacity_bytes_per_second=divided)
-            self._send(now_s, price, link)
+            self._send(now_s, price, link, budget=budget, divided=snapshot.allocation)
         finished_s = self._clock()
         self.record.follow(
             replace(
@@ -261,10 +261,16 @@ class Daemon:
             participants=max(1, observation.remote_participants),
         )
 
-    def _send(self, now_s: float, price: Price | None, link: LinkEstimate) -> None:
+    def _send(
+        self, now_s: float, price: Price | None, link: LinkEstimate, *, budget: float, divided: Allocation
+    ) -> None:
         """Send the price where it is due, and the probes that the estimator wants."""
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
-        price = replace(price or free, loss_ratio=link.loss_ratio)
+        price = price or free
+        share = min(1.0, budget / max(1.0, link.available_bytes_per_second))
+        spare = max(0.0, share - sum(topic.share for topic in divided.topics))
+        is_spare = math.isinf(price.share_per_weight)
+        price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare if is_spare else 0.0)
         if self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
         for request in self._estimator.wanted_probes(now_s):

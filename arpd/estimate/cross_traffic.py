@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from arpd.model.interface import LinkCounters
     from arpd.model.observation import Observation
     from arpd.model.probing import ProbeRequest
+    from arpd.model.relay import RelaySummary
 
 _WINDOW_S = 3.0  # announcements come once a second: three of them, so a lost one does not matter
 _STEP_S = 0.5
@@ -54,6 +55,8 @@ class CrossTraffic:
         self._extra = _Curve(0.0)  # our own bytes besides the topics' samples
         self._topics: dict[tuple[str, str], _TopicTraffic] = {}
         self._noted: Sequence[PublisherState] | None = None
+        self._relay: RelaySummary | None = None
+        self._relayed: _Curve | None = None  # bytes of a relay's two ends, in place of the topics'
         self._end_s: float | None = None  # when the publisher that was silent for longest announced itself
         self._looked_s = self._measured_s = -math.inf
         self._rate = 0.0
@@ -62,8 +65,10 @@ class CrossTraffic:
         """Digest one observation and return the cross traffic, 0 while unknown (bytes/s)."""
         now_s = observation.now_s
         self._note_interface(observation.counters, now_s)
-        if observation.publishers is not self._noted:
-            self._noted = observation.publishers
+        if observation.relay is not None:
+            self._note_relay(observation.relay, now_s)
+        elif observation.publishers is not self._noted:
+            self._noted, self._relay, self._relayed = observation.publishers, None, None
             ends_s = [self._note_publisher(publisher, now_s) for publisher in observation.publishers]
             self._end_s = min(ends_s, default=None)
         if now_s - self._looked_s < max(_LOOK_S, _LOOK_S_PER_TOPIC * len(self._topics)):
@@ -71,7 +76,8 @@ class CrossTraffic:
         self._looked_s = now_s
         self._forget(now_s - 1.5 * _MEMORY_S)
         end_s = now_s if self._end_s is None else self._end_s
-        if self._carried is None or end_s - _WINDOW_S < self._carried.oldest_s:
+        known_s = -math.inf if self._relayed is None else self._relayed.oldest_s
+        if self._carried is None or end_s - _WINDOW_S < max(known_s, self._carried.oldest_s):
             self._rate = 0.0
         elif end_s != self._measured_s:
             self._measured_s, self._rate = end_s, self._measure(self._carried, end_s)
@@ -103,6 +109,8 @@ class CrossTraffic:
 
     def _sent_by(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the bytes that all topics put on the link up to each moment; only differences mean something."""
+        if self._relayed is not None:
+            return self._relayed.each_at(moments)
         return sum((topic.sent_by(moments) for topic in self._topics.values()), np.zeros_like(moments))
 
     def _note_interface(self, counters: LinkCounters | None, now_s: float) -> None:
@@ -116,6 +124,15 @@ class CrossTraffic:
             self._carried.grow(now_s, counted - self._counted_bytes)
         self._counted_bytes = counted
 
+    def _note_relay(self, relay: RelaySummary, now_s: float) -> None:
+        """Note what a relay's two ends say: a large sample of theirs takes long, and calls are no topic."""
+        last, self._relay = self._relay, relay
+        if self._relayed is None or last is None or relay.link_bytes < last.link_bytes:
+            self._relayed = _Curve(now_s)
+        elif relay is not last:
+            self._relayed.grow(now_s, relay.link_bytes - last.link_bytes)
+        self._end_s = self._relayed.newest_s
+
     def _note_publisher(self, publisher: PublisherState, now_s: float) -> float:
         """Note the announcement of a publisher, and return the time of its last one (s)."""
         key = publisher.node, publisher.topic
@@ -128,6 +145,8 @@ class CrossTraffic:
 
     def _forget(self, before_s: float) -> None:
         self._extra.forget(before_s)
+        if self._relayed is not None:
+            self._relayed.forget(before_s)
         if self._carried is not None:
             self._carried.forget(before_s)
         # A publisher that left stays for as long as its samples matter.

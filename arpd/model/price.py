@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+_SHARE_STEP = 0.02
+
 
 class Terms(Protocol):
     """What a rate follows from besides the price; `arpd.model.plan.TopicPlan` documents it."""
@@ -36,6 +38,8 @@ class Price:
     yielding_weight : topics of less weight have no floor now, and those of this weight keep a part of it
     kept_floor : that part, 0..1
     loss_ratio : share of probe packets that the link loses, None while unknown
+    budget_share, spare_share : part of the link time that all topics may take, and what none of their rates takes of
+        that, for messages larger than a second's rate
     is_stale : True when nobody repeats it: a daemon that died while the link was out must not silence the robot, so no
         rate is below what its DEADLINE promises
     """
@@ -46,6 +50,8 @@ class Price:
     yielding_weight: float = 0.0
     kept_floor: float = 1.0
     loss_ratio: float | None = None
+    budget_share: float = 1.0
+    spare_share: float = 0.0
     is_stale: bool = False
 
     def __post_init__(self) -> None:
@@ -56,6 +62,8 @@ class Price:
             raise ValueError(f"capacity {self.capacity_bytes_per_second!r} must be a number above 0")
         if not 0.0 <= self.packet_overhead_s < math.inf:
             raise ValueError(f"packet overhead {self.packet_overhead_s!r} must be a number of at least 0")
+        if not 0.0 <= self.spare_share <= self.budget_share <= 1.0:
+            raise ValueError(f"shares {self.spare_share!r} of {self.budget_share!r}: not a part of a part of the link")
         if not (0.0 <= self.yielding_weight < math.inf and 0.0 <= self.kept_floor <= 1.0):
             raise ValueError(f"floors of weight {self.yielding_weight!r} keep {self.kept_floor!r}: not a part of them")
 
@@ -94,4 +102,6 @@ class Price:
             and near(self.packet_overhead_s * mine, other.packet_overhead_s * theirs)
             and self.yielding_weight == other.yielding_weight
             and near(self.kept_floor, other.kept_floor)
+            and abs(self.spare_share - other.spare_share) <= _SHARE_STEP
+            and abs(self.budget_share - other.budget_share) <= _SHARE_STEP
         )

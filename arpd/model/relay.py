@@ -34,7 +34,9 @@ class RelaySummary:
     is_reachable : whether that end spoke lately
     fault : why its messages are not understood, empty if they are
     to_ceddp, to_robot : topics by direction
-    received, doubled, unknown : samples that the robot's end got: written there, had before, and of unknown writers
+    received, doubled, unknown, outdated : samples that the robot's end got: written there, had before, of unknown
+        writers, and delayed by an outage until a newer one had come
+    link_bytes : what both ends' chunks took of the link, headers and acknowledgements included
     incomplete : samples of groups that the robot's end dropped, because their set was never complete
     calls_failed : calls from the robot's nodes that had no answer, by reason
     strangers : nodes in the link domain that are not arpd's; the first few
@@ -49,6 +51,8 @@ class RelaySummary:
     received: int = 0
     doubled: int = 0
     unknown: int = 0
+    outdated: int = 0
+    link_bytes: int = 0
     incomplete: int = 0
     calls_failed: Mapping[str, int] = field(default_factory=dict)
     strangers: tuple[str, ...] = ()

@@ -235,6 +235,7 @@ def make_snapshot() -> Snapshot:
                 received=5000,
                 doubled=2,
                 unknown=1,
+                outdated=7,
                 incomplete=40,
                 calls_failed={"timeout": 3},
             ),

@@ -2,20 +2,22 @@
 
 Usage: host_nodes.py robot | base
 
-The robot numbers samples on /odom and serves /add; the base computer numbers commands on /cmd and calls /add.
+The robot numbers samples on /odom and serves /add; the base computer numbers commands on /cmd and calls /add. Pictures
+on /picture say which sample was the last before them.
 """
 
 import sys
 
 import rclpy
 from rclpy.qos import QoSProfile
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 from test_msgs.srv import BasicTypes
 
 from arpd.adapters.ros.runtime import prepare_environment
 
 PERIOD_S = 0.02
 DEEP = QoSProfile(depth=500)  # ten seconds of samples
+PICTURE_BYTES = 400_000
 
 
 def say(*words):
@@ -32,6 +34,20 @@ def number(node, topic):
             sent[0] += 1
 
     node.create_timer(PERIOD_S, publish)
+    return sent
+
+
+def picture(node, sent):
+    """Publish a large sample every second."""
+    publisher = node.create_publisher(UInt8MultiArray, "/picture", 1)
+    noise = bytes(k * k % 251 for k in range(PICTURE_BYTES))
+    node.create_timer(1.0, lambda: publisher.publish(UInt8MultiArray(data=sent[0].to_bytes(4) + noise)))
+
+
+def look(picture):
+    data = bytes(picture.data)
+    whole = all(data[4 + k] == k * k % 251 for k in range(PICTURE_BYTES))
+    say("/picture" if whole and len(data) == PICTURE_BYTES + 4 else "/torn", int.from_bytes(data[:4]))
 
 
 def hear(node, topic):
@@ -47,12 +63,13 @@ prepare_environment()
 rclpy.init()
 node = rclpy.create_node(f"{sys.argv[1]}_node")
 if sys.argv[1] == "robot":
-    number(node, "/odom")
+    picture(node, number(node, "/odom"))
     hear(node, "/cmd")
     node.create_service(BasicTypes, "/add", add)
     rclpy.spin(node)
 number(node, "/cmd")
 hear(node, "/odom")
+node.create_subscription(UInt8MultiArray, "/picture", look, 1)
 client = node.create_client(BasicTypes, "/add")
 while not client.service_is_ready():
     rclpy.spin_once(node, timeout_sec=PERIOD_S)

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.ros
 
 HERE = Path(__file__).parent
 ENOUGH = 100
+RATE = 500_000  # bytes/s: a picture needs most of a second
 
 
 class Link:
@@ -40,6 +41,17 @@ class Link:
         lines = (line.split() for line in self._path(name).read_text().split("\n")[:-1])
         return [int(number) for kind, number in lines if kind == topic]
 
+    def passed(self):
+        """Return for each picture how many samples published after it had arrived before it."""
+        passed, newest = [], 0
+        for line in self._path("base").read_text().split("\n")[:-1]:
+            kind, number = line.split()
+            if kind == "/odom":
+                newest = int(number)
+            elif kind == "/picture":
+                passed.append(newest - int(number))
+        return passed
+
     def _path(self, name):
         return self._folder / f"{name}.out"
 
@@ -50,12 +62,12 @@ def link(tmp_path):
     works, obstacle = available()
     if not works:
         (pytest.fail if os.geteuid() == 0 else pytest.skip)(f"no simulated link: {obstacle}")
-    with SimLink(f"both-ends-{os.getpid()}", domain_id=DOMAIN) as wire:
+    with SimLink(f"both-ends-{os.getpid()}", domain_id=DOMAIN, rate_bytes_per_second=RATE) as wire:
         yield Link(wire, tmp_path)
 
 
 def test_both_ends_carry_everything_over_the_simulated_link(link, eventually):
-    """Samples of the robot and commands of the base computer arrive in order, each once, and a call is answered."""
+    """Samples and commands arrive in order and once, a call is answered, and a picture comes whole and delays none."""
     link.start("robot", "near", "-m", "arpd.cli", "relay", "--config", link.config)
     link.start("ceddp", "far", "-m", "arpd.cli", "relay", "--config", link.config, "--far")
     link.start("robot", "robot", HERE / "host_nodes.py", "robot")
@@ -63,5 +75,8 @@ def test_both_ends_carry_everything_over_the_simulated_link(link, eventually):
     eventually("the robot's samples reach the base computer", lambda: len(link.heard("base", "/odom")) > ENOUGH)
     eventually("the commands reach the robot", lambda: len(link.heard("robot", "/cmd")) > ENOUGH)
     eventually("the call of the robot's service is answered", lambda: link.heard("base", "/add") == [42])
+    eventually("pictures reach the base computer", lambda: len(link.passed()) > 2)
+    assert min(link.passed()) > 5  # of 50 Hz
+    assert not link.heard("base", "/torn")
     for arrived in (link.heard("base", "/odom"), link.heard("robot", "/cmd")):
         assert arrived == sorted(set(arrived))

@@ -1,4 +1,8 @@
-"""Ghost nodes that two threads use at once, on real rclpy."""
+"""Ghost nodes that two threads use at once, and ghost writers that are swapped, on real rclpy."""
+
+import math
+import threading
+import time
 
 import pytest
 
@@ -6,14 +10,24 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("test_msgs", reason="test_msgs is not installed")
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from test_msgs.srv import Empty
 
-from arpd.adapters.ros.ends.ghosts import GhostNodes
+from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
+from arpd.adapters.ros.graph import deadline_ns_of
+from arpd.apply.endpoint.writer_swap import SwapState
+from arpd.apply.relay.envelope import Record
+from arpd.apply.relay.offers import WriterOffer
+from arpd.model.endpoints import WriterQos
 
 pytestmark = pytest.mark.ros
+TOPIC = "/ghostly"
+MS = 1_000_000
 
 
 def test_a_ghost_in_use_outlives_the_look_of_another_owner(ros):
@@ -59,3 +73,147 @@ def test_a_ghost_that_topics_keep_serves_calls_again(ros, eventually, make_execu
     nodes.close()
     end.destroy_node()
     executor.shutdown()
+
+
+class Ghost:
+    """A ghost writer that is stepped ten times a second, and writes a hundred samples in that time if it is told to."""
+
+    def __init__(self, node, **offer):
+        self.writer = GhostWriter(node, String, TOPIC, WriterOffer(number=0, node="", gid="", **offer), depth=10)
+        self.node, self.written, self.is_writing, self.most_held = node, 0, False, 0
+        self.lock = threading.Lock()  # as that of `Incoming`
+
+    def write(self, stopping):
+        while not stopping.wait(0.01):
+            with self.lock:
+                if self.is_writing:
+                    self.written += 1
+                    sample = serialize_message(String(data=str(self.written)))
+                    self.writer.write(Record(0, 0, self.written, sample))
+                self.most_held = max(self.most_held, self.held)
+
+    def step(self, stopping):
+        while not stopping.wait(0.1):
+            with self.lock:
+                if time.monotonic() >= self.writer.due_s:
+                    self.writer.swap()
+                self.writer.step()
+
+    def plan(self, **planned):
+        with self.lock:
+            self.writer.retune(WriterQos(**planned))
+
+    @property
+    def qos(self):
+        return self.writer._swap.qos
+
+    @property
+    def held(self):
+        return len(self.writer._held)
+
+    @property
+    def is_busy(self):
+        return self.writer._swap.is_busy
+
+    @property
+    def deadlines(self):
+        return [deadline_ns_of(info.qos_profile) for info in self.node.get_publishers_info_by_topic(TOPIC)]
+
+
+@pytest.fixture
+def ghost(ros, background):
+    def make(**offer):
+        ghost = Ghost(ros.node("ghost"), **offer)
+        background(ghost.write)
+        background(ghost.step)
+        return ghost
+
+    return make
+
+
+@pytest.fixture
+def listen(ros):
+    def listen(name, **qos):
+        received = []
+        profile = QoSProfile(depth=1000, **qos)
+        reader = ros.node(name).create_subscription(
+            String, TOPIC, lambda message: received.append(int(message.data)), profile
+        )
+        return reader, received
+
+    return listen
+
+
+@pytest.mark.parametrize("is_slow", [False, True])
+def test_a_swap_of_a_ghost_loses_doubles_and_reorders_nothing(ghost, listen, monkeypatch, eventually, is_slow):
+    """At 100 Hz readers hear every sample once across swaps of depth and deadline, also where samples are held."""
+    ghost = ghost()
+    swap, readers = ghost.writer._swap, [listen("sure"), listen("maybe", reliability=QoSReliabilityPolicy.BEST_EFFORT)]
+    for reader, _ in readers:
+        eventually("the reader finds the ghost", reader.get_publisher_count)
+    eventually("the ghost finds both", lambda: ghost.writer.matched() == 2)
+    ghost.is_writing = True
+    for deadline_ns, depth in ((500 * MS, 50), (200 * MS, 5), (0, 0)):
+        with monkeypatch.context() as patch:
+            if is_slow:
+                patch.setattr(swap.current, "is_acknowledged", lambda: False)
+            ghost.most_held = 0
+            ghost.plan(depth=depth, deadline_ns=deadline_ns)
+            if is_slow:
+                eventually("samples are held", lambda: ghost.most_held > 1)
+                eventually("they are held no more", lambda: swap.state is SwapState.WATCHING and not ghost.held)
+        eventually("the plan alone is offered", lambda wanted=deadline_ns: ghost.deadlines == [wanted])
+        assert ghost.qos.depth == max(depth, 10)
+        eventually("the swap is over", lambda: not ghost.is_busy)
+    ghost.is_writing = False
+    for _, received in readers:
+        eventually("the last sample arrives", lambda received=received: received[-1] == ghost.written)
+        assert received == list(range(1, ghost.written + 1))
+
+
+def test_a_ghost_offers_no_longer_deadline_than_its_original_and_its_readers_allow(ghost, listen, eventually):
+    """A plan of a longer deadline loses no reader that the ghost serves, and one that it never served has no say."""
+    ghost = ghost(deadline_ns=300 * MS)
+    listen("demanding", deadline=Duration(nanoseconds=MS))
+    ghost.plan(depth=20, deadline_ns=400 * MS)
+    eventually("the new depth is in force", lambda: ghost.qos == WriterQos(depth=20, deadline_ns=300 * MS))
+    ghost.plan(depth=20, deadline_ns=100 * MS)
+    eventually("the plan alone is offered", lambda: ghost.deadlines == [100 * MS])
+    _, received = listen("served", deadline=Duration(nanoseconds=150 * MS))
+    eventually("the reader matches", lambda: ghost.writer.matched() == 1)
+    eventually("the graph shows its request", lambda: len(ghost.writer._requests.names()) == 2)
+    ghost.plan(depth=30, deadline_ns=200 * MS)
+    eventually("the deadline stays", lambda: ghost.qos == WriterQos(depth=30, deadline_ns=100 * MS))
+    ghost.is_writing = True
+    eventually("the reader hears it", lambda: received)
+
+
+def test_a_refused_swap_of_a_ghost_is_logged_once(ghost, listen, monkeypatch, caplog, eventually):
+    """A reader that refuses the new writer is named once, however often it is asked, and still hears the ghost."""
+    ghost = ghost(deadline_ns=300 * MS)
+    _, received = listen("served", deadline=Duration(nanoseconds=400 * MS))
+    eventually("the reader matches", lambda: ghost.writer.matched() == 1)
+    wanted = WriterQos(depth=10, deadline_ns=500 * MS)
+    for times in (1, 2):
+        with ghost.lock, monkeypatch.context() as patch:
+            patch.setattr(ghost.writer, "_wanted", lambda: wanted)
+            patch.setattr(ghost.writer, "_lost_to", lambda _qos: [])  # as if the reader joined after this look
+            ghost.writer.swap()
+        refused = ghost.writer._swap.ledger
+        eventually(
+            "the swap is refused", lambda times=times, refused=refused: refused.begun == times and not ghost.is_busy
+        )
+    assert ghost.deadlines == [300 * MS]
+    (logged,) = [each.getMessage() for each in caplog.records if "writer swap" in each.getMessage()]
+    assert "DEADLINE 500000000 would lose readers (/served requests 400000000 ns); the old writer stays" in logged
+    ghost.is_writing = True
+    eventually("the reader hears it", lambda: received)
+
+
+def test_a_latched_ghost_is_never_swapped(ghost):
+    """A plan does not touch a latched ghost, neither a new one nor one that is there."""
+    ghost = ghost(is_latched=True)
+    ghost.plan(depth=20, deadline_ns=100 * MS)
+    assert ghost.writer.due_s == math.inf
+    ghost.plan(depth=0, deadline_ns=0)
+    assert ghost.qos == WriterQos(depth=10, deadline_ns=0)

@@ -19,13 +19,18 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
 from arpd.adapters.ros.ends.survey import own_participant
+from arpd.adapters.ros.names import plan_topic
+from arpd.adapters.ros.plan_listener import plan_qos
+from arpd.adapters.ros.plan_message import encode_plan
 from arpd.adapters.ros.relay import default_node_name
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, encode_state
 from arpd.model.observation import MessageKind, MessageRefusal
+from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.ros.ends_world import ROBOT, Counter, TwoEnds, is_whole, numbers
+from tests.ros.price import TERMS
 from tests.waiting import eventually as insist
 
 pytestmark = pytest.mark.ros
@@ -203,6 +208,27 @@ def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(ends, talking
     assert not numbers(strict, "maybe")
 
 
+def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking, eventually):
+    """A plan for a topic on the link reaches the far side's ghost, whose reader hears every sample once meanwhile."""
+    talking(Counter(ends.side("robot").node("sensor"), String, "/planned", RELIABLE))
+    far = ends.side("ceddp").node("planner")
+    received = listen(far, "/planned")
+    eventually("samples arrive", lambda: len(received) > 20)
+    daemon = ends.link_side().node("daemon")
+    plans = daemon.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
+    row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=40, **TERMS)
+    plan = encode_plan(generation=1, lease_s=0.0, publishers={"/planned": row}, readers={})
+    plans.publish(String(data=plan))
+
+    def offered():
+        return [info.qos_profile.deadline.nanoseconds for info in far.get_publishers_info_by_topic("/planned")]
+
+    eventually("the plan alone is offered", lambda: offered() == [400_000_000])
+    before = len(received)
+    eventually("samples go on", lambda: len(received) > before + 50)
+    assert is_whole(received, "sensor")
+
+
 def test_types_that_differ_between_the_sides_are_named(ends, eventually):
     """A topic that has another type on the far side is named with both types."""
     ends.side("robot").node("sensor").create_publisher(String, "/two_types", 10)
@@ -296,7 +322,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
-    words = "it speaks version 9 (arpd 9.9), this end version 1"
+    words = "it speaks version 9 (arpd 9.9), this end version 2"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 

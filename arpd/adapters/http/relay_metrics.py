@@ -38,8 +38,8 @@ def relay_metrics(observation: Observation) -> Iterator[Metric]:
     )
     yield counter_of(
         "arpd_relay_samples",
-        "Samples that the robot's end received: new ones, second copies, and those of writers it does not know.",
-        (({"result": result}, getattr(relay, result)) for result in ("doubled", "received", "unknown")),
+        "Samples that the robot's end received: new, second copies, outdated in an outage, of unknown writers.",
+        (({"result": result}, getattr(relay, result)) for result in ("doubled", "outdated", "received", "unknown")),
     )
     text = "Samples that the robot's end dropped because their group was never complete."
     yield counter_of("arpd_relay_incomplete_samples", text, (({}, relay.incomplete),))

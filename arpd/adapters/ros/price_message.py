@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _VERSION = 1.0
-_FIELDS = 7
+_FIELDS = 9
 MOST_NUMBERS = 64
 
 
@@ -25,6 +25,8 @@ def encode_price(price: Price) -> list[float]:
         price.yielding_weight,
         price.kept_floor,
         math.nan if price.loss_ratio is None else price.loss_ratio,
+        price.budget_share,
+        price.spare_share,
     ]
 
 
@@ -38,7 +40,9 @@ def decode_price(numbers: Sequence[float]) -> Price:
     """
     if not _FIELDS <= len(numbers) <= MOST_NUMBERS:
         raise ValueError(f"price of {len(numbers)} numbers; {_FIELDS} to {MOST_NUMBERS} are needed")
-    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_floor, loss = numbers[:_FIELDS]
+    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_floor, loss, budget, spare = numbers[
+        :_FIELDS
+    ]
     if version != _VERSION:
         raise ValueError(f"price of version {version:g}; this arpd understands {_VERSION:g}")
     if not (math.isnan(loss) or 0.0 <= loss <= 1.0):
@@ -50,4 +54,6 @@ def decode_price(numbers: Sequence[float]) -> Price:
         yielding_weight=yielding_weight,
         kept_floor=kept_floor,
         loss_ratio=None if math.isnan(loss) else loss,
+        budget_share=budget,
+        spare_share=spare,
     )

@@ -62,7 +62,6 @@ class AdaptivePublisher:
     swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
         old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
     swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
-    source_of : names the source of a serialized sample; of samples that wait, the newest of each source stays
 
     Notes
     -----
@@ -88,7 +87,6 @@ class AdaptivePublisher:
         overflow: Overflow = Overflow.LATEST,
         swap_transient_local: bool = False,
         swap_timing: SwapTiming | None = None,
-        source_of: Callable[[bytes], bytes] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.msg_type = msg_type
@@ -116,7 +114,6 @@ class AdaptivePublisher:
             on_swap=self._on_swap,
             timing=swap_timing,
             link=self._shared.link,
-            source_of=source_of,
         )
         self._overrides = None  # now part of the profile; rclpy declares each only once
         if self._is_latched and swap_transient_local:

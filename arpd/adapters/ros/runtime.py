@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 _TURN_S = 0.2
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 
 
@@ -73,7 +74,7 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
         with _discovery(link):
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(name, context=context, enable_rosout=link is None)  # nobody reads it on the link
+            node = rclpy.create_node(name, context=context, enable_rosout=link is None)  # nobody reads it on the link
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
         raise RosUnavailableError(
@@ -96,25 +97,29 @@ def control_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
 
 @contextmanager
 def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
-    """Let a context that is initialised meanwhile look for others at known addresses.
+    """Let a context whose first node is made meanwhile look for others at known addresses, and never wait for a write.
 
     With a list of peers Fast DDS announces a participant to those, at the first four ports of the domain, and once more
     by multicast. LOCALHOST would announce it at 32 ports of each (rmw_fastrtps, participant.cpp), every three seconds.
-    rcl reads these variables at each initialisation.
+
+    Written without waiting (`send_without_waiting`), a full link delays neither acknowledgements nor signs of life; the
+    reliable protocol sends again what the socket did not take. rcl reads its variables at each initialisation, Fast DDS
+    its own with each participant, which the first node makes.
     """
     if link is None:
         yield
         return
     peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": peers}
-    before = {name: environment.get(name) for name in own}
+    before = {name: environment.get(name) for name in (*own, _VARIABLE)}
     environment.update(own)
+    send_without_waiting(environment)
     try:
         yield
     finally:
         for name, value in before.items():
             if value is None:
-                del environment[name]
+                environment.pop(name, None)
             else:
                 environment[name] = value
 
@@ -254,9 +259,6 @@ def stop_on_signals(stopping: threading.Event) -> None:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
-_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
-
-
 def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> None:
     """Let Fast DDS drop samples that the socket does not take, in this process, unless its options are set already.
 
@@ -267,7 +269,7 @@ def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> 
     shared memory. (With UDP alone one socket serves near and far readers: the ticks continue, and the price
     arrives again with the link.) The dropped samples are best effort, or are repeated.
 
-    Processes that carry data do not use this: a write that blocks tells them that the link is full.
+    Nodes of the application do not use this: a write that blocks tells them that the link is full.
     """
     chosen = environment.get(_VARIABLE) or "DEFAULT"
     if "?" not in chosen:

@@ -42,7 +42,6 @@ class Flow(Generic[W]):
     on_swap : called with the result of every swap and the QoS it was about
     timing : timeouts of a swap
     link : shared by all flows of the process; its own one sees only this flow
-    source_of : as in `Pacer`
 
     Notes
     -----
@@ -60,7 +59,6 @@ class Flow(Generic[W]):
         on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
         timing: SwapTiming | None = None,
         link: LinkClock | None = None,
-        source_of: Callable[[bytes], bytes] | None = None,
     ) -> None:
         self._clock = clock
         self._link = link or LinkClock()
@@ -70,7 +68,7 @@ class Flow(Generic[W]):
         self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
         self._writer, self._awaits_silence = self._swap.current, False  # of the swap; only its steps change them
         self._may_conflate = overflow is Overflow.LATEST
-        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld, source_of=source_of)
+        self._pacer = Pacer(overflow=overflow, depth=qos.depth, on_withheld=self._on_withheld)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._is_large = False  # its samples wait for their turn on the link
         self._price: Price | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.model.endpoints import WithheldCause
@@ -36,7 +36,6 @@ class Pacer:
     overflow : which samples are withheld when they come faster than they may leave
     depth : most samples the queue holds (samples); ``latest`` holds one
     on_withheld : called with the number of withheld samples and the cause, once per call that withholds any
-    source_of : names the source of a sample; ``latest`` then keeps the newest of each, and none drives another out
 
     Notes
     -----
@@ -49,10 +48,8 @@ class Pacer:
         overflow: Overflow,
         depth: int,
         on_withheld: Callable[[int, WithheldCause], None],
-        source_of: Callable[[bytes], bytes] | None = None,
     ) -> None:
         self._overflow = overflow
-        self._source_of = source_of
         self._on_withheld = on_withheld
         self._depth = depth
         self._rate_hz = math.inf
@@ -173,19 +170,8 @@ class Pacer:
             self._on_withheld(excess, self._limit if is_held else WithheldCause.BLOCKED)
 
     def _withhold_oldest(self, bound: int) -> int:
-        """Keep the newest ones, or the newest ones of each source; return how many are withheld."""
-        excess = len(self._queue) - bound
-        if excess <= 0:
-            return 0
-        if self._source_of is None or not self._may_replace:
-            for _ in range(excess):
-                self._queue.popleft()
-            return excess
-        kept: deque[bytes] = deque()
-        held: Counter[bytes] = Counter()
-        for sample in reversed(self._queue):
-            held[source := self._source_of(sample)] += 1
-            if held[source] <= bound:
-                kept.appendleft(sample)
-        excess, self._queue = len(self._queue) - len(kept), kept
+        """Keep the newest ones; return how many are withheld."""
+        excess = max(0, len(self._queue) - bound)
+        for _ in range(excess):
+            self._queue.popleft()
         return excess

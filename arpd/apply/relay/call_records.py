@@ -135,6 +135,11 @@ def decode_record(data: bytes) -> Record:
     )
 
 
+def what_of(data: bytes) -> bytes:
+    """Return what names the call and the kind of an encoded record: one that repeats another has the same."""
+    return data[1:10]
+
+
 def _split(data: bytes) -> list[bytes]:
     parts = []
     at = _HEADER.size

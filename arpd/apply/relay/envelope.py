@@ -1,4 +1,4 @@
-"""Samples as they cross the link: one or several of them, with their writers, in a std_msgs/UInt8MultiArray."""
+"""Samples as they cross the link: packed with their writers, and cut into chunks, one to a std_msgs/UInt8MultiArray."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ if TYPE_CHECKING:
 # CDR, little endian: an array without dimensions, no offset, and its length (OMG DDSI-RTPS 2.3, 10.5).
 _MESSAGE = struct.Struct("<4sIII")
 _CDR = b"\x00\x01\x00\x00"
-_SESSION = struct.Struct("<I")
+_CHUNK = struct.Struct("<IIIIIIB")
 _RECORD = struct.Struct("<HHIQ")
-_WRITER = slice(_MESSAGE.size + _SESSION.size, _MESSAGE.size + _SESSION.size + 4)
 _ORDER = {0: ">", 1: "<"}
+#: What a chunk adds to the part of the message in it (bytes).
+CHUNK_HEADER_BYTES = _MESSAGE.size + _CHUNK.size
+MOST_MESSAGE_BYTES = 2**26
+WRAP = 2**32  # of the numbers and times in a chunk
 
 
 class Record(NamedTuple):
@@ -26,18 +29,59 @@ class Record(NamedTuple):
     sample: bytes
 
 
-def pack(session: int, records: Iterable[Record]) -> bytes:
-    """Return a serialized UInt8MultiArray with these records.
+class Chunk(NamedTuple):
+    """A part of a message, as it crosses the link; every field but the part is below `WRAP`.
 
     Parameters
     ----------
-    session : the sender's, 32 bit: writers have other numbers in another session
+    session : the sender's
+    number : counts all chunks of the sender
+    departed_us : when it left, by the sender's clock (µs)
+    message : number of the first chunk of its message
+    offset, total : place of the part, and size of the message (bytes)
+    is_kept : whether the message is delivered however old it is
+    part : the bytes
     """
-    parts = [b"", _SESSION.pack(session)]
-    for member, writer, sequence, sample in records:
-        parts += _RECORD.pack(member, writer, len(sample), sequence), sample
-    parts[0] = _MESSAGE.pack(_CDR, 0, 0, sum(map(len, parts)))
-    return b"".join(parts)
+
+    session: int
+    number: int
+    departed_us: int
+    message: int
+    offset: int
+    total: int
+    is_kept: bool
+    part: bytes
+
+
+def pack(records: Iterable[Record]) -> bytes:
+    """Return one message with these records."""
+    return b"".join(
+        part
+        for member, writer, sequence, sample in records
+        for part in (_RECORD.pack(member, writer, len(sample), sequence), sample)
+    )
+
+
+def unpack(message: bytes) -> list[Record]:
+    """Return the records of a message.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are none that `pack` returns.
+    """
+    records, at = [], 0
+    try:
+        while at < len(message):
+            member, writer, length, sequence = _RECORD.unpack_from(message, at)
+            at += _RECORD.size
+            if at + length > len(message):
+                raise ValueError("a sample of a relay is cut off")
+            records.append(Record(member, writer, sequence, message[at : at + length]))
+            at += length
+    except struct.error as fault:
+        raise ValueError("no samples of a relay") from fault
+    return records
 
 
 def wrap(data: bytes) -> bytes:
@@ -45,36 +89,61 @@ def wrap(data: bytes) -> bytes:
     return _MESSAGE.pack(_CDR, 0, 0, len(data)) + data
 
 
-def unpack(message: bytes) -> tuple[int, list[Record]]:
-    """Return the session and the records of a serialized UInt8MultiArray.
+def encode_chunk(chunk: Chunk) -> bytes:
+    """Return a serialized UInt8MultiArray with a chunk."""
+    size = _CHUNK.size + len(chunk.part)
+    return _MESSAGE.pack(_CDR, 0, 0, size) + _CHUNK.pack(*chunk[:7]) + chunk.part
+
+
+def decode_chunk(sample: bytes) -> Chunk:
+    """Return the chunk in a serialized UInt8MultiArray.
 
     Raises
     ------
     ValueError
-        If the bytes are none that `pack` returns.
+        If it holds none.
     """
     try:
-        cdr, dimensions, offset, size = _MESSAGE.unpack_from(message)
-        (session,) = _SESSION.unpack_from(message, _MESSAGE.size)
-        at, end = _MESSAGE.size + _SESSION.size, _MESSAGE.size + size
-        if cdr[:2] != _CDR[:2] or dimensions or offset or end > len(message):
-            raise ValueError("no samples of a relay")
-        records = []
-        while at < end:
-            member, writer, length, sequence = _RECORD.unpack_from(message, at)
-            at += _RECORD.size
-            if at + length > end:
-                raise ValueError("a sample of a relay is cut off")
-            records.append(Record(member, writer, sequence, message[at : at + length]))
-            at += length
+        cdr, dimensions, offset, size = _MESSAGE.unpack_from(sample)
+        session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(sample, _MESSAGE.size)
     except struct.error as fault:
-        raise ValueError("no samples of a relay") from fault
-    return session, records
+        raise ValueError("no chunk of a relay") from fault
+    part = sample[CHUNK_HEADER_BYTES : _MESSAGE.size + size]
+    chunk = Chunk(session, number, departed_us, message, at, total, bool(is_kept), part)
+    if cdr[:2] != _CDR[:2] or dimensions or offset or len(part) != size - _CHUNK.size:
+        raise ValueError("no chunk of a relay")
+    if not chunk.offset + len(part) <= chunk.total <= MOST_MESSAGE_BYTES:
+        raise ValueError(f"a chunk at {chunk.offset} of a message of {chunk.total} bytes")
+    return chunk
 
 
-def source_of(message: bytes) -> bytes:
-    """Return what names the writer of a packed sample; pacing keeps the newest sample of each."""
-    return message[_WRITER]
+class Assembly:
+    """Puts the chunks of one topic on the link together: a message is whole, or it is not delivered.
+
+    Its chunks come in their order, from one writer at a time; a lost one ends its message.
+    """
+
+    def __init__(self) -> None:
+        self._key = self._ended = (-1, -1)
+        self._parts: list[bytes] = []
+        self._bytes = 0
+
+    def add(self, chunk: Chunk) -> bytes | None:
+        """Return the message that this chunk completes, None before its end."""
+        if self._ended == (chunk.session, chunk.message):
+            return None  # doubled
+        if chunk.offset == 0:
+            self._key, self._parts, self._bytes = (chunk.session, chunk.message), [], 0
+        elif self._key != (chunk.session, chunk.message) or self._bytes != chunk.offset:
+            self._parts, self._bytes = [], 0
+            return None
+        self._parts.append(chunk.part)
+        self._bytes += len(chunk.part)
+        if self._bytes < chunk.total:
+            return None
+        self._ended = self._key
+        message, self._parts, self._bytes = b"".join(self._parts), [], 0
+        return message
 
 
 def stamp_of(sample: bytes) -> tuple[int, int]:

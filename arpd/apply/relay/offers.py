@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-VERSION = 1
+VERSION = 2
 _MOST_NUMBER = 2**16 - 1  # of a writer and of a place in a group: their fields in a sample have 16 bits
 _MOST_NS = 2**63 - 1
+_MOST_DEPTH = 5000
 _SESSION = re.compile(r"[0-9a-f]{16}")
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 
@@ -58,12 +59,15 @@ class TopicOffer:
     writers : its writers
     link_name : name under which it crosses the link; all topics of a group have one
     member : its place in the group, 0 without one
+    planned_depth, planned_deadline_ns : the daemon's plan for it, or for its group; no plan = 0 (samples, ns)
     """
 
     type_name: str
     writers: tuple[WriterOffer, ...]
     link_name: str
     member: int = 0
+    planned_depth: int = 0
+    planned_deadline_ns: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -171,6 +175,8 @@ def _topic(document: Any) -> TopicOffer:
         writers=tuple(map(_writer, document["writers"])),
         link_name=str(document["link_name"]),
         member=_whole(document["member"], most=_MOST_NUMBER),
+        planned_depth=_whole(document["planned_depth"], most=_MOST_DEPTH),
+        planned_deadline_ns=_whole(document["planned_deadline_ns"], most=_MOST_NS),
     )
 
 

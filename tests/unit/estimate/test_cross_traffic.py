@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.model.endpoints import Direction
+from arpd.model.relay import RelaySummary
 from arpd.model.wire import wire_size
 from tests.examples import examples
 from tests.sample_link import INTERFACE, observation
@@ -212,3 +213,18 @@ def test_what_was_sent_into_an_outage_may_come_again():
     robot.traffic.note_outage(robot.now_s - 2.0, robot.now_s)
     assert max(robot.run(2.0, robot.own)) <= robot.grain
     assert robot.run(5.0, robot.own)[-1] > 0.5 * robot.own
+
+
+@pytest.mark.parametrize("cross_traffic", [0.0, 1e6])
+def test_what_a_relay_sends_is_its_own(cross_traffic):
+    """Of a relay's two ends the bytes they count are no cross traffic, before a map has crossed whole, and in calls."""
+    traffic, measured, own = CrossTraffic(), [], 600e3
+    summary = RelaySummary()
+    for tick in range(100):
+        now_s = START_S + tick * TICK_S
+        if tick % 10 == 3:  # it tells once a second
+            summary = RelaySummary(link_bytes=int(own * (tick * TICK_S)))
+        counters = replace(INTERFACE, tx_bytes=int((own + cross_traffic) * tick * TICK_S))
+        measured.append(traffic.update(observation(now_s, counters=counters, relay=summary)))
+    expected = max(0.0, cross_traffic - ALLOWANCE * own - CHATTER)
+    assert measured[60:] == pytest.approx([expected] * 40, abs=0.03 * own)

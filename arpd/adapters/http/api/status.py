@@ -167,6 +167,10 @@ class Relay(Part):
     """Samples that it received a second time."""
     unknown: Count
     """Samples of writers that it does not know."""
+    outdated: Count
+    """Samples that an outage delayed until a newer one of their source had come."""
+    link_bytes: Count
+    """What both ends' chunks took of the link, headers and acknowledgements included."""
     incomplete: Count
     """Samples of groups that it dropped, because their set was never complete."""
     calls_failed: dict[str, Count]

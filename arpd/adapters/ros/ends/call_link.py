@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -16,9 +17,11 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.adapters.ros.ends.calls import Calls
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.raw_subscription import octets
 from arpd.adapters.ros.rcl import rcl
-from arpd.apply.relay.envelope import wrap
+from arpd.apply.relay.call_records import what_of
+from arpd.apply.relay.envelope import Assembly, decode_chunk
+from arpd.apply.relay.lane import SMALL_BYTES, Lane
+from arpd.observe.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -26,8 +29,10 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.adapters.ros.ends.ghosts import GhostNodes
+    from arpd.adapters.ros.ends.link_thread import LinkThread
     from arpd.apply.relay.offers import ServiceOffer
 
+log = logging.getLogger(__name__)
 _TICK_S = 0.02  # a record waits so long at most; EventsExecutor has no guard conditions, which could wake it earlier
 _LOOK_S = 0.5
 _QOS = QoSProfile(depth=1000)  # reliable; calls repeat themselves, so an overflow costs time only
@@ -35,13 +40,14 @@ _OWNER = "services"
 
 
 class CallLink:
-    """Carries the calls of one end: unpaced, because they are few and small, and never dropped.
+    """Carries the calls of one end, as a topic of weight 1 in the paced queue whose records are never dropped.
 
     Parameters
     ----------
     node, link_node : the end's nodes in the local domain and in that of the link
     nodes : ghosts of the other side's nodes
     thread : takes the records
+    link : writes to the link
     own, other : topics of this end's records and of the other's
     is_used : whether anything may be called
     allows, timeout_s, session, namespace : as in `Calls`
@@ -55,6 +61,7 @@ class CallLink:
         *,
         nodes: GhostNodes,
         thread: ReadingThread,
+        link: LinkThread,
         own: str,
         other: str,
         is_used: bool,
@@ -69,6 +76,7 @@ class CallLink:
         self._local_name = local_name
         self._clock = clock
         self._records: deque[bytes] = deque()
+        self._logged = OncePerMinute()
         self._calls = Calls(
             node,
             send=self._send,
@@ -79,7 +87,9 @@ class CallLink:
             namespace=namespace,
             clock=clock,
         )
-        self._publisher: Any = None
+        self._link = link
+        self._lane: Lane | None = None
+        self._assembly = Assembly()
         self._reader: RawReader | None = None
         self._look_s = clock()
         self.offers: Mapping[str, ServiceOffer] = MappingProxyType({})
@@ -88,9 +98,9 @@ class CallLink:
         # Services that the other end offers, and its session, None = unreachable; the end's own thread sets it.
         self.offered: tuple[Mapping[str, ServiceOffer], str | None] = MappingProxyType({}), None
         if is_used:
-            self._publisher = link_node.create_publisher(
-                UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events()
-            )
+            publisher = link_node.create_publisher(UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events())
+            self._lane = Lane(rcl().outlet(publisher.handle).publish, is_kept=True)
+            link.add(self._lane)
             self._reader = RawReader(link_node, UInt8MultiArray, other, _QOS, deliver=self._arrive, thread=thread)
             node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -114,7 +124,20 @@ class CallLink:
         self._calls.step(now_s)
 
     def _arrive(self, sample: Sample) -> None:
-        self._records.append(octets(sample.data))
+        try:
+            chunk = decode_chunk(sample.data)
+        except ValueError as fault:
+            if self._logged.take("chunk", self._clock()):
+                log.warning("a record of the other end was ignored: %s (logged once a minute)", fault)
+            return
+        self._link.arrived(chunk, len(sample.data))
+        if (record := self._assembly.add(chunk)) is not None:
+            self._records.append(record)
 
     def _send(self, record: bytes) -> None:
-        rcl().publish(self._publisher.handle, wrap(record))
+        if self._lane is None:
+            return
+        # A call repeats itself once a second; a large answer takes longer.
+        source = what_of(record)
+        if len(record) <= SMALL_BYTES or not self._link.is_sending(self._lane, source):
+            self._link.offer(self._lane, record, source=source)

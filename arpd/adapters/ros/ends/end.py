@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -18,6 +19,7 @@ from arpd.adapters.ros.ends.announced import AnnouncedParticipants
 from arpd.adapters.ros.ends.call_link import CallLink
 from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import Incoming
+from arpd.adapters.ros.ends.link_thread import LinkThread
 from arpd.adapters.ros.ends.outgoing import Outgoing
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.summaries import Summaries
@@ -25,9 +27,8 @@ from arpd.adapters.ros.ends.survey import Survey, own_participant
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.raw_subscription import octets
 from arpd.adapters.ros.rcl import rcl
-from arpd.apply.relay.envelope import wrap
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
-from arpd.apply.relay.partner import EVERY_S, Partner
+from arpd.apply.relay.partner import Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
 from arpd.apply.relay.status import MOST_NAMED, status_line
 from arpd.model.relay import RelaySummary
@@ -42,9 +43,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _TICK_S = 0.1
 _LOOK_S = 0.5  # the graph of the local domain
+_PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+_SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 class End:
@@ -87,16 +90,26 @@ class End:
         self._partner = Partner()
         self._partner_session = ""
         self._fault = ""  # of the other end's messages
-        self._arrived: deque[tuple[bytes, bool]] = deque(maxlen=1000)  # states and signs of life
+        self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._offers: dict[str, TopicOffer] = {}
+        self._plans: dict[str, tuple[int, int]] = {}  # DEPTH and DEADLINE that it tells, by the name on the link
+        self._plans_s = 0.0  # when it may tell others
         self._offered_to_us: Mapping[str, TopicOffer] = {}
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
         self._told = EndState(session=f"{session:016x}", number=0)
         self._begun_s = clock()
-        self._look_s = self._alive_s = self._begun_s
-        # Two threads: a write onto a full link blocks, and what comes from the link must not wait for it.
-        self._outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
+        self._look_s = self._begun_s
+        role, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
+        self._states, signs = (
+            link_node.create_publisher(
+                UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
+            )
+            for ending, qos in (("", _LATCHED), ("/alive", _ALIVE))
+        )
+        self.link = LinkThread(session, sign=rcl().outlet(signs.handle).publish, clock=clock)
+        # Two threads, so that what comes from the link does not wait for the nodes here.
+        self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
         self._link_node = link_node
         self.survey = Survey(node, own=own, is_of_interest=self._is_of_interest)
@@ -104,6 +117,7 @@ class End:
             link_node=link_node,
             nodes=self._nodes,
             thread=self.incoming_thread,
+            link=self.link,
             local_name=self.local_name,
             depths=settings.depths,
             clock=clock,
@@ -112,18 +126,18 @@ class End:
             node=node,
             link_node=link_node,
             survey=self.survey,
-            thread=self._outgoing_thread,
+            thread=self.outgoing_thread,
+            link=self.link,
             local_name=self.local_name,
             settings=settings,
-            session=session,
             clock=clock,
         )
-        role, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
         self._calls = CallLink(
             node,
             link_node,
             nodes=self._nodes,
             thread=self.incoming_thread,
+            link=self.link,
             own=f"/arpd/relay/{role}/calls",
             other=f"/arpd/relay/{other}/calls",
             is_used=bool(settings.services or settings.actions),
@@ -134,31 +148,27 @@ class End:
             local_name=self.local_name,
             clock=clock,
         )
-        self._states = link_node.create_publisher(
-            UInt8MultiArray, f"/arpd/relay/{role}", _LATCHED, event_callbacks=no_publisher_events()
-        )
-        self._signs = link_node.create_publisher(
-            UInt8MultiArray, f"/arpd/relay/{role}/alive", _ALIVE, event_callbacks=no_publisher_events()
-        )
         # For the daemon on the robot.
-        self._summaries = None if is_far else Summaries(link_node, self.incoming, self.outgoing, self._calls)
+        self._summaries = None if is_far else Summaries(link_node, self.link, self.incoming, self.outgoing, self._calls)
         self._readers = [
-            self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, is_state=True),
-            self._listen(link_node, f"/arpd/relay/{other}/alive", _ALIVE, is_state=False),
+            self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, lambda sample: self._arrived.append(sample.data)),
+            self._listen(link_node, f"/arpd/relay/{other}/alive", _SIGNS, self._hear_sign),
         ]
         self._status = ""
+        self.link.start()
         # Steady time, so that a paused simulation does not stop the end from following the graph.
         link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
         """Destroy everything in both domains; the executors have stopped."""
         self._announced.close()
+        self.link.stop()
         for reader in self._readers:
             reader.destroy()
         self._calls.close()
         self.outgoing.forget()
         self.incoming.close()
-        self._outgoing_thread.stop()
+        self.outgoing_thread.stop()
         self.incoming_thread.stop()
         self._nodes.close()
 
@@ -195,23 +205,22 @@ class End:
         self.incoming.step()
         self.outgoing.step(self._offers)
         if now_s - self._begun_s >= _SETTLE_S:
-            self._tell(now_s)
+            self._tell()
         self._report(now_s)
 
     def _hear(self, now_s: float) -> None:
         """Take what the other end has sent."""
         is_new = False
         while self._arrived:
-            data, is_state = self._arrived.popleft()
+            arrived = self._arrived.popleft()
+            if isinstance(arrived, int):
+                self._partner.hear(f"{arrived:016x}", now_s)
+                continue
             try:
-                octet = octets(data)
-                if is_state:
-                    state = decode_state(octet)
-                    self._partner.hear(state.session, now_s, state)
-                    is_new = True
-                    self._fault = ""
-                else:
-                    self._partner.hear(octet[:16].decode(), now_s)
+                state = decode_state(octets(arrived))
+                self._partner.hear(state.session, now_s, state)
+                is_new = True
+                self._fault = ""
             except OtherVersionError as fault:
                 self._note_fault(str(fault))
             except ValueError as fault:
@@ -230,6 +239,7 @@ class End:
         if state is None:
             if self._partner_session:
                 self._partner_session = ""
+                self.link.follow(0)
                 self.outgoing.forget()
                 self._offered_to_us = {}
                 self._refused, self._differ = {}, {}
@@ -237,6 +247,7 @@ class End:
             return
         if state.session != self._partner_session:
             self._partner_session = state.session
+            self.link.follow(int(state.session, 16))
             self.outgoing.meet(state.link_gids)
             log.info("the other end is %s (arpd %s), session %s", state.host, state.arpd, state.session)
         self._offered_to_us = state.topics
@@ -291,19 +302,28 @@ class End:
         return found
 
     def _survey_offers(self) -> dict[str, TopicOffer]:
+        now_s, plans = self._clock(), self.outgoing.plans
+        if plans != self._plans and now_s >= self._plans_s:
+            self._plans, self._plans_s = plans, now_s + _PLANS_S
         offers = {}
         for local, surveyed in self.survey.topics.items():
             name = self._robot_name(local)
             if name is not None and surveyed.writers and self._may_leave(name):
                 link_name, member = self.outgoing.names.of(name)
                 writers = tuple(sorted(surveyed.writers.values(), key=lambda writer: writer.number))
+                depth, deadline_ns = self._plans.get(link_name, (0, 0))
                 offers[name] = TopicOffer(
-                    type_name=surveyed.type_name, writers=writers, link_name=link_name, member=member
+                    type_name=surveyed.type_name,
+                    writers=writers,
+                    link_name=link_name,
+                    member=member,
+                    planned_depth=depth,
+                    planned_deadline_ns=deadline_ns,
                 )
         return offers
 
-    def _tell(self, now_s: float) -> None:
-        """Send this end's state if it has changed, and a sign of life once a second."""
+    def _tell(self) -> None:
+        """Send this end's state if it has changed."""
         state = EndState(
             session=self._told.session,
             number=self._told.number,
@@ -318,10 +338,7 @@ class End:
         )
         if state != self._told:
             self._told = state = replace(state, number=state.number + 1)
-            self._send(self._states, encode_state(state))
-        if now_s >= self._alive_s:
-            self._alive_s = now_s + EVERY_S
-            self._send(self._signs, state.session.encode())
+            self.link.send(rcl().outlet(self._states.handle).publish, encode_state(state))
 
     # -- status
 
@@ -372,11 +389,9 @@ class End:
                 log.error("cannot carry %s: %s; the other topics are not affected", name, reason)
         self._refused = refused
 
-    def _listen(self, link_node: Node, topic: str, qos: QoSProfile, *, is_state: bool) -> RawReader:
-        def deliver(sample: Sample) -> None:
-            self._arrived.append((sample.data, is_state))
+    def _hear_sign(self, sample: Sample) -> None:
+        with suppress(ValueError):  # of another version, which its state says, too
+            self._arrived.append(self.link.hear(octets(sample.data)))
 
+    def _listen(self, link_node: Node, topic: str, qos: QoSProfile, deliver: Callable[[Sample], None]) -> RawReader:
         return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self.incoming_thread)
-
-    def _send(self, publisher: Any, data: bytes) -> None:
-        rcl().publish(publisher.handle, wrap(data))

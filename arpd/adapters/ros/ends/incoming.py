@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from rclpy.qos import QoSProfile
@@ -14,16 +15,18 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
-from arpd.apply.relay.depths import held_depth
-from arpd.apply.relay.envelope import Record, unpack
+from arpd.apply.relay.depths import BULK_BYTES, held_depth
+from arpd.apply.relay.envelope import Assembly, Record, decode_chunk, unpack
+from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.observe.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rclpy.node import Node
 
+    from arpd.adapters.ros.ends.link_thread import LinkThread
     from arpd.apply.relay.offers import TopicOffer
 
 log = logging.getLogger(__name__)
@@ -34,6 +37,9 @@ _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reade
 _GRACE_S = 5.0
 _MOST_HELD = 1000
 _HELD_S = 3.0
+_OLD_S = 0.5  # on its way beyond the usual: an outage lay between
+_NEWER_S = 0.3  # what an outage delayed comes within that; the newest sample of each source is delivered
+_MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
 
 
 class _Held(NamedTuple):
@@ -52,6 +58,7 @@ class _Topic:
         self.by_number: dict[int, GhostWriter] = {}  # by its number in the session in force
         self.gone_s: dict[str, float] = {}  # when an original was missed first
         self.held: deque[_Held] = deque(maxlen=_MOST_HELD)  # samples of writers that no state has named yet
+        self.old: dict[int, tuple[Record, float]] = {}  # by writer: an old sample, and until when a newer one may come
         self.read_s = float("-inf")  # when somebody read it last
 
 
@@ -63,6 +70,7 @@ class Incoming:
     link_node : the end's node in the domain of the link
     nodes : ghosts of the other side's nodes
     thread : takes the samples
+    link : accounts for the chunks
     local_name : returns the local name of a topic or a node of the other side
     depths : least KEEP_LAST depth of ghosts, by topic
     """
@@ -73,6 +81,7 @@ class Incoming:
         link_node: Node,
         nodes: GhostNodes,
         thread: ReadingThread,
+        link: LinkThread,
         local_name: Callable[[str], str],
         depths: Mapping[str, int],
         clock: Callable[[], float] = time.monotonic,
@@ -80,6 +89,7 @@ class Incoming:
         self._link_node = link_node
         self._nodes = nodes
         self._thread = thread
+        self._link = link
         self._local_name = local_name
         self._depths = depths
         self._clock = clock
@@ -88,12 +98,14 @@ class Incoming:
         self._topics: dict[str, _Topic] = {}
         self._members: dict[tuple[str, int], _Topic] = {}
         self._readers: dict[str, RawReader] = {}  # by the name on the link
+        self._assemblies: dict[str, Assembly] = {}
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
         self._logged = OncePerMinute()
         self.received = 0
         self.doubled = 0
         self.unknown = 0
+        self.outdated = 0
 
     def follow(self, offers: Mapping[str, TopicOffer], *, session: int, refused: Collection[str] = frozenset()) -> None:
         """Make the ghosts of what is offered now, and remove those of what no longer is.
@@ -128,20 +140,27 @@ class Incoming:
         with self._lock:
             for topic in list(self._topics.values()):
                 for ghost in topic.ghosts.values():
-                    ghost.look()
+                    ghost.step()
                 if any(ghost.matched() for ghost in topic.ghosts.values()):
                     topic.read_s = now_s
                 if now_s - topic.read_s < _LINGER_S:
                     wants.add(topic.name)
                     links.add(topic.offer.link_name)
+                for writer, (record, until_s) in list(topic.old.items()):
+                    if now_s >= until_s:
+                        self._write(topic, record)
+                        topic.old.pop(writer, None)
                 if topic.gone_s:
                     self._retire(topic, topic.ghosts.keys() - topic.gone_s.keys(), now_s)
-            writers = [ghost.offer for topic in self._topics.values() for ghost in topic.ghosts.values()]
+            ghosts = [ghost for topic in self._topics.values() for ghost in topic.ghosts.values()]
+            swap_some(ghosts, now_s)
+            writers = [ghost.offer for ghost in ghosts]
         self._nodes.keep(_OWNER, {self._local_name(writer.node) for writer in writers})
         for name in links - self._readers.keys():
             self._readers[name] = self._reader(name)
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
+            self._assemblies.pop(name, None)
         self.wants = frozenset(wants)
 
     def close(self) -> None:
@@ -168,24 +187,35 @@ class Incoming:
 
     def _deliver(self, link_name: str, sample: Sample) -> None:
         try:
-            session, records = unpack(sample.data)
+            chunk = decode_chunk(sample.data)
+            age_s = self._link.arrived(chunk, len(sample.data))
+            message = self._assemblies.setdefault(link_name, Assembly()).add(chunk)
+            records = [] if message is None else unpack(message)
         except ValueError as fault:
             if self._logged.take(link_name, self._clock()):
                 log.warning("ignored a sample of %s: %s (logged once a minute)", link_name, fault)
             return
+        is_old = age_s > _OLD_S and not chunk.is_kept
         with self._lock:
             for record in records:
                 topic = self._members.get((link_name, record.member))
                 if topic is None:
                     self.unknown += 1
-                    continue
-                ghost = topic.by_number.get(record.writer) if session == self._session else None
-                if ghost is None:
-                    topic.held.append(_Held(session, record, self._clock()))
-                elif ghost.write(record):
-                    self.received += 1
+                elif chunk.session != self._session or record.writer not in topic.by_number:
+                    topic.held.append(_Held(chunk.session, record, self._clock()))
                 else:
-                    self.doubled += 1
+                    self.outdated += topic.old.pop(record.writer, None) is not None
+                    if is_old:
+                        topic.old[record.writer] = record, self._clock() + _NEWER_S
+                    else:
+                        self._write(topic, record)
+
+    def _write(self, topic: _Topic, record: Record) -> None:
+        ghost = topic.by_number.get(record.writer)
+        if ghost is not None and ghost.write(record):
+            self.received += 1
+        else:
+            self.doubled += 1
 
     def _follow(self, name: str, offer: TopicOffer) -> None:
         topic = self._topics.get(name)
@@ -197,7 +227,10 @@ class Incoming:
             topic = self._topics[name] = _Topic(name, offer)
         topic.offer = offer
         topic.by_number = {}
-        asked = self._depths.get(name, DEFAULT_RELAY_DEPTH)  # and all that late readers of a latched topic get
+        planned = WriterQos(depth=offer.planned_depth, deadline_ns=offer.planned_deadline_ns)
+        asked, sample_bytes = self._depths.get(name, DEFAULT_RELAY_DEPTH), expected_bytes(kind)
+        # All that late readers of a latched topic get: of a map the newest.
+        history = self._depths.get(name, 1 if sample_bytes == BULK_BYTES else DEFAULT_RELAY_DEPTH)
         for writer in offer.writers:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
@@ -206,9 +239,11 @@ class Incoming:
                     kind,
                     self._local_name(name),
                     writer,
-                    depth=asked if writer.is_latched else held_depth(asked, sample_bytes=expected_bytes(kind)),
+                    depth=history if writer.is_latched else held_depth(asked, sample_bytes=sample_bytes),
+                    planned=planned,
                     clock=self._clock,
                 )
+            ghost.retune(planned)
             topic.gone_s.pop(writer.gid, None)
             topic.by_number[writer.number] = ghost
 
@@ -239,3 +274,10 @@ class Incoming:
                 topic.held.append(held)
             else:
                 self.unknown += 1
+
+
+def swap_some(ghosts: Iterable[GhostWriter], now_s: float) -> None:
+    """Let some of the ghosts that are due ask for the plan's QoS."""
+    for ghost in [ghost for ghost in ghosts if now_s >= ghost.due_s][:_MOST_SWAPS]:
+        with suppress(ValueError):  # a reader here has a name or QoS that ROS cannot express
+            ghost.swap()

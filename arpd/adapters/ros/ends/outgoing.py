@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.qos import QoSProfile
-from std_msgs.msg import UInt8MultiArray
 
+from arpd.adapters.ros.ends.link_topic import LinkTopic
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.graph import participant_of, policies_of
-from arpd.adapters.ros.publisher import AdaptivePublisher
-from arpd.apply.relay.depths import held_depth
-from arpd.apply.relay.envelope import Record, pack, source_of
+from arpd.apply.relay.depths import MOST_BYTES, held_depth
+from arpd.apply.relay.envelope import Record, pack
+from arpd.apply.relay.lane import Lane
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 
@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from arpd.adapters.ros.ends.link_thread import LinkThread
     from arpd.adapters.ros.ends.survey import Survey
     from arpd.apply.relay.offers import TopicOffer
     from arpd.model.settings import RelaySettings
 
-_LATCHED_DEPTH = 1000  # holds every writer's history
+_HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
 _MOST_HELD = 1000
 _HELD_S = 3.0
 _LINGER_S = 3.0
@@ -68,7 +69,7 @@ class _Held(NamedTuple):
 class _Carried:
     """One topic, or one group of topics, on the link."""
 
-    publisher: AdaptivePublisher
+    publisher: LinkTopic
     sets: Sets | None
     is_latched: bool  # on the link
     wanted_s: float  # when it was wanted last
@@ -85,7 +86,7 @@ class _Carried:
 
 
 class Outgoing:
-    """Reads the wanted topics and offers their samples to AdaptivePublishers on the link.
+    """Reads the wanted topics and offers their samples to the paced queue of the link.
 
     Each class of writers (reliable or not, latched or not) has a reader of its own, which takes the samples of that
     class only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced. A
@@ -96,9 +97,9 @@ class Outgoing:
     node, link_node : the end's nodes in the local domain and in that of the link
     survey : topics of the local domain and their writers
     thread : takes the samples
+    link : writes to the link
     local_name : returns the local name of a topic
     settings : groups, overflow and depths
-    session : of this process, 32 bit
     """
 
     def __init__(
@@ -108,18 +109,18 @@ class Outgoing:
         link_node: Node,
         survey: Survey,
         thread: ReadingThread,
+        link: LinkThread,
         local_name: Callable[[str], str],
         settings: RelaySettings,
-        session: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
         self._link_node = link_node
         self._survey = survey
         self._thread = thread
+        self._link = link
         self._local_name = local_name
         self._settings = settings
-        self._session = session
         self._clock = clock
         self.names = Names(settings)
         self._carried: dict[str, _Carried] = {}  # by the name on the link
@@ -131,6 +132,12 @@ class Outgoing:
     def carried(self) -> frozenset[str]:
         """Topics that are read here and sent over the link."""
         return frozenset(topic for carried in self._carried.values() for topic, _ in carried.readers)
+
+    @property
+    def plans(self) -> dict[str, tuple[int, int]]:
+        """DEPTH and DEADLINE that the daemon has planned (samples, ns), by the name on the link."""
+        plans = {name: carried.publisher.plan for name, carried in self._carried.items()}
+        return {name: plan.qos for name, plan in plans.items() if plan.weight > 0}
 
     @property
     def incomplete(self) -> int:
@@ -208,7 +215,7 @@ class Outgoing:
         for link_name in [name for name, carried in self._carried.items() if carried.is_latched]:
             self._drop(link_name)
 
-    def _is_heard(self, publisher: AdaptivePublisher) -> bool:
+    def _is_heard(self, publisher: LinkTopic) -> bool:
         """Return whether the other end's process reads it, and not only the one before."""
         if not publisher.get_subscription_count():
             return False
@@ -216,22 +223,20 @@ class Outgoing:
         return any(participant_of(info).hex().startswith(self._readers_gids) for info in found)
 
     def _carry(self, link_name: str, *, is_latched: bool) -> _Carried:
-        settings = self._settings
-        is_group = self.names.is_group(link_name)
-        depth = settings.depths.get(link_name, DEFAULT_RELAY_DEPTH)
-        publisher = AdaptivePublisher(
-            self._link_node,
-            UInt8MultiArray,
-            link_name,
-            # TRANSIENT_LOCAL on the link keeps the plan from shortening the depth, so that no history overflows it.
-            QoSProfile(
-                depth=max(depth, _LATCHED_DEPTH) if is_latched else depth,
-                **policies_of(is_reliable=True, is_latched=is_latched),
-            ),
-            overflow=settings.overflow.get(link_name, Overflow.QUEUE if is_latched else Overflow.LATEST),
-            source_of=None if is_group else source_of,
+        depth = self._settings.depths.get(link_name)
+
+        def lane(write: Callable[[bytes], None]) -> Lane:
+            if self._settings.overflow.get(link_name) is Overflow.QUEUE:
+                most = depth or DEFAULT_RELAY_DEPTH
+                return Lane(write, depth=most, large_depth=most, is_ordered=True, is_kept=True)
+            if is_latched:
+                return Lane(write, depth=depth or _HISTORY, large_depth=depth or 1, is_kept=True)
+            return Lane(write)
+
+        publisher = LinkTopic(
+            self._link_node, link_name, thread=self._link, make_lane=lane, depth=depth or DEFAULT_RELAY_DEPTH
         )
-        sets = Sets(()) if is_group else None
+        sets = Sets(()) if self.names.is_group(link_name) else None
         return _Carried(publisher=publisher, sets=sets, is_latched=is_latched, wanted_s=self._clock())
 
     def _read(self, carried: _Carried, topic: str, writers: WriterClass, type_name: str) -> None:
@@ -249,8 +254,8 @@ class Outgoing:
             if carried.sets is not None and not has_header(message):
                 self.refused[topic] = f"{type_name} has no header stamp, by which its group is thinned"
                 return
-            asked = _LATCHED_DEPTH if is_latched else self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH)
-            depth = held_depth(asked, sample_bytes=expected_bytes(message))
+            asked = self._settings.depths.get(topic)
+            depth = held_depth(asked or DEFAULT_RELAY_DEPTH, sample_bytes=expected_bytes(message))
             carried.readers[topic, writers] = RawReader(
                 self._node,
                 message,
@@ -258,6 +263,7 @@ class Outgoing:
                 QoSProfile(depth=depth, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
                 deliver=deliver,
                 thread=self._thread,
+                most_bytes=None if asked else MOST_BYTES,
             )
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             self.refused[topic] = str(fault)
@@ -277,7 +283,8 @@ class Outgoing:
             if carried.sets is not None:
                 records = carried.sets.add(record)
             if records is not None:
-                carried.publisher.offer(pack(self._session, records))
+                source = writer.number if carried.sets is None else None
+                carried.publisher.offer(pack(records), source=source, lifespan_ns=writer.lifespan_ns)
         return True
 
     def _deliver_held(self, carried: _Carried) -> None:

@@ -37,6 +37,7 @@ _NOBODY = bytes(16)
 _MOST_REPEATS = 100
 _MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
 _TURN_S = 1.0  # longest wait for a sample
+_LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made where twice the bytes would be held
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 
 
@@ -141,6 +142,8 @@ class ReadingThread:
             )
             if reader.is_new(sample):
                 reader.deliver(sample)
+                if not reader.has_room_for(sample):
+                    return True
             elif reader.is_stuck:
                 reader.renew()
                 return True
@@ -159,6 +162,7 @@ class RawReader:
     qos : its QoS
     deliver : called with every sample, in the thread
     thread : takes the samples
+    most_bytes : what may wait for the thread; a reader whose samples turn out too large for that gets a smaller depth
     """
 
     def __init__(
@@ -170,11 +174,13 @@ class RawReader:
         *,
         deliver: Callable[[Sample], None],
         thread: ReadingThread,
+        most_bytes: int | None = None,
     ) -> None:
         self.topic = topic
         self.deliver = deliver
         self._node, self._msg_type, self._qos = node, msg_type, qos
         self._thread = thread
+        self._most_bytes = most_bytes
         self._lock = threading.Lock()
         self._is_destroyed = False
         self._last = (b"", 0)  # writer and number of the newest sample
@@ -206,12 +212,24 @@ class RawReader:
         """
         return self._repeats > _MOST_REPEATS
 
+    def has_room_for(self, sample: Sample) -> bool:
+        """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one."""
+        depth = self._qos.depth
+        if self._most_bytes is None or depth <= _LEAST_DEPTH or len(sample.data) * depth <= _ROOM * self._most_bytes:
+            return True
+        self._qos.depth = max(_LEAST_DEPTH, self._most_bytes // len(sample.data))
+        self._begin_again()
+        return False
+
     def renew(self) -> None:
         """Begin again with a new reader; only for the thread that takes its samples."""
+        log.warning("%s gives one sample again and again; a new reader takes its place", self.topic)
+        self._repeats = 0
+        self._begin_again()
+
+    def _begin_again(self) -> None:
         with self._lock:
             if not self._is_destroyed:
-                log.warning("%s gives one sample again and again; a new reader takes its place", self.topic)
-                self._repeats = 0
                 self._unmake()
                 self._make()
 

@@ -73,8 +73,9 @@ def run_end(
             on_change=notifier.status,
         )
         publishers = NodePublishers.of(link_node)
-        # The other reading thread is left out: while the link stands still, its writes may block.
-        heartbeat = Watchdog(notifier, parts=[lambda: publishers.finished_s, lambda: end.incoming_thread.finished_s])
+        parts = [lambda: publishers.finished_s, lambda: end.link.finished_s]
+        parts += [lambda: end.incoming_thread.finished_s, lambda: end.outgoing_thread.finished_s]
+        heartbeat = Watchdog(notifier, parts=parts)
         notifier.ready()
         with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
             try:

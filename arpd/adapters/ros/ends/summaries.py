@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from arpd.adapters.ros.ends.call_link import CallLink
     from arpd.adapters.ros.ends.incoming import Incoming
+    from arpd.adapters.ros.ends.link_thread import LinkThread
     from arpd.adapters.ros.ends.outgoing import Outgoing
     from arpd.model.relay import RelaySummary
 
@@ -31,7 +32,10 @@ _NOBODY = EndState(session="", number=0)
 class Summaries:
     """Sends one summary a second, and one whenever the status line changes; nobody across the link reads them."""
 
-    def __init__(self, link_node: Node, incoming: Incoming, outgoing: Outgoing, calls: CallLink) -> None:
+    def __init__(
+        self, link_node: Node, link: LinkThread, incoming: Incoming, outgoing: Outgoing, calls: CallLink
+    ) -> None:
+        self._link = link
         self._incoming = incoming
         self._outgoing = outgoing
         self._calls = calls
@@ -64,6 +68,8 @@ class Summaries:
             received=self._incoming.received,
             doubled=self._incoming.doubled,
             unknown=self._incoming.unknown,
+            outdated=self._incoming.outdated,
+            link_bytes=self._link.link_bytes,
             incomplete=self._outgoing.incomplete,
             calls_failed=dict(self._calls.failures),
         )

@@ -13,15 +13,19 @@ from arpd.model.price import Price
 POSITIVE = st.floats(0.0, exclude_min=True, allow_infinity=False)
 PART = st.floats(0.0, 1.0)
 PRICES = st.builds(
-    Price,
+    lambda budget_share, spare_share, **rest: Price(
+        budget_share=budget_share, spare_share=spare_share * budget_share, **rest
+    ),
     share_per_weight=st.floats(0.0),
     capacity_bytes_per_second=POSITIVE,
     packet_overhead_s=st.floats(0.0, allow_infinity=False),
     yielding_weight=st.floats(0.0, allow_infinity=False),
     kept_floor=PART,
     loss_ratio=st.none() | PART,
+    budget_share=PART,
+    spare_share=PART,
 )
-GOOD = [1.0, math.inf, 1e6, 0.0001, 2.0, 0.5, 0.02]
+GOOD = [1.0, math.inf, 1e6, 0.0001, 2.0, 0.5, 0.02, 0.85, 0.1]
 
 
 @given(PRICES)
@@ -49,6 +53,10 @@ def test_fields_of_a_later_arpd_are_no_fault():
         (5, 1.1),
         (6, 1.1),
         (6, math.inf),
+        (7, 1.1),
+        (7, math.nan),
+        (8, 0.9),
+        (8, -0.1),
     ],
 )
 def test_a_number_that_no_price_has_is_refused(place, value):

@@ -258,17 +258,3 @@ def test_admitting_is_queueing_and_taking(steps, overflow):
         if admitted:
             assert other.take(now_s) == name(number)
         assert one.due_s(now_s) == other.due_s(now_s)
-
-
-def test_the_newest_sample_of_each_source_waits():
-    """Of the samples that wait for their rate, a busy source keeps one and drives no quiet one out."""
-    withheld = []
-    pacer = Pacer(
-        overflow=Overflow.LATEST, depth=1, on_withheld=lambda n, _cause: withheld.append(n), source_of=lambda s: s[:1]
-    )
-    pacer.retune(rate_hz=1.0, depth=1, now_s=0.0)
-    for k, sample in enumerate([b"q0", b"q1", *(b"b%d" % n for n in range(50)), b"q2", b"b50"]):
-        pacer.offer(sample, 0.001 * k)
-    left = [taken for now_s in range(1, 8) if (taken := pacer.take(float(now_s))) is not None]
-    assert left[-2:] == [b"q2", b"b50"]
-    assert sum(withheld) + len(left) == 54

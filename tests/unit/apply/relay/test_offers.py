@@ -38,6 +38,8 @@ TOPICS = st.builds(
     writers=st.lists(WRITERS, max_size=3).map(tuple),
     link_name=NAMES,
     member=st.integers(0, 9),
+    planned_depth=st.integers(0, 5000),
+    planned_deadline_ns=PERIODS,
 )
 STATES = st.builds(
     EndState,
@@ -81,6 +83,9 @@ def test_bytes_that_are_no_state_are_refused(data):
         (("topics", "/a", "writers", 0, "number"), 2**16),
         (("topics", "/a", "writers", 0, "deadline_ns"), -1),
         (("topics", "/a", "writers", 0, "lease_ns"), 2**63),
+        (("topics", "/a", "planned_depth"), 5001),
+        (("topics", "/a", "planned_depth"), 1.5),
+        (("topics", "/a", "planned_deadline_ns"), -1),
         (("topics", "/a", "writers"), 7),
         (("topics", "/a"), []),
         (("topics",), []),
@@ -101,10 +106,10 @@ def test_a_state_with_a_bad_value_is_refused(path, value):
 
 def test_a_state_of_another_version_says_so(monkeypatch):
     """The versions of both ends are in the fault."""
-    monkeypatch.setattr(offers, "VERSION", 2)
+    monkeypatch.setattr(offers, "VERSION", 9)
     data = encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))
     monkeypatch.undo()
-    with pytest.raises(OtherVersionError, match=r"version 2 \(arpd 9.9\), this end version 1"):
+    with pytest.raises(OtherVersionError, match=r"version 9 \(arpd 9.9\), this end version 2"):
         decode_state(data)
 
 
