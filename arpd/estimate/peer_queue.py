@@ -116,7 +116,9 @@ class QueueGauge:
             self._in_flight.append((outstanding, max(1.0, rate)))
         # Some bytes are on the way even without a queue, fewer on a slower link, and some arrivals since the ping are
         # not counted yet.
-        on_way = min((size * min(1.0, rate / then) for size, then in self._in_flight), default=0.0)
+        on_way = min(
+            (min(size, max(parameters.BURST_BYTES, size * rate / then)) for size, then in self._in_flight), default=0.0
+        )
         # While the report waited on its way back, more was handed over, and as much arrived.
         late_s = max(0.0, self.return_delay_s or 0.0)
         backlog = outstanding - max(0.0, on_way) - 1.5 * late_s * rate

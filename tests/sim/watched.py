@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from unittest import mock
 
@@ -92,7 +92,8 @@ def watch(
             while orders and now_s >= STARTS_S + orders[0][0]:
                 orders.pop(0)[1](self)
             decision = super().tick(now_s)
-            ticks.append(Tick(t_s=now_s - STARTS_S, snapshot=self.snapshot))
+            # A tick that rests leaves the snapshot of the one before, whose plan must not count again.
+            ticks.append(Tick(t_s=now_s - STARTS_S, snapshot=replace(self.snapshot, decision=decision)))
             return decision
 
     class Seen(SimulatedWorld):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import secrets
 import time
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from arpd.adapters.systemd.notify import Notifier
     from arpd.model.settings import RelaySettings
 
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 128 * 1024
+
 
 def run_end(
     settings: RelaySettings,
@@ -53,6 +56,7 @@ def run_end(
         If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
     """
     prepare_environment(TWO_ENDED_PROFILE)
+    return_large_blocks()
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         from arpd.adapters.ros.ends.end import End  # noqa: PLC0415 - ROS is checked in ros_node
         from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
@@ -82,6 +86,14 @@ def run_end(
                 serve_until(link_executor, stopping, heartbeat=heartbeat, addresses=addresses)
             finally:
                 notifier.stopping()
+
+
+def return_large_blocks() -> None:
+    """Let the C library return large blocks to the system when they are free, as glibc's mallopt(3) says.
+
+    By default its threshold grows with the blocks it frees, up to 32 MB: maps that came and went stay in its heaps.
+    """
+    ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def check_middleware(rmw: Rmw) -> None:
