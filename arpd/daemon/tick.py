@@ -268,9 +268,10 @@ class Daemon:
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
         price = price or free
         share = min(1.0, budget / max(1.0, link.available_bytes_per_second))
-        spare = max(0.0, share - sum(topic.share for topic in divided.topics))
-        is_spare = math.isinf(price.share_per_weight)
-        price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare if is_spare else 0.0)
+        spare = 0.0
+        if math.isinf(price.share_per_weight):
+            spare = max(0.0, share - sum(topic.share for topic in divided.topics))
+        price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare)
         if self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
         for request in self._estimator.wanted_probes(now_s):

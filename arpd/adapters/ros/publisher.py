@@ -15,7 +15,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.adapters.ros.node_publishers import QUICK_S, NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
-from arpd.adapters.ros.writer import RosWriter, serialized, with_qos, without_ours
+from arpd.adapters.ros.writer import RosWriter, serialized, swap_failure, with_qos, without_ours
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import (
     NO_REFUSAL,
@@ -387,11 +387,7 @@ class AdaptivePublisher:
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
-            words = f"writer swap of {self._resolved} failed: {self._reason(result, qos)}; the old writer stays"
+            offered_ns = self._flow.qos.deadline_ns
+            words = swap_failure(self._resolved, result, qos, requests=self._requests, offered_ns=offered_ns)
             self._refusal = Refusal(RefusalReason(result.value), words)
             self._node.get_logger().warning(words)
-
-    def _reason(self, result: SwapResult, qos: WriterQos) -> str:
-        if result is SwapResult.FAILED:
-            return f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
-        return self._requests.objection(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)

@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
 from arpd.adapters.ros.graph import deadline_ns_of
 from arpd.adapters.ros.rcl import rcl
+from arpd.model.endpoints import SwapResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
+    from arpd.adapters.ros.graph import Requests
     from arpd.model.endpoints import WriterQos
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
@@ -112,6 +114,22 @@ class RosWriter:
                 wrap = self._deadlines.counting if event == "deadline" else passing_on
                 setattr(filtered, event, wrap(callback, if_=lambda _event: self._is_current(self)))
         return filtered
+
+
+def swap_failure(topic: str, result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:
+    """Return in words why a writer swap failed.
+
+    Parameters
+    ----------
+    topic, requests : the topic, and what its readers request
+    result, qos : of the swap
+    offered_ns : deadline of the writer that stays (ns)
+    """
+    if result is SwapResult.FAILED:
+        reason = f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
+    else:
+        reason = requests.objection(offered_ns=offered_ns, offer_ns=qos.deadline_ns)
+    return f"writer swap of {topic} failed: {reason}; the old writer stays"
 
 
 def serialized(msg: Any, msg_type: Any) -> bytes:

@@ -6,14 +6,14 @@ import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.apply.endpoint.link_clock import MOST_PACKETS, LinkClock
+from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.apply.endpoint.meters import DeadlineCount, SampleRate
 from arpd.apply.endpoint.pacing import Pacer
 from arpd.apply.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import FlowState, SwapResult, WithheldCause, Writer, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import Overflow
-from arpd.model.wire import FRAGMENT_BYTES
+from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -207,7 +207,7 @@ class Flow(Generic[W]):
         qos : QoS for the writer, after clamps and refusals
         """
         now_s = self._clock()
-        self._plan, self._is_large = plan, plan.packets > MOST_PACKETS
+        self._plan, self._is_large = plan, plan.packets > SMALL_PACKETS
         self._slow_start.end()
         self._pace(now_s)
         self._swap.request(qos)

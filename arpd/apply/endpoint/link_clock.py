@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-MOST_PACKETS = SMALL_PACKETS
 _STEP = 2.0
 _UNSTEADY_S = 5.0
 _PATIENCE = 0.8  # periods that a sample waits at most; after a whole one its successor would replace it
@@ -53,7 +52,7 @@ class LinkClock:
 
     def turn_s(self, plan: TopicPlan, *, ready_s: float, now_s: float) -> float:
         """Return when a sample that pacing released at ``ready_s`` may leave; the past is now (s)."""
-        if plan.packets <= MOST_PACKETS or self._price is None or now_s - self._stepped_s < _UNSTEADY_S:
+        if plan.packets <= SMALL_PACKETS or self._price is None or now_s - self._stepped_s < _UNSTEADY_S:
             return ready_s
         rate_hz = self._price.rate_hz(plan)
         latest_s = ready_s + _PATIENCE / rate_hz if plan.weight > 0.0 and rate_hz > 0.0 else ready_s

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from arpd.apply.relay.envelope import WRAP
@@ -106,8 +105,7 @@ class Received:
         return self._receipt
 
 
-@dataclass(slots=True)
-class _Sent:
+class _Sent(NamedTuple):
     number: int
     size: int
     at_s: float
@@ -172,7 +170,7 @@ class Flight:
             self._bests.append((now_s, self._rate))
         while (receipt.at_us - self._arrivals[0][0]) % WRAP > _RATE_S * 1e6:
             self._arrivals.popleft()
-        while now_s - self._bests[0][0] > _BEST_S if self._bests else False:
+        while self._bests and now_s - self._bests[0][0] > _BEST_S:
             self._bests.popleft()
 
     @property

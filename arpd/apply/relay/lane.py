@@ -66,7 +66,6 @@ class UnderWay:
 
     source: Hashable
     message: bytes
-    is_kept: bool
     number: int = 0  # of its first chunk, which names it
     offset: int = 0
 
@@ -97,7 +96,8 @@ class Lane:
     ) -> None:
         self.write = write
         self._depth, self._large_depth = depth, large_depth
-        self._is_ordered, self._is_kept = is_ordered, is_kept
+        self._is_ordered = is_ordered
+        self.is_kept = is_kept
         self._weight = weight
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
@@ -223,7 +223,7 @@ class Lane:
             self._cap.spend(spent)
             self._allowed.spend(spent)
             self._begun_s = now_s
-            self.current = UnderWay(waiting.source, waiting.message, self._is_kept)
+            self.current = UnderWay(waiting.source, waiting.message)
             return self.current
         return None
 
@@ -236,7 +236,7 @@ class Lane:
 
     def give_up_old(self) -> None:
         """Give up the message under way if a newer one of its source waits: an outage has made it old."""
-        if self.current is not None and not self._is_kept and self.current.source in self._lines:
+        if self.current is not None and not self.is_kept and self.current.source in self._lines:
             self.withheld[WithheldCause.BLOCKED.value] += 1
             self.current = None
 

@@ -102,8 +102,8 @@ class PacedQueue:
             for each in self._active:
                 each.give_up_old()
         self._settle()
-        while (lane := self._choose(now_s)) is not None:
-            is_first = lane.is_small and lane.due_s(now_s, in_turn=False) <= now_s
+        while (chosen := self._choose(now_s)) is not None:
+            lane, is_first = chosen
             current = lane.current or lane.begin(now_s)
             if current is not None:
                 is_first = is_first and len(current.message) <= SMALL_BYTES
@@ -129,23 +129,20 @@ class PacedQueue:
         """Whether something waits because enough is on its way."""
         return bool(self._active) and not self.flight.has_room(is_small=False)
 
-    @property
-    def price(self) -> Price | None:
-        """Price in force, None without a daemon."""
-        self._settle()
-        return self._price
-
     def _is_open(self, now_s: float) -> bool:
         return self.flight.has_room(is_small=True) and not self.flight.is_out(now_s)
 
-    def _choose(self, now_s: float) -> Lane | None:
+    def _choose(self, now_s: float) -> tuple[Lane, bool] | None:
+        """Return the lane whose turn it is, and whether it comes before large ones; None where nothing may leave."""
         for lane in self._active:
             if lane.is_small and lane.due_s(now_s, in_turn=False) <= now_s:
-                return lane
+                return lane, True
         if now_s < self._free_s - _SOON_S or not self.flight.has_room(is_small=False):
             return None
         ready = [lane for lane in self._active if lane.current is not None or lane.due_s(now_s, in_turn=True) <= now_s]
-        return min(ready, key=lambda lane: (not lane.is_behind(now_s), lane.start), default=None)
+        if not ready:
+            return None
+        return min(ready, key=lambda lane: (not lane.is_behind(now_s), lane.start)), False
 
     def _send(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> bytes:
         """Cut the next chunk of a message, and count what it takes of the link."""
@@ -167,7 +164,7 @@ class PacedQueue:
             current.number,
             offset,
             len(message),
-            current.is_kept,
+            lane.is_kept,
             part,
         )
         price = self._price

@@ -19,7 +19,7 @@ from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.rcl import rcl
 from arpd.apply.relay.call_records import what_of
-from arpd.apply.relay.envelope import Assembly, decode_chunk
+from arpd.apply.relay.envelope import Assembly
 from arpd.apply.relay.lane import SMALL_BYTES, Lane
 from arpd.observe.rate_limits import OncePerMinute
 
@@ -125,12 +125,11 @@ class CallLink:
 
     def _arrive(self, sample: Sample) -> None:
         try:
-            chunk = decode_chunk(sample.data)
+            chunk, _ = self._link.arrived(sample.data)
         except ValueError as fault:
             if self._logged.take("chunk", self._clock()):
                 log.warning("a record of the other end was ignored: %s (logged once a minute)", fault)
             return
-        self._link.arrived(chunk, len(sample.data))
         if (record := self._assembly.add(chunk)) is not None:
             self._records.append(record)
 

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
 from arpd.adapters.ros.graph import Requests, policies_of
-from arpd.adapters.ros.writer import RosWriter
+from arpd.adapters.ros.writer import RosWriter, swap_failure
 from arpd.apply.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import SwapResult, WriterQos
 
@@ -244,10 +244,8 @@ class GhostWriter:
     def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
         if result not in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
             return
-        reason = f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
-        if result is not SwapResult.FAILED:
-            reason = self._requests.objection(offered_ns=self._swap.qos.deadline_ns, offer_ns=qos.deadline_ns)
-        words = f"writer swap of {self._topic} failed: {reason}; the old writer stays"
+        offered_ns = self._swap.qos.deadline_ns
+        words = swap_failure(self._topic, result, qos, requests=self._requests, offered_ns=offered_ns)
         if words != self._refusal:
             self._refusal = words
             log.warning(words)

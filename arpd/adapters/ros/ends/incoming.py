@@ -16,7 +16,7 @@ from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.apply.relay.depths import BULK_BYTES, held_depth
-from arpd.apply.relay.envelope import Assembly, Record, decode_chunk, unpack
+from arpd.apply.relay.envelope import Assembly, Record, unpack
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.observe.rate_limits import OncePerMinute
@@ -187,8 +187,7 @@ class Incoming:
 
     def _deliver(self, link_name: str, sample: Sample) -> None:
         try:
-            chunk = decode_chunk(sample.data)
-            age_s = self._link.arrived(chunk, len(sample.data))
+            chunk, age_s = self._link.arrived(sample.data)
             message = self._assemblies.setdefault(link_name, Assembly()).add(chunk)
             records = [] if message is None else unpack(message)
         except ValueError as fault:

@@ -10,8 +10,9 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.adapters.ros.ends.raw_reader import InvalidHandle
-from arpd.apply.relay.envelope import WRAP, wrap
+from arpd.apply.relay.envelope import WRAP, decode_chunk, wrap
 from arpd.apply.relay.flight import Flight, Received
+from arpd.apply.relay.partner import EVERY_S
 from arpd.apply.relay.queue import PacedQueue
 from arpd.apply.relay.signs import SIGN_BYTES, Sign, decode_sign, encode_sign
 from arpd.model.wire import wire_size
@@ -25,9 +26,8 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 log = logging.getLogger(__name__)
-_EVERY_S = 1.0  # a sign of life
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
-_IDLE_S = 1.0
+_IDLE_S = 1.0  # most between two turns, for the watchdog
 
 
 class LinkThread:
@@ -89,7 +89,7 @@ class LinkThread:
         """Give a lane its plan and the price; None = there is none."""
         with self._changed:
             self._queue.retune(lane, plan, price)
-            self._wake(0.0)
+            self._wake(self._queue.due_s(self._clock()))
 
     def offer(self, lane: Lane, message: bytes, *, source: Hashable = None, lifespan_ns: int = 0) -> None:
         """Let a message wait for its turn.
@@ -100,7 +100,7 @@ class LinkThread:
         lifespan_ns : LIFESPAN of that, 0 = infinite (ns)
         """
         now_s = self._clock()
-        expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else float("inf")
+        expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
         with self._changed:
             self._queue.offer(lane, message, now_s, source=source, expires_s=expires_s)
             self._wake(self._queue.due_s(now_s))
@@ -127,13 +127,20 @@ class LinkThread:
                 self._flight.restart()
                 self._wake(0.0)
 
-    def arrived(self, chunk: Chunk, size: int) -> float:
-        """Account for a chunk of the other end; return its age (s)."""
+    def arrived(self, sample: bytes) -> tuple[Chunk, float]:
+        """Account for a chunk of the other end; return it, and its age (s).
+
+        Raises
+        ------
+        ValueError
+            If the sample holds no chunk.
+        """
+        chunk, size = decode_chunk(sample), len(sample)
         with self._changed:
             self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset else 0.0)[0]
             age_s = self._received.note(chunk.session, chunk.number, chunk.departed_us, size, self._clock())
             self._wake(self._received.due_s())
-            return age_s
+        return chunk, age_s
 
     def hear(self, data: bytes) -> int:
         """Take a sign of life of the other end; return its session.
@@ -194,11 +201,11 @@ class LinkThread:
         is_probing = self._flight.is_out(now_s) and now_s >= self._probe_s
         if self._is_answering or is_probing or now_s >= min(self._sign_s, self._received.due_s()):
             self._is_answering = False
-            self._sign_s = now_s + _EVERY_S
+            self._sign_s = now_s + EVERY_S
             number = departed_us = 0
             if is_probing:
                 is_short = now_s - self._flight.out_s < _PROMPT_S
-                self._probe_s = now_s + (_PROBE_S if is_short else _EVERY_S)
+                self._probe_s = now_s + (_PROBE_S if is_short else EVERY_S)
                 number, departed_us = self._flight.send(SIGN_BYTES, now_s), int(now_s * 1e6) % WRAP
             sign = wrap(encode_sign(Sign(self._session, number, departed_us, self._received.take(now_s))))
             return lambda: self._sign(sign)
