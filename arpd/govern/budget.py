@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 _TARGET_S = 0.03  # a queue up to this, above what one large message explains, may stay
 _DRAIN_S = 0.15  # a longer one is to be gone after about so long
+_LEAST = 0.1  # part that goes on beside any queue: small topics need no more, and the queue is gone almost as soon
 _OUT, _OUT_HALF_S, _OUT_MOST_S = 0.05, 1.0, 10.0  # part that goes on in an outage, halved every second
 _LEVEL_S, _MOVES_S = 1.0, 6.0
 # Mean distance from the level of the last second, of the logarithm: noise of the estimate, and a link that never rests.
@@ -28,7 +29,8 @@ class Budget:
 
     The estimate feeds it forward: the headroom's part of what the link carries, less while that is uncertain, and more
     on a link that never rests, where a fixed reserve would only be lost. A queue that stands feeds back: the total is
-    what the link carries, less what drains the queue. The law is that of a delay-target controller,
+    what the link carries, less what drains the queue, but never less than a tenth: commands and an IMU cost little, and
+    must not stop for the queue that a picture left. The law is that of a delay-target controller,
     C·(1 + (target − queue)/T), as in SCReAM (RFC 8298) and Copa (Arun and Balakrishnan, NSDI 2018).
     """
 
@@ -48,7 +50,7 @@ class Budget:
             return part * headroom * available
         self._carried_at_s = now_s
         queue_s = max(link.standing_delay_s, link.queue_delay_s - link.queue_allowance_s)
-        drained = max(0.0, 1.0 + (_TARGET_S - queue_s) / _DRAIN_S)
+        drained = max(_LEAST, 1.0 + (_TARGET_S - queue_s) / _DRAIN_S)
         share = headroom + (1.0 - headroom) * _SPENT * self._unrest(now_s, available)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
             self._past.append((now_s, available))

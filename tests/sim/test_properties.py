@@ -141,15 +141,18 @@ def test_a_price_keeps_the_budget(seed):
     """The link time that a price gives the topics fits into the part of the link that they may use."""
     for tick in anywhere(seed):
         price, rows = tick.decision.price, tick.decision.plan.topics
-        # Topics that are not heard, as beyond an outage, have no part in the division.
-        heard = [rows[topic.name] for topic in tick.snapshot.allocation.topics if topic.name in rows]
+        # Topics that are not heard, as beyond an outage, have no part in the division, and none takes more than it has.
+        topics = {topic.name: topic for topic in Demand().topics(tick.snapshot.observation.publishers, SETTINGS)}
+        heard = [
+            replace(rows[topic.name], rate_hz=min(rows[topic.name].rate_hz, topics[topic.name].desired_rate_hz))
+            for topic in tick.snapshot.allocation.topics
+            if topic.name in rows and topic.name in topics
+        ]
         if price is None or tick.t_s > PAST_S:
             continue
         capacity = price.capacity_bytes_per_second
         used = sum(
-            price.rate_hz(replace(row, rate_hz=row.rate_hz / _SOURCE_MARGIN))
-            * (row.packets * price.packet_overhead_s + row.wire_bytes / capacity)
-            for row in heard
+            price.rate_hz(row) * (row.packets * price.packet_overhead_s + row.wire_bytes / capacity) for row in heard
         )
         assert used <= 1.05 * tick.snapshot.allocation.capacity_bytes_per_second / capacity + 1e-6, tick.t_s
 

@@ -61,8 +61,8 @@ def test_it_is_never_above_the_headroom(link):
 
 
 @pytest.mark.parametrize("which", ["standing", "long"])
-def test_it_falls_with_the_queue_and_reaches_nothing(which):
-    """The longer the queue, the less may follow, until it has drained; at last nothing may."""
+def test_it_falls_with_the_queue_to_a_tenth(which):
+    """The longer the queue, the less may follow, until it has drained; what costs little goes on beside any queue."""
 
     def with_queue(queue_s):
         if which == "standing":
@@ -73,7 +73,7 @@ def test_it_falls_with_the_queue_and_reaches_nothing(which):
     assert budgets[0] == pytest.approx(0.8 * C)
     assert budgets == sorted(budgets, reverse=True)
     assert any(0.0 < budget < 0.7 * C for budget in budgets)
-    assert budgets[-1] == 0.0
+    assert budgets[-1] == pytest.approx(0.1 * C)
 
 
 def test_a_queue_that_one_message_explains_costs_nothing():
