@@ -11,7 +11,8 @@ interface of each host, as a Pi's Wi-Fi; `middle` is the same in a namespace bet
 
 plain       rclpy's defaults
 large_data  the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process
-adaptive    AdaptivePublishers in the nodes, `arpd run` and `arpd peer`
+adaptive    AdaptivePublishers in the nodes, `arpd run` and `arpd peer`, all with arpd's Fast DDS profile
+adaptive_tcp  the same with LARGE_DATA for every process
 two_ends    plain nodes that stay on their hosts, `arpd run`, `arpd relay`, `arpd relay --far`, `arpd peer`
 other       two_ends with the arpd of another source tree (--tree)
 
@@ -57,8 +58,11 @@ if TYPE_CHECKING:
     from scripts.bench.robots_link import Course, SenderLink
     from scripts.netns.namespaces import HostName
 
-WARM_UP_S = {"plain": 4.0, "large_data": 4.0, "adaptive": 8.0, "two_ends": 8.0, "other": 8.0}
+WARM_UP_S = {"plain": 4.0, "large_data": 4.0, "adaptive": 8.0, "adaptive_tcp": 8.0, "two_ends": 8.0, "other": 8.0}
 _HAS_ENDS = {"two_ends", "other"}
+_ADAPTIVE = {"adaptive", "adaptive_tcp"}
+_OVER_TCP = {"large_data", "adaptive_tcp"}
+_LARGE_DATA = {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}
 _MATCH_S, _DRAIN_S, _LEAD_S = 40.0, 4.0, 1.0
 _TICK_S, _FOOTPRINT_S = 0.02, 0.5
 _LINK_DOMAIN = 102  # SimLink takes lower ones
@@ -100,7 +104,7 @@ class Run:
         rate, loss = course(0.0, seconds)
         with ExitStack() as stack:
             self._start_nodes(stack)
-            if self._side in {"adaptive", *_HAS_ENDS}:
+            if self._side in {*_ADAPTIVE, *_HAS_ENDS}:
                 self._start_arpd()
             for child in self._children.values():
                 child.receive()
@@ -139,13 +143,11 @@ class Run:
         hosts |= {ROBOT_SINK: "robot", BASE_SINK: "ceddp"}
         if self._robot in CALLED:
             hosts[CALLER] = "ceddp"
-        own = {
-            "large_data": {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"},
-            "adaptive": {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)},
-            "two_ends": _confined(),
-            "other": _confined(),
-        }.get(self._side, {})
-        environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": "", "PYTHONPATH": f"{REPO}:{self._messages}", **own}
+        environment = {
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE) if self._side in _ADAPTIVE else "",
+            "PYTHONPATH": f"{REPO}:{self._messages}",
+            **self._transports(),
+        }
         for name, host in hosts.items():
             child = Child(self._link, host, _NODES, self._robot, name, self._side, environment=environment)
             self._children[name] = child
@@ -180,7 +182,7 @@ class Run:
     def _start_daemon(self, name: str, host: HostName, config: Path, *argv: str) -> None:
         # Without the safe path, `-m` would take the arpd of the working directory.
         environment = {"PYTHONPATH": f"{self._tree}:{self._messages}", "PYTHONSAFEPATH": "1"}
-        environment |= _confined() if self._side in _HAS_ENDS else {}
+        environment |= self._transports()
         python = self._tree / ".venv" / "bin" / "python"
         command = [str(python) if python.exists() else sys.executable, "-u", "-m", "arpd.cli", *argv]
         with (self._workdir / f"{name}.log").open("w") as log:
@@ -191,6 +193,11 @@ class Run:
                 stderr=log,
                 cwd=self._workdir,
             )
+
+    def _transports(self) -> dict[str, str]:
+        if self._side in _HAS_ENDS:
+            return _confined()
+        return _LARGE_DATA if self._side in _OVER_TCP else {}
 
     def _unmatched(self) -> Iterator[str]:
         for name, child in self._children.items():
@@ -298,7 +305,7 @@ def measured(options: argparse.Namespace, keys: dict[str, Any], workdir: Path, m
             keys["bottleneck"],
             f"robots-{os.getpid()}-{threading.get_native_id()}",
             memory=Path(memory),
-            is_memory_private=keys["side"] == "large_data",
+            is_memory_private=keys["side"] in _OVER_TCP,
             rate_bytes_per_second=course(0.0, seconds)[0],
         )
         try:

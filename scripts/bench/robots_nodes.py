@@ -261,4 +261,4 @@ def live(robot: str, name: str, *, is_adaptive: bool) -> None:
 
 
 if __name__ == "__main__":
-    live(sys.argv[1], sys.argv[2], is_adaptive=sys.argv[3] == "adaptive")
+    live(sys.argv[1], sys.argv[2], is_adaptive=sys.argv[3].startswith("adaptive"))
