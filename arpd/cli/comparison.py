@@ -160,6 +160,8 @@ def _head(asked: Asked, comparison: Comparison) -> list[str]:
     low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
     model = asked.model
     about = [f"delay {format_duration(model.delay_s)}", f"queue {format_size(model.queue_bytes)}"]
+    if not model.pushes_back:
+        about.append("bottleneck between the hosts")
     if model.loss:
         about.append(f"loss {format_share(model.loss)}")
     if model.losses:

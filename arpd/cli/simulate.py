@@ -33,10 +33,10 @@ Run a robot over a simulated link, three times with the same seed: with arpd, wi
 and with an oracle that knows the link in place of arpd's estimator. It runs the daemon's own code in virtual time: no
 ROS, no root, no waiting.
 
-The robot publishes the topics of the configuration (payload and source_rate_hz), to one reader each. Without a
-configuration, or without such topics, it is the demo robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss;
-one row per change, the last one holds) and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes;
-repeated).""",
+The robot publishes the topics of the configuration (payload and source_rate_hz), to one reader each; with
+relay.link_domain the relay's two ends carry them. Without a configuration, or without such topics, it is the demo
+robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per change, the last one holds) and mahimahi's
+packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
         epilog="""\
 examples:
   arpd simulate --config robot.yaml --trace walk.csv
@@ -77,6 +77,12 @@ def _add_link(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--loss", metavar="SHARE", help="of packets lost, 0..1, besides the trace's (default 0)")
     group.add_argument("--delay", metavar="TIME", help="one way, without a queue (default 2ms)")
     group.add_argument("--queue", metavar="SIZE", help="queue in front of the link (default 256kB)")
+    group.add_argument(
+        "--bottleneck",
+        choices=("sender", "middle"),
+        default="sender",
+        help="sender: its interface, where a full queue makes a write wait; middle: between the hosts (default sender)",
+    )
     group.add_argument("--packet-overhead", metavar="TIME", help="link time a transmission costs besides its bytes")
     group.add_argument("--aggregate", metavar="N", help="packets that may share a transmission (default 1)")
 
@@ -191,6 +197,7 @@ def _model(options: argparse.Namespace) -> LinkModel:
         loss=_number("--loss", options.loss or "0", float, (0.0, 1.0)),
         delay_s=default.delay_s if delay is None else _quantity("delay", delay, "duration", _MOST_DELAY_S),
         queue_bytes=default.queue_bytes if queue is None else int(_quantity("queue", queue, "size", _MOST_QUEUE_BYTES)),
+        pushes_back=options.bottleneck == "sender",
         packet_overhead_s=(
             0.0 if overhead is None else _quantity("packet-overhead", overhead, "duration", _MOST_OVERHEAD_S)
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.baselines import Truth
 from arpd.adapters.sim.demo import demo_topics
+from arpd.adapters.sim.ends import SimulatedEnd, SimulatedLinkTopic
 from arpd.adapters.sim.link import LinkModel, Loopback, SimulatedLink
-from arpd.adapters.sim.robot import SampleSource, SimulatedPublisher
+from arpd.adapters.sim.robot import SampleSource, SimulatedPublisher, SimulatedThread
 from arpd.adapters.sim.service import Service
+from arpd.adapters.sim.socket import SOCKET_BYTES
 from arpd.adapters.sim.timeline import Alarm, Timeline
 from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
-from arpd.adapters.sim.writer import LinkPath
-from arpd.apply.endpoint.link_clock import LinkClock
 from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.result import TopicResult
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.schedule import RateSchedule
-    from arpd.adapters.sim.writer import Carrier
+    from arpd.adapters.sim.socket import Carrier
     from arpd.daemon.world import CapacityEstimator
     from arpd.model.link import LinkState
     from arpd.model.settings import Settings
@@ -180,29 +181,31 @@ class _Plant:
         for flow in foreign:
             flow.play(self.timeline, self.up, origin_s=_RUN_STARTS_S)
         self._received: deque[tuple[float, float]] = deque()  # when (s), bytes
-        self.publishers: list[SimulatedPublisher] = []
+        self.publishers: list[SimulatedPublisher | SimulatedLinkTopic] = []
+        self.end: SimulatedEnd | None = None  # the robot's, of a relay with two ends
         self.moments: list[Moment] = []
 
     def random(self, purpose: str) -> Random:
         """Make a separate source of randomness for each part, so that no part changes another's."""
         return Random(f"{self._seed} {purpose}")  # noqa: S311 - a repeatable run, not a secret
 
-    def populate(self, *, managed: bool) -> None:
-        """Make a publisher and a source per topic; with arpd, relayed topics have the relay's prefix."""
-        clocks = {node: LinkClock() for node in (RELAY, PLANNER)}
+    def populate(self, *, managed: bool, has_ends: bool = False) -> None:
+        """Make a publisher and a source per topic.
+
+        Parameters
+        ----------
+        managed : with arpd, where relayed topics have the relay's prefix
+        has_ends : with a relay's two ends, which carry all that crosses the link
+        """
+        threads = {node: SimulatedThread(self.timeline) for node in (RELAY, PLANNER)}
+        ends = self._ends() if has_ends else {}
         for topic in self._topics:
-            there, back = self._ways(topic.direction)
-            relayed = managed and bool(topic.prefix)
             node = PLANNER if topic.direction is Direction.ACTUATION else RELAY
-            publisher = SimulatedPublisher(
-                LinkPath(timeline=self.timeline, there=there, back=back),
-                topic,
-                name=topic.prefix + topic.name if relayed else topic.name,
-                node=node,
-                heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
-                ingress_s=_RELAY_HOP_S if relayed else 0.0,
-                link=clocks[node],
-            )
+            publisher: SimulatedPublisher | SimulatedLinkTopic
+            if node in ends and topic.direction is not Direction.LOCAL:
+                publisher = SimulatedLinkTopic(topic, end=ends[node], node=node, ingress_s=_RELAY_HOP_S)
+            else:
+                publisher = self._publisher(topic, node, threads[node], managed=managed)
             self.publishers.append(publisher)
             SampleSource(
                 self.timeline,
@@ -213,6 +216,30 @@ class _Plant:
                 random=self.random(topic.name),
             )
         self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
+
+    def _publisher(self, topic: SimTopic, node: str, thread: SimulatedThread, *, managed: bool) -> SimulatedPublisher:
+        there, back = self._ways(topic.direction)
+        relayed = managed and bool(topic.prefix)
+        return SimulatedPublisher(
+            self.timeline,
+            topic,
+            there=there,
+            back=back,
+            room_bytes=SOCKET_BYTES if self._model.pushes_back else math.inf,
+            name=topic.prefix + topic.name if relayed else topic.name,
+            node=node,
+            heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
+            ingress_s=_RELAY_HOP_S if relayed else 0.0,
+            thread=thread,
+        )
+
+    def _ends(self) -> dict[str, SimulatedEnd]:
+        """Return the end of each host; they speak with each other from now on."""
+        near = self.end = SimulatedEnd(self.timeline, there=self.up, back=self.down, session=1)
+        far = SimulatedEnd(self.timeline, there=self.down, back=self.up, session=2)
+        near.start(far)
+        far.start(near)
+        return {RELAY: near, PLANNER: far}
 
     def _ways(self, direction: Direction) -> tuple[Carrier, Carrier]:
         """Return the ways of samples and of their acknowledgements."""
@@ -298,7 +325,7 @@ def _managed(
     into_peer: tuple[ForeignFlow, ...],
     has_peer: bool,
 ) -> ScenarioResult:
-    plant.populate(managed=True)
+    plant.populate(managed=True, has_ends=settings.relay.link_domain is not None)
     clock = plant.timeline
     ticked_s = clock.now_s
 
@@ -310,6 +337,7 @@ def _managed(
         up=plant.up,
         down=plant.down,
         publishers=plant.publishers,
+        end=plant.end,
         random=plant.random("world"),
         graph=settings.graph,
         on_report=wake,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -204,6 +204,10 @@ class FlowState:
     swaps_begun: int = 0
     swap_seconds_by_phase: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     last_swap: SwapRecord | None = None
+
+    def counted(self) -> dict[str, Any]:
+        """Return these fields, to make a `PublisherState` with them."""
+        return {each.name: getattr(self, each.name) for each in fields(FlowState)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

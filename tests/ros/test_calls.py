@@ -25,12 +25,14 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes, Empty
 
 from arpd.adapters.ros.ends import calls as calls_module
+from arpd.adapters.ros.ends import served_calls
 from arpd.adapters.ros.ends.calls import Calls
 from arpd.adapters.ros.ends.ghost_service import GhostService
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
 from arpd.adapters.ros.runtime import prepare_environment, spinning
 from arpd.apply.relay.call_records import FailureReason, Request
 from tests.ros.domain import DOMAIN
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -179,6 +181,7 @@ class World:
 def world(monkeypatch):
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(served_calls, "_READY_S", PATIENCE_S)  # discovery takes longer on a busy machine
     prepare_environment()
     with ExitStack() as stack:
         yield World(stack)

@@ -106,7 +106,7 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually):
     def publish(thread):
         for number in range(per_thread):
             message = String(data=f"{thread} {number}")
-            send = publisher.offer if number % 3 else publisher.publish
+            send = publisher.pass_on if number % 3 else publisher.publish
             send(serialize_message(message) if number % 2 else message)
             time.sleep(0.01)
 
@@ -153,7 +153,7 @@ def test_it_stays_in_the_context_of_its_node(ros, eventually):
         publisher.retune(replace(publisher.plan, depth=30))
         eventually("the writer is swapped", lambda: state(publisher).depth == 30)
         assert same.topic_name == publisher.topic_name
-        thread = publisher._shared._thread
+        thread = publisher._thread._thread
         node.destroy_node()
     finally:
         rclpy.try_shutdown(context=elsewhere)

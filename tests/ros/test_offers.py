@@ -1,7 +1,8 @@
-"""Who writes the samples of an AdaptivePublisher, and when: the application's thread or the node's pacing thread."""
+"""Who writes the samples of an AdaptivePublisher, and when: the application's thread or the participant's."""
 
 import math
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -26,73 +27,72 @@ def clock():
 
 
 @pytest.fixture
-def make(ros, clock, monkeypatch, eventually):
-    """Make publishers of one node that keep every sample; the pacing thread has seen them, and rests."""
-    node, seen, service = clock.rule(ros.node("talker")), [], AdaptivePublisher.service
-
-    def noted(publisher, now_s):
-        due_s = service(publisher, now_s)
-        seen.append(publisher)
-        return due_s
+def make(ros, clock):
+    """Make publishers of one node that keep every sample."""
+    node = clock.rule(ros.node("talker"))
 
     def make(topic="/first", depth=100, overflow=Overflow.QUEUE):
-        publisher = AdaptivePublisher(node, String, topic, depth, overflow=overflow, clock=clock)
-        eventually("the pacing thread has seen the publisher", lambda: publisher in seen)
-        return publisher
+        return AdaptivePublisher(node, String, topic, depth, overflow=overflow, clock=clock)
 
-    monkeypatch.setattr(AdaptivePublisher, "service", noted)
     return make
 
 
-@pytest.fixture
-def publisher(make):
-    """Return a publisher that keeps the newest ten samples."""
-    return make("/newest", 10, Overflow.LATEST)
-
-
 class Writer:
-    """Stands for the writer: keeps samples and their threads, says how long each took, and may block."""
+    """Stands for the writer: keeps samples and their threads, and may take long."""
 
-    def __init__(self, publisher, monkeypatch, *, took_s=lambda _sample: 0.0):
-        self.written, self.threads, self._took_s = [], [], took_s
-        self.may_go_on = threading.Event()
-        self.may_go_on.set()
-        monkeypatch.setattr(publisher._flow, "write", self.write)
+    def __init__(self, publisher, monkeypatch, *, act=lambda: None):
+        self.written, self.threads, self._act = [], [], act
+        monkeypatch.setattr(publisher._flow.lane, "write", self.write)
 
     def write(self, sample):
         self.threads.append(threading.current_thread())
         self.written.append(sample)
-        assert self.may_go_on.wait(timeout=PATIENCE_S)
-        return self._took_s(sample)
+        self._act()
 
 
 def state(publisher):
     return publisher.state(generation=0)
 
 
-def test_a_writer_that_blocks_does_not_delay_other_topics(publisher, make, clock, monkeypatch, eventually):
-    """After two writes that blocked, the pacing thread writes the node's samples, until writes are quick again."""
-    monkeypatch.setattr("arpd.adapters.ros.node_publishers._BLOCKED_S", math.inf)
-    other = make()
-    blocking = Writer(publisher, monkeypatch, took_s=lambda _sample: LONG_S)
+def test_who_serves_many_topics_waits_for_no_second_write_that_blocks(make, clock, monkeypatch, eventually):
+    """After a write that blocked, the participant's thread writes all that is passed on, until writes are quick."""
+    publisher, other = make("/newest", 10, Overflow.LATEST), make()
+    blocking = Writer(publisher, monkeypatch, act=lambda: clock.skip(LONG_S))
     unblocked = Writer(other, monkeypatch)
     me = threading.current_thread()
-    publisher.offer(b"0")
-    other.offer(b"0")
-    assert unblocked.threads == [me]  # one slow write may come from the scheduler
-    publisher.offer(b"1")
-    assert blocking.threads == [me, me]
-    publisher.offer(b"2")
-    other.offer(b"1")
-    eventually("both topics go on", lambda: len(blocking.written) == 3 and len(unblocked.written) == 2)
-    assert me not in (blocking.threads[2], unblocked.threads[1])
+    other.pass_on(b"0")
+    publisher.pass_on(b"0")
+    assert [*unblocked.threads, *blocking.threads] == [me, me]
+    publisher.pass_on(b"1")
+    other.pass_on(b"1")
+    eventually("both topics go on", lambda: len(blocking.written) == len(unblocked.written) == 2)
+    assert me not in (blocking.threads[1], unblocked.threads[1])
     clock.skip(100.0 * LONG_S)
+    other.pass_on(b"later")
+    assert unblocked.threads[-1] is me
 
-    def is_written_here():
-        other.offer(b"later")
-        return unblocked.threads[-1] is me
 
-    eventually("the application's thread writes again", is_written_here)
+def test_a_large_sample_that_is_passed_on_is_left_to_the_thread(make, monkeypatch, eventually):
+    """A picture blocks nobody who passes it on; meanwhile the thread's topic takes another sample without waiting."""
+    publisher, may_go_on = make("/camera", 10, Overflow.LATEST), threading.Event()
+    writer = Writer(publisher, monkeypatch, act=lambda: may_go_on.wait(PATIENCE_S))
+    publisher.pass_on(bytes(100_000))
+    eventually("it is being written", lambda: writer.written)
+    publisher.pass_on(b"newer")
+    publisher.pass_on(b"newest")
+    may_go_on.set()
+    eventually("what came meanwhile follows", lambda: writer.written[1:] == [b"newer", b"newest"])
+    assert threading.current_thread() not in writer.threads[:2]
+
+
+def test_publish_waits_for_the_write_before_it_as_rclpy_does(make, monkeypatch, background, eventually):
+    """A plain publisher loses nothing when several threads publish and its writer blocks."""
+    publisher = make("/plain", 1, Overflow.LATEST)
+    writer = Writer(publisher, monkeypatch, act=lambda: time.sleep(0.02))
+    for thread in b"abc":
+        background(lambda _stopping, thread=thread: [publisher.publish(bytes([thread, k])) for k in range(10)])
+    eventually("all is written", lambda: len(writer.written) == 30)
+    assert all([sample[1] for sample in writer.written if sample[0] == thread] == [*range(10)] for thread in b"abc")
 
 
 @pytest.mark.parametrize("loosen", ["rate", "price"])
@@ -103,14 +103,14 @@ def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually,
     samples = [b"%d" % number for number in range(20)]
     publisher.retune(replace(publisher.plan, rate_hz=40.0, **TERMS))
     for sample in samples:
-        publisher.offer(sample)
+        publisher.pass_on(sample)
     eventually("all samples leave in order", lambda: writer.written == samples)
     if loosen == "rate":
         publisher.retune(replace(publisher.plan, rate_hz=0.001))
     else:
         publisher.set_price(costing(0.001))
     for sample in samples:
-        publisher.offer(sample)
+        publisher.pass_on(sample)
     assert state(publisher).queued > 0
     if loosen == "rate":
         publisher.retune(replace(publisher.plan, rate_hz=math.inf))

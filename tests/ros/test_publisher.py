@@ -1,6 +1,7 @@
 """AdaptivePublisher with real rclpy and Fast DDS on this host; test_offers.py has who writes its samples, and when."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -120,7 +121,7 @@ def test_swap_loses_nothing(publisher, reader, configure, background, eventually
 def test_the_rate_follows_the_price_down_to_the_floor(publisher, configure, send_price):
     """A price lowers the rate to what it buys, not below the floor and only with a weight; a better one raises it."""
     assert configure(rate=100.0, min_rate=20.0).successful
-    send_price(costing(5.0), "the price arrives", lambda: publisher._flow._price)
+    send_price(costing(5.0), "the price arrives", lambda: publisher._price)
     assert is_paced_at(publisher, 100.0)(), "a rate that was set by hand has no price"
     assert configure(**TERMS).successful
     assert is_paced_at(publisher, 20.0)()
@@ -129,20 +130,20 @@ def test_the_rate_follows_the_price_down_to_the_floor(publisher, configure, send
 
 
 def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, send_price, eventually):
-    """Of two large samples of a process that leave together the second waits until the first has crossed the link."""
+    """Of two large samples of a participant that leave together the second waits until the first has crossed."""
     other = AdaptivePublisher(clock.rule(ros.node("second")), String, "/other", 10, clock=clock)
     large = {"weight": 1.0, "wire_bytes": 60_000.0, "packets": 40}
     row = TopicPlan(rate_hz=0.002, min_rate_hz=0.0, deadline_ns=0, depth=10, **large)
     for one in (publisher, other):
         one.retune(row)
     crosses_in_200_s = Price(share_per_weight=math.inf, capacity_bytes_per_second=300.0)
-    send_price(crosses_in_200_s, "both know it", lambda: publisher._flow._price and other._flow._price)
-    clock.skip(10.0)  # the capacity has been steady
-    publisher.offer(String(data="first"))
+    send_price(crosses_in_200_s, "both know it", lambda: publisher._price and other._price)
+    large = String(data=60_000 * "x")
+    publisher.pass_on(large)
     eventually("the first leaves", lambda: state(publisher).published == 1)
-    other.offer(String(data="second"))
+    other.publish(large)
     assert (state(other).published, state(other).queued) == (0, 1)
-    clock.skip(200.0)
+    clock.skip(300.0)
     eventually("the second leaves", lambda: state(other).published == 1)
     assert state(publisher).published == 1
 
@@ -159,20 +160,19 @@ def test_what_is_no_price_changes_nothing(publisher, configure, send_price):
 
 def test_a_later_publisher_has_the_last_price_at_once(node, publisher, send_price):
     """A publisher that is made after the price was sent follows it from the beginning."""
-    send_price(costing(5.0), "the price arrives", lambda: publisher._flow._price)
+    send_price(costing(5.0), "the price arrives", lambda: publisher._price)
     later = AdaptivePublisher(node, String, "/later", 10)
     later.retune(TopicPlan(rate_hz=100.0, min_rate_hz=0.0, deadline_ns=0, depth=10, **TERMS))
     assert is_paced_at(later, 5.0)()
 
 
-def test_silence_ends_a_slow_start_and_no_price(clock, publisher, configure, send_price, eventually):
+def test_silence_ends_the_wait_for_a_plan_and_no_price(clock, publisher, configure, send_price, eventually):
     """After some seconds without a price no new topic waits for a plan, and a topic with a plan keeps the price."""
-    slow_start = publisher._flow._slow_start
-    send_price(costing(5.0), "the daemon is noticed", lambda: slow_start.has_daemon)
+    send_price(costing(5.0), "the daemon is noticed", lambda: publisher._price)
 
     def has_no_daemon():
         clock.skip(6.0)  # more than once, because a last price may still be under way
-        return not slow_start.has_daemon
+        return publisher._price is None
 
     eventually("its silence is noticed", has_no_daemon)
     assert configure(rate=100.0, **TERMS).successful
@@ -246,7 +246,7 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, configure, backgr
         failures.append(None)
         raise RuntimeError("the middleware is out of resources")
 
-    monkeypatch.setattr(other, "service", fail)
+    monkeypatch.setattr(other._flow, "service", fail)
     other.retune(other.plan)
     assert configure(rate=20.0).successful
     background(publish_at(publisher, 100))
@@ -255,12 +255,18 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, configure, backgr
     eventually("twenty samples of the other topic leave", lambda: state(publisher).published >= before + 20)
 
 
-def test_the_pacing_thread_ends_with_its_node(ros, eventually):
-    """Destroying the node ends the thread that served its publishers."""
+def test_a_node_that_is_destroyed_leaves_the_others(ros, publisher, background, eventually):
+    """The thread of a participant serves its other nodes when one is destroyed with its publishers."""
     node = ros.node("short_lived")
-    thread = AdaptivePublisher(node, String, TOPIC, 10)._shared._thread
+    gone = AdaptivePublisher(node, String, "/gone", 10)
+    assert gone._thread is publisher._thread
+    background(publish_at(publisher, 50))
     node.destroy_node()
-    eventually("the thread ends", lambda: not thread.is_alive())
+    publisher.retune(replace(publisher.plan, depth=30))
+    eventually("another node's writer is swapped", lambda: state(publisher).depth == 30)
+    watcher = Announced(ros.node("watcher"))
+    eventually("the other node announces", lambda: watcher.shows(depth=30))
+    assert publisher._thread._thread.is_alive()
 
 
 def test_overrides_given_at_the_start_are_in_force(ros, eventually):

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from arpd.adapters.ros import relay as relay_module
@@ -146,3 +147,30 @@ def test_a_shard_that_hangs_starves_the_watchdog(ros, monkeypatch, background, e
     go_on.set()
     assert stands_still[-1], "the last part is the thread of the second shard"
     eventually("the shard goes on", lambda: heartbeat.parts[-1]() > finished_s[-1])
+
+
+def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, monkeypatch, background, eventually):
+    """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    notifier = SimpleNamespace(
+        ready=lambda: None, status=lambda _text: None, stopping=lambda: None, watchdog=lambda: None
+    )
+    settings, addresses = RelaySettings(topics=("/image", "/chatter")), SimpleNamespace(are_outdated=lambda: False)
+    source, far, heard = ros.node("source"), ros.node("far"), set()
+    publishers = [source.create_publisher(kind, topic, 10) for kind, topic in ((Image, "/image"), (String, "/chatter"))]
+    for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
+        far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
+    background(lambda stopping: _run_one_end(settings, "mixed", notifier, stopping, addresses))
+
+    def carriers():
+        found = [far.get_publishers_info_by_topic(topic) for topic in ("/link/image", "/link/chatter")]
+        return [info.node_name for infos in found for info in infos]
+
+    eventually("each has its carrier", lambda: carriers() == ["mixed_2", "mixed"])
+
+    def both_arrive():
+        publishers[0].publish(Image(data=bytes(300_000)))
+        publishers[1].publish(String(data="x"))
+        return len(heard) == 2
+
+    eventually("both arrive", both_arrive)

@@ -37,12 +37,12 @@ def moment(t_s, **more):
 
 
 def test_all_three_ways_see_the_same_link_and_the_same_robot():
-    """Link and offered samples are the same three ways."""
+    """Link and application are the same three ways; without arpd it stands inside publish() now and then."""
     runs = list(falling().ways.values())
     for other in runs[1:]:
         assert [m.truth_bytes_per_second for m in other.moments] == [m.truth_bytes_per_second for m in runs[0].moments]
-        assert [(topic.topic, topic.offered) for topic in other.topics] == [
-            (topic.topic, topic.offered) for topic in runs[0].topics
+        assert [(topic.topic, topic.expected) for topic in other.topics] == [
+            (topic.topic, topic.expected) for topic in runs[0].topics
         ]
 
 
@@ -60,7 +60,7 @@ def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
     summary = summarize(without, start_s=10.0, end_s=30.0)
     assert summary.error_median is None
     assert summary.plans_per_minute == summary.swaps_per_minute == summary.measuring_share == 0.0
-    assert summary.queue_peak_s > 0.9 * LinkModel().queue_bytes / (2 * MBIT)
+    assert summary.queue_peak_s > 0.8 * LinkModel().queue_bytes / (2 * MBIT)
     assert events(without) == ()
 
 

@@ -1,19 +1,16 @@
-"""The shared half of one node's AdaptivePublishers: pacing thread, parameters, price and announcement."""
+"""The shared half of one node's AdaptivePublishers: parameters, price and announcement."""
 
 from __future__ import annotations
 
 import math
-import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
@@ -28,28 +25,24 @@ from arpd.adapters.ros.price_message import decode_price
 from arpd.adapters.ros.profile import missing_here, warn_once
 from arpd.adapters.ros.publisher_settings import SETTINGS, checked, checked_row, parameters_of
 from arpd.adapters.ros.rmw import current_rmw
-from arpd.adapters.ros.wakeups import Wakeups
-from arpd.apply.endpoint.link_clock import LinkClock
+from arpd.adapters.ros.writing_thread import InvalidHandle, WritingThread
+from arpd.apply.endpoint.queue import PacedQueue, Whole
 from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from rclpy.context import Context
     from rclpy.node import Node
 
     from arpd.adapters.ros.plan_message import NodePlan
     from arpd.model.endpoints import PublisherState, WriterQos
     from arpd.model.price import Price
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node or writer
-_CHECK_S = 1.0
+_CHECK_S, _RETRY_S = 1.0, 0.1
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
-_RETRY_S = 0.1
-QUICK_S = 0.005  # longest write that nothing blocks; 20 MB took 5 to 9 ms on loopback
-_LOOK_S = 0.001  # a write that nothing blocks mostly takes less
-_BLOCKED_S = 0.05  # a scheduler takes less; the history of a reader at 200 Hz does not bridge two such waits
-_SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
 _WARN_EVERY_S = 5.0
+_LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
 
 
 class Paced(Protocol):
@@ -74,9 +67,6 @@ class Paced(Protocol):
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""
 
-    def service(self, now_s: float) -> float:
-        """Write samples that are due, none after a write that took long; return when to call again (s)."""
-
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
 
@@ -85,26 +75,26 @@ class Paced(Protocol):
 
 
 class NodePublishers:
-    """Paces, tunes and announces all AdaptivePublishers of one node; the first of them makes it.
+    """Tunes and announces all AdaptivePublishers of one node; the first of them makes it.
 
-    One thread paces, drives swaps and announces, so that none of these depends on the node's executor or blocks it.
-    Plans, parameters and the price arrive through the executor. The lease ends there too, so no plan can interfere.
+    The thread of its participant announces, so that this neither depends on the node's executor nor blocks it. Plans,
+    parameters and the price arrive through the executor. The lease ends there too, so no plan can interfere.
+
+    Attributes
+    ----------
+    thread : writes the samples of all nodes of the participant, and serves their publishers
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._clock = clock
-        self.link = attached(node.context, LinkClock, LinkClock)  # all nodes of a process share the link
+        self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
         self._publishers: dict[str, Paced] = {}
         self._own = OwnParameters(node)
         self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
-        self._wakeups: Wakeups[Paced] = Wakeups(attrgetter("payload_bytes"))
-        self._suspect_until_s = -math.inf
-        self.finished_s = clock()  # when the pacing thread last finished a turn
-        self.quick_from_s = -math.inf  # from then on a thread that offers a sample may write it
-        self._stopping = False
+        self._check_s = clock()
         self._grant = Grant(
             node,
             generation_name=GENERATION_PARAMETER,
@@ -126,9 +116,7 @@ class NodePublishers:
         node.create_timer(_CHECK_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._announcer: Announcer[Paced] = Announcer(node, self._state_of)
         PlanListener.of(node).serve(self)
-        self._thread = threading.Thread(target=self._run, name="arpd-pacing", daemon=True)
-        self._thread.start()
-        node.context.on_shutdown(self.stop)
+        self.thread.wake(self)
 
     @classmethod
     def of(cls, node: Node) -> NodePublishers:
@@ -136,7 +124,7 @@ class NodePublishers:
         return attached(node, cls, lambda: cls(node))
 
     def adopt(self, publisher: Paced) -> None:
-        """Declare the publisher's parameters and begin to pace it."""
+        """Declare the publisher's parameters, and give it its price and its row of the plan."""
         topic = publisher.topic_name
         if topic in self._publishers:
             raise ValueError(
@@ -154,7 +142,6 @@ class NodePublishers:
             publisher.retune(plan)
         self._show_price(publisher)
         self._give_row(publisher)
-        self.wake(publisher)
 
     def release(self, publisher: Paced) -> None:
         """Forget a publisher and its parameters."""
@@ -165,52 +152,31 @@ class NodePublishers:
             if self._parameters.pop(name, None):
                 self._own.undeclare(name)
 
-    def wake(self, publisher: Paced) -> None:
-        """Let the pacing thread serve a publisher at once."""
-        self._wakeups.wake(publisher)
-
     def note_swap(self, publisher: Paced) -> None:
         """Announce a publisher soon, because a swap of it has ended; for any thread."""
         self._announcer.hurry(publisher)
-        self._wakeups.end()
+        self.thread.wake(self)
 
-    def shun_writing(self, took_s: float) -> None:
-        """Leave writes of `offer` to the pacing thread for a while: writes block, and all share the link's queue."""
-        now_s = self._clock()
-        # One short wait may come from the scheduler; a full link blocks the next write too.
-        if took_s > _BLOCKED_S or now_s < self._suspect_until_s:
-            self.quick_from_s = max(self.quick_from_s, now_s + _SHUN * took_s)
-        self._suspect_until_s = now_s + _SHUN * took_s
-
-    def stop(self) -> None:
-        """End the pacing thread; the publishers stay as they are."""
-        self._stopping = True
-        self._wakeups.end()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=1.0)
-
-    def _run(self) -> None:
-        check_s = self._clock()
-        while not self._stopping and self._node.context.ok():
-            try:
-                self._service(self._clock(), until_s=self._announcer.due_s)
-                now_s = self.finished_s = self._clock()
-                if now_s >= check_s:
-                    check_s = now_s + _CHECK_S
-                    self._note_silence(now_s)
-                if now_s >= self._announcer.due_s:
-                    answer, lease_s = self._grant.answer, self._grant.lease.granted_s
-                    self._announcer.turn(now_s, self._publishers.values(), answer=answer, lease_s=lease_s)
-            except InvalidHandle:
-                if not self._has_node:
-                    return
-                continue  # only a publisher was destroyed, between two looks
-            except Exception as error:  # noqa: BLE001 - a message that cannot be made must not stop the pacing
-                self._node.get_logger().error(
-                    f"announcements failed: {error}; arpd tries again", throttle_duration_sec=_WARN_EVERY_S
-                )
-            next_s = min(check_s, self._announcer.due_s, self._wakeups.next_s())
-            self._wakeups.wait(next_s - self._clock())
+    def service(self, now_s: float) -> float:
+        """Announce what is due; return when to call again (s)."""
+        try:
+            if now_s >= self._check_s:
+                self._check_s = now_s + _CHECK_S
+                self._note_silence(now_s)
+                self._warn_of_large()
+            if now_s >= self._announcer.due_s:
+                answer, lease_s = self._grant.answer, self._grant.lease.granted_s
+                self._announcer.turn(now_s, self._publishers.values(), answer=answer, lease_s=lease_s)
+        except InvalidHandle:
+            if not self._has_node:
+                raise
+            return now_s + _RETRY_S  # only a publisher was destroyed, between two looks
+        except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the announcements
+            self._node.get_logger().error(
+                f"announcements failed: {error}; arpd tries again", throttle_duration_sec=_WARN_EVERY_S
+            )
+            return now_s + _RETRY_S
+        return min(self._check_s, self._announcer.due_s)
 
     @property
     def _has_node(self) -> bool:
@@ -220,32 +186,6 @@ class NodePublishers:
                 return True
         except InvalidHandle:
             return False
-
-    def _service(self, now_s: float, *, until_s: float) -> None:
-        """Serve the publishers that are due, and those that become due while a write blocks."""
-        looked_s = now_s
-        self._wakeups.look(now_s)
-        while now_s < until_s and (publisher := self._wakeups.take(now_s)) is not None:
-            if self._publishers.get(publisher.topic_name) is publisher:  # it may be destroyed by now
-                self._wakeups.set(publisher, self._serve(publisher, now_s))
-            now_s = self._clock()
-            if now_s - looked_s > _LOOK_S:
-                looked_s = now_s
-                self._wakeups.look(now_s)
-
-    def _serve(self, publisher: Paced, now_s: float) -> float:
-        """Serve one publisher and return when to serve it again (s); its faults do not stop the others."""
-        try:
-            return publisher.service(now_s)
-        except InvalidHandle:
-            raise
-        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others' pacing
-            self._node.get_logger().error(
-                f"{publisher.topic_name}: pacing or a swap failed: {error}; arpd tries again",
-                throttle_duration_sec=_WARN_EVERY_S,
-                skip_first=False,
-            )
-            return now_s + _RETRY_S
 
     def _state_of(self, publisher: Paced) -> PublisherState:
         grant = self._grant
@@ -265,6 +205,18 @@ class NodePublishers:
     def _note_silence(self, now_s: float) -> None:
         if self._grant.lease.is_silent(now_s, for_s=_SILENT_S):
             self._show_price(*self._publishers.values())
+
+    def _warn_of_large(self) -> None:
+        """Say once which topic makes the others of its participant wait."""
+        if self.thread.topics < 2:
+            return
+        for topic, publisher in self._publishers.items():
+            if publisher.payload_bytes >= _LARGE_BYTES:
+                self._node.get_logger().warning(
+                    f"{topic} has samples of {publisher.payload_bytes / 1e6:.1f} MB: while one is written to a slow "
+                    "link, the other topics of this process wait inside Fast DDS; publish it from a process of its own",
+                    once=True,
+                )
 
     def _show_price(self, *publishers: Paced) -> None:
         """Give publishers the last price.
@@ -326,7 +278,7 @@ class NodePublishers:
 
     def _tell_answer(self) -> None:
         self._announcer.hurry_answer()
-        self._wakeups.end()
+        self.thread.wake(self)
 
     def _give_row(self, publisher: Paced) -> None:
         """Give a new publisher its row of the plan in force, which its node has answered for it too."""
@@ -363,3 +315,11 @@ class NodePublishers:
                 if (publisher := self._publishers.get(topic)) is not None:
                     changes.setdefault(topic, {})[field] = checked(parameter, field, publisher.baseline)
         return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
+
+
+def _started(context: Context, clock: Callable[[], float]) -> WritingThread:
+    """Return the thread of a participant, which ends with it."""
+    thread = WritingThread(PacedQueue(Whole()), name="arpd-writing", is_alive=context.ok, clock=clock)
+    thread.start()
+    context.on_shutdown(thread.stop)
+    return thread

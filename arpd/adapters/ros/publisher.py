@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from copy import copy
-from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
-from arpd.adapters.ros.node_publishers import QUICK_S, NodePublishers
+from arpd.adapters.ros.node_publishers import NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.adapters.ros.writer import RosWriter, serialized, swap_failure, with_qos, without_ours
+from arpd.adapters.ros.writing_thread import InvalidHandle
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import (
     NO_REFUSAL,
     Direction,
-    FlowState,
     PublisherState,
     Refusal,
     RefusalReason,
@@ -42,7 +40,8 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 _LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
-_FLOW_FIELDS = tuple(field.name for field in fields(FlowState))
+_RETRY_S, _WARN_EVERY_S = 0.1, 5.0
+_BUSY_S = 0.005  # a thread is at the writer, mostly for less
 
 
 class AdaptivePublisher:
@@ -99,11 +98,8 @@ class AdaptivePublisher:
         self._swap_transient_local = swap_transient_local
         self._rmw = current_rmw()
         self._overrides = without_ours(qos_overriding_options)
-        # A thread holds the lock for short looks at the flow only; to write, or to swap, it first takes ``_writing``.
-        self._lock = threading.RLock()
-        self._writing = threading.RLock()
         self._clock = clock
-        self._wakeup_s = math.inf  # the pacing thread serves this publisher by then
+        self._price: Price | None = None
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._shared = NodePublishers.of(node)
         self._flow = Flow(
@@ -112,8 +108,9 @@ class AdaptivePublisher:
             overflow=overflow,
             clock=clock,
             on_swap=self._on_swap,
+            on_held=self._hurry,
             timing=swap_timing,
-            link=self._shared.link,
+            lock=threading.RLock(),
         )
         self._overrides = None  # now part of the profile; rclpy declares each only once
         if self._is_latched and swap_transient_local:
@@ -123,10 +120,12 @@ class AdaptivePublisher:
         self._resolved = str(self._writer.publisher.topic_name)
         self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
+        self._thread = self._shared.thread
+        self._thread.add(self._flow.lane)
         try:
             self._shared.adopt(self)
         except Exception:
-            self._flow.close()  # a refused publisher must not leave a live writer behind
+            self._close()  # a refused publisher must not leave a live writer behind
             raise
 
     # -- the interface of rclpy.publisher.Publisher
@@ -165,47 +164,27 @@ class AdaptivePublisher:
         TypeError
             If it is neither.
         """
-        sample = serialized(msg, self.msg_type)
-        with self._lock:
-            self._flow.offer(sample)
-        with self._writing:
-            self._drain()
+        self._thread.publish(self._flow.lane, serialized(msg, self.msg_type))
 
-    def offer(self, msg: Any) -> None:
-        """Publish without waiting for another write; while writers block, leave the write to the pacing thread.
+    def pass_on(self, msg: Any) -> None:
+        """Publish without waiting for another write: for a caller that serves many topics, such as the relay.
 
-        For a caller that serves many topics, such as the relay. A writer blocks while the link's queue is full. Samples
-        that come meanwhile are conflated here, before they grow old or are lost upstream.
+        A writer blocks while the link's queue is full. Samples that come meanwhile are conflated here, before they grow
+        old or are lost upstream.
 
         Parameters
         ----------
         msg : as in `publish`
         """
-        sample = msg if isinstance(msg, bytes) else serialized(msg, self.msg_type)
-        if self._clock() >= self._shared.quick_from_s and self._writing.acquire(blocking=False):
-            try:
-                with self._lock:
-                    is_next = self._flow.admit(sample)
-                if not is_next:
-                    self._drain()
-                elif (took_s := self._flow.write(sample)) > QUICK_S:
-                    self._shared.shun_writing(took_s)
-            finally:
-                self._writing.release()
-        else:
-            with self._lock:  # not the usual way: waking the pacing thread costs more than the sample itself
-                self._flow.offer(sample)
-            self._leave_rest()
+        self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type))
 
     def get_subscription_count(self) -> int:
         """Count the matched readers."""
-        with self._lock:
-            return self._writer.matched()
+        return self._writer.matched()
 
     def assert_liveliness(self) -> None:
         """Assert that this publisher is alive (MANUAL_BY_TOPIC)."""
-        with self._lock:
-            self._writer.publisher.assert_liveliness()
+        self._writer.publisher.assert_liveliness()
 
     def wait_for_all_acked(self, timeout: Any = None) -> bool:
         """Wait until the writer in force is fully acknowledged, as rclpy does; samples that wait do not count."""
@@ -214,8 +193,7 @@ class AdaptivePublisher:
     def destroy(self) -> None:
         """Destroy the publisher and all its writers."""
         self._shared.release(self)
-        with self._writing, self._lock:
-            self._flow.close()
+        self._close()
 
     # -- re-tuning
 
@@ -232,7 +210,7 @@ class AdaptivePublisher:
     @property
     def payload_bytes(self) -> float:
         """Mean size of a sample, serialized (bytes)."""
-        return self._flow.payload_bytes
+        return self._flow.lane.payload_bytes
 
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap.
@@ -247,41 +225,45 @@ class AdaptivePublisher:
         clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to {requested_ns} ns, the shortest a reader requests")
         depth = self._baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
         qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
-        with self._lock:
-            self._clamp = clamp if is_clamped else NO_REFUSAL
-            is_fixed = self._is_latched and not self._swap_transient_local
-            if qos == self._flow.qos:
-                self._refusal = NO_REFUSAL
-            elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
-                self._refusal, qos = refusal, self._flow.qos
-            self._flow.retune(plan, qos=qos)
-        self._shared.wake(self)
+        self._clamp = clamp if is_clamped else NO_REFUSAL
+        is_fixed = self._is_latched and not self._swap_transient_local
+        if qos == self._flow.qos:
+            self._refusal = NO_REFUSAL
+        elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
+            self._refusal, qos = refusal, self._flow.qos
+        self._flow.retune(plan, qos=qos)
+        self._thread.retune(self._flow.lane, plan, self._price)
+        self._hurry()
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
-        with self._lock:
-            self._flow.set_price(price)
-        self._leave_rest()  # samples may now leave sooner
+        if price != self._price:
+            self._price = price
+            self._flow.set_loss(None if price is None else price.loss_ratio)
+            self._thread.retune(self._flow.lane, self._flow.plan, price)
 
     def service(self, now_s: float) -> float:
-        """Take a step of the swap and write what is due, until a write blocks; return when to call again (s)."""
-        if not self._writing.acquire(blocking=False):
-            return now_s + 0.001  # the application is inside publish(); do not let the other topics wait for it
+        """Take a step of the swap, and write what it held; return when to call again (s)."""
+        if not self._thread.claim(self._flow.lane):
+            return now_s + _BUSY_S
         try:
-            with self._lock:
-                self._flow.step(now_s)
-            self._drain(until_s=self._clock() + QUICK_S)
-            with self._lock:
-                self._wakeup_s = self._flow.due_s(now_s)
-                return self._wakeup_s
+            return self._flow.service(now_s)
+        except InvalidHandle:
+            raise
+        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
+            self._node.get_logger().error(
+                f"{self._resolved}: a swap failed: {error}; arpd tries again",
+                throttle_duration_sec=_WARN_EVERY_S,
+                skip_first=False,
+            )
+            return now_s + _RETRY_S
         finally:
-            self._writing.release()
+            self._thread.release(self._flow.lane)
 
     def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
         """Return the settings in force, for the announcement; called about once a second."""
-        with self._lock:
-            flow, refusal = self._flow.state(), self._refusal if self._refusal.words else self._clamp
-            self._warn_of_refusals()
+        refusal = self._refusal if self._refusal.words else self._clamp
+        self._warn_of_refusals()
         return PublisherState(
             node=self._node_name,
             topic=self._resolved,
@@ -295,7 +277,7 @@ class AdaptivePublisher:
             refusal_reason=refusal.reason,
             keeps_all=self._keeps_all,
             lacks_profile=lacks_profile,
-            **{name: getattr(flow, name) for name in _FLOW_FIELDS},
+            **self._flow.state().counted(),
         )
 
     def _warn_of_refusals(self) -> None:
@@ -309,36 +291,12 @@ class AdaptivePublisher:
                 f"last incompatible policy: {self._writer.refused_policy}"
             )
 
-    def _drain(self, *, until_s: float = math.inf) -> None:
-        """Write what may leave, nothing after ``until_s`` (s); the caller holds ``_writing``, for the order."""
-        now_s = before_s = self._clock()
-        is_waiting = True
-        try:
-            with self._lock:
-                self._flow.before_take()
-            self._flow.replay()
-            while is_waiting and now_s <= until_s:
-                with self._lock:
-                    sample = self._flow.take()
-                if sample is None:
-                    break
-                self._flow.write(sample)
-                is_waiting = self._flow.is_waiting  # a thread that offers a sample later serves it itself
-                now_s = self._clock()
-        finally:  # also when a write raised: the samples behind it must still leave
-            if is_waiting:
-                self._leave_rest()
-            if (took_s := self._clock() - before_s) > QUICK_S:
-                self._shared.shun_writing(took_s)
+    def _hurry(self) -> None:
+        self._thread.wake(self)
 
-    def _leave_rest(self) -> None:
-        """Wake the pacing thread for the samples that wait, unless it comes in time anyway."""
-        with self._lock:
-            due_s = self._flow.due_s(self._clock())
-            if due_s >= self._wakeup_s:
-                return
-            self._wakeup_s = due_s
-        self._shared.wake(self)
+    def _close(self) -> None:
+        self._thread.remove(self._flow.lane)
+        self._flow.close()
 
     @property
     def _writer(self) -> RosWriter:

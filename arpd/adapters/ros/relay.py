@@ -6,7 +6,7 @@ import logging
 import platform
 import re
 import threading
-from contextlib import ExitStack
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,22 +15,21 @@ from arpd.adapters.config.domain import local_domain
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import likeliest_interface
-from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.graph import NOT_NAMED_YET, node_name_of, policies_of
-from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, spinning, stop_on_signals
+from arpd.adapters.ros.runtime import best_executor, ros_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
-from arpd.apply.endpoint.link_clock import LinkClock
-from arpd.apply.relay.depths import held_depth
+from arpd.apply.relay.depths import BULK_BYTES, held_depth
 from arpd.apply.relay_routes import Route, RouteRefusal, TopicWriter, choose_route, own_output
-from arpd.apply.relay_status import RelayStatus, shard_name, shards
+from arpd.apply.relay_status import RelayStatus, shards
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable
     from pathlib import Path
 
+    from arpd.adapters.ros.participants import Participants
     from arpd.adapters.ros.publisher import AdaptivePublisher
     from arpd.adapters.ros.reader import ReaderQos
     from arpd.adapters.ros.subscription import AdaptiveSubscription
@@ -55,7 +54,7 @@ class Relay:
     node : rclpy node it lives in
     settings : topics and prefix
     on_change : called with the status at the start and whenever it changes
-    carriers : names of all nodes of the relay; None = this one only
+    participants : all nodes of the relay; None = this one only
     """
 
     def __init__(
@@ -64,14 +63,14 @@ class Relay:
         settings: RelaySettings,
         *,
         on_change: Callable[[RelayStatus], None],
-        carriers: Collection[str] | None = None,
+        participants: Participants | None = None,
     ) -> None:
         from rclpy.clock import Clock, ClockType  # noqa: PLC0415 - ROS is checked in ros_node
 
         self._node = node
         self._settings = settings
         self._on_change = on_change
-        self._carriers = frozenset(carriers or (node.get_fully_qualified_name(),))
+        self._participants = participants
         self._carried: dict[str, _Carried] = {}
         self._refused: dict[str, str] = {}
         self._failed: dict[str, str] = {}  # topic → type that could not be carried
@@ -145,7 +144,7 @@ class Relay:
         unknown = {name for name in (*readers, *(source.node for source in sources)) if NOT_NAMED_YET in name}
         route = choose_route(
             sources,
-            carriers=self._carriers,
+            carriers=self._participants.names if self._participants else {self._node.get_fully_qualified_name()},
             output=output,
             output_readers=readers - unknown,
             in_force=None if carried is None else carried.route,
@@ -215,8 +214,9 @@ class Relay:
 
         kind = message_class(route.type_name)
         policies = policies_of(is_reliable=route.is_reliable, is_latched=route.is_latched)
+        is_large = expected_bytes(kind) >= BULK_BYTES
         publisher = AdaptivePublisher(
-            self._node,
+            self._participants.for_large(topic) if is_large and self._participants else self._node,
             kind,
             self._settings.prefix + topic,
             QoSProfile(depth=self._settings.depths.get(topic, DEFAULT_RELAY_DEPTH), durability=policies["durability"]),
@@ -228,7 +228,7 @@ class Relay:
                 self._node,
                 kind,
                 topic,
-                publisher.offer,
+                publisher.pass_on,
                 QoSProfile(depth=depth, **policies),
                 raw=True,
             )
@@ -349,28 +349,16 @@ def _run_one_end(
             statuses[number] = status
             notifier.status(RelayStatus.of(statuses).line)
 
-    with ExitStack() as stack:
-        nodes = [stack.enter_context(ros_node(name))]
-        from rclpy import Context  # noqa: PLC0415 - ROS is checked in ros_node
+    with ros_node(name) as node:
+        from arpd.adapters.ros.participants import Participants  # noqa: PLC0415 - it imports ROS
 
-        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
-
-        nodes += [
-            stack.enter_context(ros_node(shard_name(name, number), context=Context()))
-            for number in range(1, len(parts))
-        ]
-        executor = best_executor(nodes[0].context)
-        executors = [executor, *(type(executor)(context=node.context) for node in nodes[1:])]
-        link = LinkClock()
-        heard: list[Callable[[], float]] = []
-        carriers = [node.get_fully_qualified_name() for node in nodes]
-        for number, (node, part) in enumerate(zip(nodes, parts, strict=True)):
-            attached(node.context, LinkClock, lambda: link)
-            executors[number].add_node(node)
-            Relay(node, part, on_change=partial(note, number), carriers=carriers)
-            heard.append(partial(getattr, NodePublishers.of(node), "finished_s"))
-        heard += [stack.enter_context(spinning(each)) for each in executors[1:]]
-        heartbeat = Watchdog(notifier, parts=heard)
-        notifier.ready()
-        serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
-        notifier.stopping()
+        executor = best_executor(node.context)
+        executor.add_node(node)
+        with closing(Participants(node, name)) as participants:
+            nodes = [node, *(participants.make() for _ in parts[1:])]
+            for number, (each, part) in enumerate(zip(nodes, parts, strict=True)):
+                Relay(each, part, on_change=partial(note, number), participants=participants)
+            heartbeat = Watchdog(notifier, parts=participants.parts)
+            notifier.ready()
+            serve_until(executor, stopping, heartbeat=heartbeat, addresses=addresses)
+            notifier.stopping()

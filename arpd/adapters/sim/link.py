@@ -41,11 +41,14 @@ class LinkModel:
     packet_overhead_s : link time that a transmission takes beyond its bytes, >= 0 (s)
     aggregate_packets : most packets of one transmission if they wait together, >= 1; all of them arrive when it ends,
         as in an A-MPDU of IEEE 802.11n
+    pushes_back : whether the bottleneck is the sender's interface, where a full queue makes a writer wait; otherwise it
+        is between the hosts, an access point for example
     firmware_bytes : bytes that the adapter holds below the interface's counter, hidden from the host, >= 0 (bytes)
     """
 
     delay_s: float = 0.002
     queue_bytes: int = 256_000
+    pushes_back: bool = True
     loss: float = 0.0
     outages: tuple[tuple[float, float], ...] = ()
     losses: tuple[LossStep, ...] = ()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.arrivals import Arrivals
 from arpd.adapters.sim.result import TopicResult
+from arpd.adapters.sim.socket import Socket
 from arpd.adapters.sim.timeline import Alarm
-from arpd.adapters.sim.writer import SAMPLE, LinkPath, SimulatedWriter
+from arpd.adapters.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
 from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.queue import PacedQueue, Whole
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.settings import Overflow
 from arpd.solve.topics import assumed_traffic
@@ -19,8 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from random import Random
 
+    from arpd.adapters.sim.socket import Carrier
     from arpd.adapters.sim.timeline import Timeline
-    from arpd.apply.endpoint.link_clock import LinkClock
+    from arpd.apply.endpoint.lane import Lane
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
@@ -71,46 +74,91 @@ def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tupl
     )
 
 
+class SimulatedThread:
+    """The thread of a participant, with its paced queue."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._queue = PacedQueue(Whole())
+        self._alarm = Alarm(timeline, self.run)
+
+    def add(self, lane: Lane) -> None:
+        """Serve a lane from now on."""
+        self._queue.add(lane)
+
+    def offer(self, lane: Lane, sample: bytes) -> None:
+        """Let a sample wait for its turn, which may be now."""
+        self._queue.offer(lane, sample, self._timeline.now_s)
+        self.run()
+
+    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = there is none."""
+        self._queue.retune(lane, plan, price)
+        self.run()
+
+    def run(self) -> None:
+        """Write what may leave."""
+        now_s = self._timeline.now_s
+        while (ready := self._queue.take(now_s)) is not None:
+            ready.lane.write(ready.sample)
+        if (due_s := self._queue.due_s(now_s)) < self._alarm.when_s:
+            self._alarm.set(due_s)
+
+
 class SimulatedPublisher:
-    """An AdaptivePublisher over a simulated writer, with the same pacing and writer swap.
+    """An AdaptivePublisher over a simulated writer, with the same queue and writer swap.
 
     Before the first `retune` it behaves as a plain rclpy publisher.
 
     Parameters
     ----------
     topic : the topic
+    there, back : ways of its samples, and of their acknowledgements
+    room_bytes : most that its socket has in the queue of the interface (bytes)
     name : topic name on the link
     node : name of its node
     heartbeat_s : heartbeat period of its writers (s)
     ingress_s : age of a sample when it gets here, after the hop to the relay (s)
-    link : link clock of its process
+    thread : of its participant
     """
 
     def __init__(
         self,
-        route: LinkPath,
+        timeline: Timeline,
         topic: SimTopic,
         *,
+        there: Carrier,
+        back: Carrier,
+        room_bytes: float,
         name: str,
         node: str,
         heartbeat_s: float,
         ingress_s: float = 0.0,
-        link: LinkClock | None = None,
+        thread: SimulatedThread,
     ) -> None:
         self.topic = topic
+        self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
         self.arrivals = Arrivals()
         self._writers = 0
-        self._timeline = route.timeline
+        self._timeline = timeline
+        self._socket = Socket(timeline, there, room_bytes=room_bytes, on_free=self._free)
+        route = LinkPath(timeline=timeline, there=there, back=back, socket=self._socket)
+        self._is_relayed = ingress_s > 0.0
+        self._ticks = 0  # of the application's timer
         self._node = node
         self._ingress_s = ingress_s
         self._flow = Flow(
-            create=partial(self._create, route, topic.payload_bytes, heartbeat_s),
+            create=partial(self._create, route, heartbeat_s),
             qos=WriterQos(depth=RCLPY_DEPTH, deadline_ns=0),
             overflow=Overflow.LATEST,
-            clock=lambda: route.timeline.now_s,
-            link=link,
+            clock=lambda: timeline.now_s,
+            on_held=self._service,
         )
-        self._alarm = Alarm(route.timeline, self._service)
+        self._flow.lane.write = self._write
+        self._thread = thread
+        self._price: Price | None = None
+        thread.add(self._flow.lane)
+        self._alarm = Alarm(timeline, self._service)
         self._state = PublisherState(
             node=node,
             topic=name,
@@ -124,19 +172,25 @@ class SimulatedPublisher:
         )
 
     def publish(self) -> None:
-        """Publish the next sample of the source."""
-        self._flow.publish(SAMPLE.pack(self._flow.offered, self._timeline.now_s - self._ingress_s))
-        self._service()
+        """Publish the next sample of the source, unless it is still inside the call before."""
+        self._ticks += 1
+        if self._socket.is_full and not self._is_relayed:
+            return
+        number = self._flow.lane.offered_rate.samples
+        token = SAMPLE.pack(number, self._timeline.now_s - self._ingress_s)
+        self._thread.offer(self._flow.lane, token + self._padding)
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan: pacing changes now, depth and deadline with a writer swap."""
         self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self._thread.retune(self._flow.lane, plan, self._price)
         self._service()
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is heard."""
-        self._flow.set_price(price)
-        self._service()
+        self._price = price
+        self._flow.set_loss(None if price is None else price.loss_ratio)
+        self._thread.retune(self._flow.lane, self._flow.plan, price)
 
     @property
     def swaps(self) -> int:
@@ -145,11 +199,7 @@ class SimulatedPublisher:
 
     def state(self, *, generation: int) -> PublisherState:
         """Return the state to announce."""
-        flow = self._flow.state()
-        counted = {field.name: getattr(flow, field.name) for field in fields(flow)}
-        # The simulation's samples are small tokens, so the payload comes from the topic.
-        counted["payload_bytes"] = float(self.topic.payload_bytes) if flow.offered else 0.0
-        return replace(self._state, generation=generation, **counted)
+        return replace(self._state, generation=generation, **self._flow.state().counted())
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
@@ -157,18 +207,31 @@ class SimulatedPublisher:
         return TopicResult(
             topic=self.topic.name,
             source_rate_hz=self.topic.rate_hz,
-            expected=flow.offered,
+            expected=self._ticks,
             offered=flow.offered,
             withheld=flow.withheld,
             sent=flow.published,
             **asdict(self.arrivals.reception()),
         )
 
-    def _create(self, route: LinkPath, payload_bytes: int, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
+    def _write(self, sample: bytes) -> None:
+        self._flow.write(sample)
+        if self._socket.is_full:
+            self._flow.lane.claimant = 1  # the thread is inside the call
+
+    def _free(self) -> None:
+        self._flow.lane.claimant = None
+        self._service()
+        self._thread.run()
+
+    def _create(self, route: LinkPath, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
         self._writers += 1
-        return SimulatedWriter(route, self.arrivals, payload_bytes=payload_bytes, qos=qos, heartbeat_s=heartbeat_s)
+        sink = Counting(self.arrivals, self._timeline, self.topic.payload_bytes)
+        return SimulatedWriter(route, sink, qos=qos, heartbeat_s=heartbeat_s)
 
     def _service(self) -> None:
+        if self._socket.is_full:
+            return
         due_s = self._flow.service(self._timeline.now_s)
         if due_s < self._alarm.when_s:
             self._alarm.set(due_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from arpd.adapters.sim.foreign import PACKET_BYTES
 from arpd.adapters.sim.timeline import Alarm
@@ -13,6 +13,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.probing import PeerReport
+from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.observe.receiver import Receiver, ReportSchedule
 
@@ -20,12 +21,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from random import Random
 
+    from arpd.adapters.sim.ends import SimulatedEnd
     from arpd.adapters.sim.foreign import ForeignFlow
     from arpd.adapters.sim.link import SimulatedLink
-    from arpd.adapters.sim.robot import SimulatedPublisher
+    from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.endpoints import PublisherState
-    from arpd.model.plan import Transition
+    from arpd.model.plan import TopicPlan, Transition
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
@@ -42,12 +44,29 @@ _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no
 _REPORT_BYTES, _PRICE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 210, 900, 700  # on the wire
 
 
+class Managed(Protocol):
+    """A publisher that the daemon manages."""
+
+    @property
+    def topic(self) -> SimTopic:
+        """The topic."""
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take a plan."""
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link."""
+
+    def state(self, *, generation: int) -> PublisherState:
+        """Return the state to announce."""
+
+
 @dataclass(slots=True)
 class _Node:
     """One node with adaptive publishers, and what the daemon has asked of it."""
 
     name: str
-    publishers: list[SimulatedPublisher]
+    publishers: list[Managed]
     is_remote: bool
     generation: int = 0
     lease_s: float = 0.0
@@ -83,6 +102,7 @@ class SimulatedWorld:
     on_report : called when a peer report arrives, so that a tick can follow at once
     into_peer : other traffic that the peer's interface receives
     has_peer : whether a peer receives probes and sends reports
+    end : the robot's end of a relay with two; then nothing that stays on its host is managed
     """
 
     def __init__(
@@ -91,13 +111,16 @@ class SimulatedWorld:
         *,
         up: SimulatedLink,
         down: SimulatedLink,
-        publishers: Sequence[SimulatedPublisher],
+        publishers: Sequence[Managed],
         random: Random,
         graph: GraphSettings,
         on_report: Callable[[], None],
         into_peer: Sequence[ForeignFlow] = (),
         has_peer: bool = True,
+        end: SimulatedEnd | None = None,
     ) -> None:
+        self._end = end
+        self._relay: RelaySummary | None = None
         self._timeline = timeline
         self._up, self._down = up, down
         self._graph = graph
@@ -112,6 +135,9 @@ class SimulatedWorld:
         self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
         self._report_bytes = 0
         by_direction = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
+        if end is not None:
+            by_direction[Direction.LOCAL] = []
+            timeline.every(_ANNOUNCE_S, self._summarise, first_s=timeline.now_s + self._random.random())
         self._nodes = {
             RELAY: _Node(
                 name=RELAY, publishers=by_direction[Direction.SENSING] + by_direction[Direction.LOCAL], is_remote=False
@@ -148,6 +174,7 @@ class SimulatedWorld:
                 self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
             ),
             peers=None if self._has_peer else 0,
+            relay=self._relay,
         )
 
     def glance(self) -> Glance:
@@ -255,6 +282,10 @@ class SimulatedWorld:
     def _on_announcement(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
         now_s = node.announced_at_s = self._timeline.now_s
         node.announced = tuple(replace(state, announced_at_s=now_s) for state in states)
+
+    def _summarise(self) -> None:
+        if self._end is not None:
+            self._relay = RelaySummary(other_host="ceddp", is_reachable=True, link_bytes=self._end.link_bytes)
 
     # -- on the peer
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from arpd.adapters.sim.arrivals import Arrivals
+    from arpd.adapters.sim.socket import Carrier, Socket
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.endpoints import WriterQos
 
@@ -24,20 +23,51 @@ _RESEND_S = 0.1
 _MOST_ASKED = 256  # most numbers in one ACKNACK (RTPS 2.3, §9.4.2.6)
 
 
-class Carrier(Protocol):
-    """One direction of a link, or the way within a host."""
+class Sink(Protocol):
+    """What a reader gives its samples to."""
 
-    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Put one datagram on the way; see `arpd.adapters.sim.link.SimulatedLink.send`."""
+    def on_arrival(self, sample: bytes) -> None:
+        """Take a sample from the wire; the middleware may hold it back until older ones arrive."""
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Take a sample that the application receives."""
+
+
+class Counting:
+    """Counts the samples of one topic, which begin with `SAMPLE`.
+
+    Parameters
+    ----------
+    payload_bytes : of each (bytes)
+    """
+
+    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
+        self._arrivals, self._timeline, self._payload_bytes = arrivals, timeline, payload_bytes
+
+    def on_arrival(self, sample: bytes) -> None:
+        """Note its latency."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
+        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Count it."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
+        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkPath:
-    """The way from a writer to its reader, and the way back for acknowledgements."""
+    """The way from a writer to its reader, and the way back for acknowledgements.
+
+    Parameters
+    ----------
+    socket : of the participant; there the samples wait while the queue of ``there`` is full
+    """
 
     timeline: Timeline
     there: Carrier
     back: Carrier
+    socket: Socket
 
 
 class _Reader:
@@ -47,23 +77,20 @@ class _Reader:
     until the gap is filled or a heartbeat says that the missing samples are gone.
     """
 
-    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
-        self._arrivals = arrivals
-        self._payload_bytes = payload_bytes
-        self._timeline = timeline
-        self._held: dict[int, tuple[int, float]] = {}  # sequence and stamp of samples behind a gap
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._held: dict[int, bytes] = {}  # samples behind a gap
         self._highest = 0
         self.next = 1
 
     def on_data(self, number: int, sample: bytes) -> None:
         if number < self.next or number in self._held:
             return
-        sequence, stamp_s = SAMPLE.unpack(sample)
-        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+        self._sink.on_arrival(sample)
         if number > self.next:
-            self._held[number] = sequence, stamp_s
+            self._held[number] = sample
             return
-        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
+        self._sink.on_delivery(sample)
         self.next += 1
         if self._held:
             self._release()
@@ -73,7 +100,7 @@ class _Reader:
         self._highest = max(self._highest, last)
         if first > self.next:
             for number in sorted(number for number in self._held if number < first):
-                self._deliver(number)
+                self._sink.on_delivery(self._held.pop(number))
             self.next = first
             self._release()
         if self._highest < self.next:
@@ -83,11 +110,8 @@ class _Reader:
 
     def _release(self) -> None:
         while self.next in self._held:
-            self._deliver(self.next)
+            self._sink.on_delivery(self._held.pop(self.next))
             self.next += 1
-
-    def _deliver(self, number: int) -> None:
-        self._arrivals.on_delivery(*self._held.pop(number), self._payload_bytes)
 
 
 class SimulatedWriter:
@@ -101,23 +125,22 @@ class SimulatedWriter:
     heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
     """
 
-    def __init__(
-        self, route: LinkPath, arrivals: Arrivals, *, payload_bytes: int, qos: WriterQos, heartbeat_s: float
-    ) -> None:
+    def __init__(self, route: LinkPath, sink: Sink, *, qos: WriterQos, heartbeat_s: float) -> None:
         self._timeline, self._there, self._back = route.timeline, route.there, route.back
+        self._socket = route.socket
         self._depth = qos.depth
         self._deadline_s = qos.deadline_ns / 1e9 or math.inf
         self._published_s = math.inf  # time of the last sample
         self._missed = 0
         self._heartbeat_s = heartbeat_s
-        self._reader = _Reader(arrivals, route.timeline, payload_bytes)
+        self._reader = _Reader(sink)
         self._history: dict[int, bytes] = {}
-        self._settled_at_s: dict[int, float] = {}
+        self._settled_at_s: dict[int, float] = {}  # when all that was sent of a sample has arrived or is lost
+        self._missing: dict[int, int] = {}  # packets of a sample that have not arrived
         self._first, self._last = 1, 0
         self._acknowledged = 0
         self._is_alive = True
         self._is_beating = False
-        self._wire_bytes, self._packets = wire_size(payload_bytes, rate_hz=math.inf)
 
     def publish(self, sample: bytes) -> None:
         """Write one sample; a full history drops its oldest sample, acknowledged or not."""
@@ -125,7 +148,7 @@ class SimulatedWriter:
         self._last += 1
         self._history[self._last] = sample
         if len(self._history) > self._depth:
-            del self._history[self._first], self._settled_at_s[self._first]
+            self._forget(self._first)
             self._first += 1
         self._send(self._last)
         if not self._is_beating:
@@ -160,9 +183,26 @@ class SimulatedWriter:
         self._settled_at_s.clear()
 
     def _send(self, number: int) -> None:
+        """Send what is missing of a sample."""
         asked = (self._first, self._last) if len(self._history) >= self._depth else None
-        deliver = partial(self._arrive, number, self._history[number], asked)
-        self._settled_at_s[number] = self._there.send(self._wire_bytes, self._packets, deliver)
+        is_again = number in self._missing
+        wire_bytes, all_packets = wire_size(len(self._history[number]), rate_hz=math.inf)
+        packets = self._missing.setdefault(number, all_packets)
+        self._settled_at_s[number] = math.inf
+        self._socket.send(
+            wire_bytes * packets / all_packets,
+            packets,
+            is_again=is_again,
+            arrived=partial(self._arrive, number, self._history[number], asked),
+            settled=partial(self._settle, number),
+        )
+
+    def _settle(self, number: int, at_s: float) -> None:
+        if number in self._settled_at_s:
+            self._settled_at_s[number] = at_s
+
+    def _forget(self, number: int) -> None:
+        del self._history[number], self._settled_at_s[number]
 
     def _beat(self) -> None:
         if not self._is_alive or self.is_acknowledged():
@@ -173,7 +213,11 @@ class SimulatedWriter:
 
     # -- at the reader
 
-    def _arrive(self, number: int, sample: bytes, asked: tuple[int, int] | None) -> None:
+    def _arrive(self, number: int, sample: bytes, asked: tuple[int, int] | None, packets: int) -> None:
+        self._missing[number] = self._missing.get(number, 0) - packets
+        if self._missing[number] > 0:
+            return
+        del self._missing[number]
         self._reader.on_data(number, sample)
         if asked is not None:
             self._acknowledge(*asked)

@@ -18,9 +18,9 @@ from arpd.adapters.ros.ends.calls import Calls
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.rcl import rcl
+from arpd.apply.endpoint.lane import SMALL_BYTES, Lane
 from arpd.apply.relay.call_records import what_of
 from arpd.apply.relay.envelope import Assembly
-from arpd.apply.relay.lane import SMALL_BYTES, Lane
 from arpd.observe.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:

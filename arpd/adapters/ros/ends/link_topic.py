@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rclpy.qos import QoSProfile
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.adapters.ros.ends.link_thread import LinkThread
-    from arpd.apply.relay.lane import Lane
+    from arpd.apply.endpoint.lane import Lane
     from arpd.model.price import Price
 
 #: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
@@ -106,11 +107,7 @@ class LinkTopic:
 
     def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
         """Return the settings in force and the counters, for the announcement."""
-        lane, now_s = self._lane, self._clock()
-        rates = [meter.rate_hz(now_s) for meter in (lane.offered_rate, lane.sent_rate)]
-        lane.offered_rate.mark(now_s)
-        lane.sent_rate.mark(now_s)
-        withheld = dict(lane.withheld)
+        flow = replace(self._lane.state(self._clock()), blocked_s=self._thread.held_s)
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self.topic_name,
@@ -120,19 +117,7 @@ class LinkTopic:
             generation=generation,
             lease_s=lease_s,
             lacks_profile=lacks_profile,
-            payload_bytes=lane.payload_bytes,
-            source_rate_hz=rates[0],
-            published_rate_hz=rates[1],
-            offered=lane.offered_rate.samples,
-            published=lane.sent_rate.samples,
-            withheld=sum(withheld.values()),
-            withheld_by_cause=withheld,
-            queued=len(lane),
-            blocked_s=self._thread.held_s,
-            rate_hz=self.plan.rate_hz,
-            paced_rate_hz=lane.rate_hz,
-            depth=self.plan.depth,
-            deadline_ns=self.plan.deadline_ns,
+            **flow.counted(),
         )
 
     def _settle(self) -> None:

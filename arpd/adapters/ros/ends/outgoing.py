@@ -14,9 +14,9 @@ from arpd.adapters.ros.ends.link_topic import LinkTopic
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.graph import participant_of, policies_of
+from arpd.apply.endpoint.lane import Lane
 from arpd.apply.relay.depths import MOST_BYTES, held_depth
 from arpd.apply.relay.envelope import Record, pack
-from arpd.apply.relay.lane import Lane
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 

@@ -76,8 +76,8 @@ def run_end(
             session=secrets.randbits(32),
             on_change=notifier.status,
         )
-        publishers = NodePublishers.of(link_node)
-        parts = [lambda: publishers.finished_s, lambda: end.link.finished_s]
+        publishing = NodePublishers.of(link_node).thread
+        parts = [lambda: publishing.finished_s, lambda: end.link.finished_s]
         parts += [lambda: end.incoming_thread.finished_s, lambda: end.outgoing_thread.finished_s]
         heartbeat = Watchdog(notifier, parts=parts)
         notifier.ready()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from random import Random
 
 from hypothesis import given
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from arpd.adapters.sim.arrivals import Arrivals
 from arpd.adapters.sim.link import LinkModel, SimulatedLink
 from arpd.adapters.sim.schedule import RateSchedule
+from arpd.adapters.sim.socket import Socket
 from arpd.adapters.sim.timeline import Timeline
-from arpd.adapters.sim.writer import SAMPLE, LinkPath, SimulatedWriter
+from arpd.adapters.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
 from arpd.model.endpoints import WriterQos
 from tests.examples import examples
 
@@ -47,16 +49,20 @@ class World:
         self.reader = Delivered()
         self.published = 0
         self.writer = SimulatedWriter(
-            LinkPath(timeline=self.timeline, there=self.there, back=self.back),
-            self.reader,
-            payload_bytes=500,
+            LinkPath(
+                timeline=self.timeline,
+                there=self.there,
+                back=self.back,
+                socket=Socket(self.timeline, self.there, room_bytes=math.inf),
+            ),
+            Counting(self.reader, self.timeline, 500),
             qos=WriterQos(depth=depth, deadline_ns=0),
             heartbeat_s=0.05,
         )
 
     def publish(self, samples, *, every_s=0.0):
         for _ in range(samples):
-            self.writer.publish(SAMPLE.pack(self.published, self.timeline.now_s))
+            self.writer.publish(SAMPLE.pack(self.published, self.timeline.now_s).ljust(500))
             self.published += 1
             self.wait(every_s)
 

@@ -1,4 +1,4 @@
-"""The flow: pacing, swaps and slow start together, in virtual time."""
+"""The flow: queue, swaps and the wait for a plan together, in virtual time."""
 
 import math
 from collections import Counter
@@ -9,18 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.flow import SLOW_START_HZ, Flow
+from arpd.apply.endpoint.flow import Flow
+from arpd.apply.endpoint.lane import SMALL_BYTES
+from arpd.apply.endpoint.queue import PacedQueue, Whole
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import WithheldCause, WriterQos
 from arpd.model.price import Price
 from arpd.model.settings import Overflow
-from arpd.model.wire import FRAGMENT_BYTES
+from arpd.model.wire import wire_size
 from tests.examples import examples
 from tests.unit import swap_world
 
 STEP_S = 0.005
 TERMS = {"weight": 1.0, "wire_bytes": 1.0, "packets": 1}
-SMALL, LARGE = bytes(FRAGMENT_BYTES), bytes(FRAGMENT_BYTES + 1)
+SMALL, LARGE = bytes(SMALL_BYTES), bytes(SMALL_BYTES + 1)
 
 
 class Writer(swap_world.Writer):
@@ -46,6 +48,9 @@ class World(swap_world.World):
             overflow=overflow,
             clock=lambda: self.now_s,
         )
+        self.queue = PacedQueue(Whole())
+        self.queue.add(self.flow.lane)
+        self.price = None
 
     def create(self, qos):
         self.writers.append(Writer(qos, self))
@@ -54,20 +59,31 @@ class World(swap_world.World):
     def retune(self, **changes):
         plan = replace(self.flow.plan, **changes)
         self.flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self.queue.retune(self.flow.lane, plan, self.price)
 
-    def set_price(self, rate_hz):
-        self.flow.set_price(price(rate_hz))
+    def set_price(self, price):
+        self.price = price
+        self.queue.retune(self.flow.lane, self.flow.plan, price)
 
-    def give(self, sample, *, by):
-        if by == "publish":
-            self.flow.publish(sample)
-        elif self.flow.admit(sample):
+    def publish(self, sample):
+        """Do as a thread that publishes: write at once what may leave, and leave the rest to the other thread."""
+        if self.queue.admit(self.flow.lane, sample, self.now_s):
             self.flow.write(sample)
+            return
+        self.queue.offer(self.flow.lane, sample, self.now_s)
+        if (ready := self.queue.take_of(self.flow.lane, self.now_s)) is not None:
+            self.flow.write(ready)
+
+    def serve(self):
+        """Do as the participant's thread."""
+        while (ready := self.queue.take(self.now_s)) is not None:
+            ready.lane.write(ready.sample)
+        self.flow.service(self.now_s)
 
     def wait(self, seconds):
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S
-            self.flow.service(self.now_s)
+            self.serve()
 
 
 def price(rate_hz):
@@ -87,7 +103,7 @@ def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
     for number in range(2000):
         if number == 50:
             world.retune(depth=depth + 1)
-        world.flow.publish(name(number))
+        world.publish(name(number))
         world.writers[-1].acknowledges = len(world.writers) > 1
         world.wait(STEP_S)
     assert len(world.writers) == 2
@@ -104,12 +120,12 @@ def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
     while number < 1000:
         if number == 100:
             world.retune(depth=11)
-        world.flow.publish(name(number))
+        world.publish(name(number))
         number += 1
         for _ in range(4):
             world.now_s += STEP_S / 2
             before = len(world.log)
-            world.flow.service(world.now_s)
+            world.serve()
             departures.append(len(world.log) - before)
     assert world.log == [name(number) for number in range(len(world.log))]
     assert max(departures) <= 3
@@ -121,7 +137,6 @@ def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
     st.lists(
         st.one_of(
             st.tuples(st.just("publish"), st.integers(1, 8)),
-            st.tuples(st.just("admit"), st.integers(1, 8)),
             st.tuples(st.just("depth"), st.integers(1, 8)),
             st.tuples(st.just("rate"), st.sampled_from([0.0, 1.0, 20.0, float("inf")])),
             st.tuples(st.just("price"), st.sampled_from([0.0, 0.5, 10.0, 1000.0, math.inf])),
@@ -142,17 +157,17 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
         before = Counter(world.flow.state().withheld_by_cause)
         for writer in world.writers:
             writer.is_broken = is_broken
-        if what in {"publish", "admit"}:
+        if what == "publish":
             for number in range(offered, offered + value):
                 with suppress(RuntimeError):
-                    world.give(name(number), by=what)
+                    world.publish(name(number))
             offered += value
         elif what == "depth":
             world.retune(depth=value)
         elif what == "rate":
             world.retune(rate_hz=value, **TERMS)
         elif what == "price":
-            world.set_price(value)
+            world.set_price(price(value))
         elif what == "wait":
             with suppress(RuntimeError):
                 world.wait(value)
@@ -167,6 +182,7 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
     assert len(set(world.log)) == len(world.log) == state.published
     assert world.log == sorted(world.log)
     assert offered == state.offered == state.published + state.withheld + state.queued
+    world.queue.remove(world.flow.lane)
     world.flow.close()
     assert not any(writer.is_alive for writer in world.writers)
     closed = world.flow.state()
@@ -187,18 +203,18 @@ def test_a_latched_writer_first_gets_what_the_old_one_held():
     world = World(depth=3)
     world.flow.keep_history()
     for number in range(5):
-        world.flow.publish(name(number))
+        world.publish(name(number))
     world.writers[0].acknowledges = True
     world.retune(depth=10)
     world.wait(2 * SwapTiming().settle_s)
-    world.flow.publish(name(5))
+    world.publish(name(5))
     assert world.writers[1].written == [name(number) for number in (2, 3, 4, 5)]
     assert world.flow.state().published == 6
     world.writers[1].acknowledges = True
     world.retune(depth=2)
     world.wait(2 * SwapTiming().settle_s)
     assert world.writers[2].written == [name(number) for number in (2, 3, 4, 5)]
-    world.flow.publish(name(6))
+    world.publish(name(6))
     world.retune(depth=4)
     world.writers[2].acknowledges = True
     world.wait(2 * SwapTiming().settle_s)
@@ -209,7 +225,7 @@ def run(world, *, rate_hz, seconds):
     """Let an application publish at a rate; return the samples withheld meanwhile, by cause."""
     before = Counter(world.flow.state().withheld_by_cause)
     for number in range(round(rate_hz * seconds)):
-        world.flow.publish(name(number))
+        world.publish(name(number))
         world.wait(1.0 / rate_hz)
         if number % round(rate_hz) == 0:
             world.flow.state()  # as the announcement does
@@ -221,11 +237,11 @@ def test_what_gives_way_to_the_ceiling_is_told_from_what_gives_way_to_the_price(
     world = World()
     world.retune(rate_hz=20.0, min_rate_hz=20.0, **TERMS)
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
-    world.set_price(10.0)
+    world.set_price(price(10.0))
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}, "it lowers nothing below the floor"
     world.retune(rate_hz=40.0, min_rate_hz=1.0)
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.PRICE}
-    world.set_price(40.0)
+    world.set_price(price(40.0))
     assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
 
 
@@ -245,7 +261,7 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
     allowed = 0.0
     departures: list[float] = []
     for wanted_hz, seconds in steps:
-        world.set_price(wanted_hz)
+        world.set_price(price(wanted_hz))
         rate_hz = min(80.0, max(5.0, wanted_hz))
         assert world.flow.state().paced_rate_hz == rate_hz
         sent = len(departures)
@@ -253,24 +269,13 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
             world.now_s += STEP_S
             allowed += rate_hz * STEP_S
             before = len(world.log)
-            world.flow.publish(name(world.flow.offered))
-            world.flow.service(world.now_s)
+            world.publish(name(world.flow.lane.offered_rate.samples))
+            world.serve()
             departures += [allowed] * (len(world.log) - before)
         assert len(departures) - sent >= math.floor(rate_hz * seconds) - 1
     for first, start in enumerate(departures):
         for last in range(first, len(departures)):
-            assert last - first + 1 <= departures[last] - start + 4.0 + 1e-6  # 50 ms at the ceiling
-
-
-@pytest.mark.parametrize("rate_hz", [20.0, math.inf])
-def test_what_a_writer_that_blocks_kept_back_is_told_from_what_pacing_did(rate_hz):
-    """Samples that wait only for the writing thread count as blocked, paced or not."""
-    world = World(depth=4)
-    world.retune(rate_hz=rate_hz)
-    for number in range(100):
-        world.flow.offer(name(number))  # no thread writes it
-        world.now_s += 0.1
-    assert world.flow.state().withheld_by_cause.keys() == {WithheldCause.BLOCKED}
+            assert last - first + 1 <= departures[last] - start + 24.0 + 2.5  # 0.3 s at the ceiling
 
 
 def test_the_rate_at_which_samples_leave_is_measured():
@@ -288,38 +293,46 @@ def test_the_rate_at_which_samples_leave_is_measured():
     assert world.flow.state().published_rate_hz == 0.0
 
 
-def slow_start(world, seconds, *, daemon=True, sample=LARGE):
-    """Publish at 50 Hz while a daemon sends its price at 10 Hz, or none; return the number of samples written."""
+def begin(world, seconds, *, price=None, sample=LARGE):
+    """Publish at 50 Hz while a daemon sends this price at 10 Hz, or none; return the number of samples written."""
     before = len(world.log)
     for number in range(round(seconds * 50)):
         if number % 5 == 0:
-            world.flow.set_price(price(math.inf) if daemon else None)
-        world.flow.publish(sample)
+            world.set_price(price)
+        world.publish(sample)
         world.wait(0.02)
     return len(world.log) - before
 
 
-def test_large_samples_wait_for_their_first_plan_while_a_daemon_is_there():
-    """The first sample leaves at once, then two a second; the others count as withheld for the price."""
+def spare(share):
+    """Return the price of a link that carries a large sample in 20 ms, and has a share to spare."""
+    return Price(
+        share_per_weight=0.1, capacity_bytes_per_second=50.0 * wire_size(len(LARGE), rate_hz=1.0)[0], spare_share=share
+    )
+
+
+@pytest.mark.parametrize(("share", "rate_hz"), [(0.5, 25.0), (0.1, 5.0), (0.0, 2.5)])
+def test_large_samples_have_what_is_spare_until_their_first_plan(share, rate_hz):
+    """The first sample leaves at once, then as many as the link has room for; the others count as withheld."""
     world = World()
-    assert slow_start(world, 0.02) == 1
-    assert slow_start(world, 2.0) == pytest.approx(2.0 * SLOW_START_HZ, abs=1)
-    assert world.flow.state().withheld_by_cause.keys() == {WithheldCause.PRICE.value}
+    assert begin(world, 0.02, price=spare(share)) == 1
+    assert begin(world, 2.0, price=spare(share)) == pytest.approx(2.0 * rate_hz, rel=0.1, abs=1)
+    assert world.flow.state().withheld > 0
 
 
 @pytest.mark.parametrize(
-    ("sample", "overflow", "daemon"),
-    [(SMALL, Overflow.LATEST, True), (LARGE, Overflow.QUEUE, True), (LARGE, Overflow.LATEST, False)],
+    ("sample", "overflow", "price"),
+    [(SMALL, Overflow.LATEST, spare(0.0)), (LARGE, Overflow.QUEUE, spare(0.0)), (LARGE, Overflow.LATEST, None)],
     ids=["small", "not conflated", "no daemon"],
 )
-def test_what_need_not_wait_does_not(sample, overflow, daemon):
+def test_what_need_not_wait_does_not(sample, overflow, price):
     """Small samples, those that may not be conflated, and all samples without a daemon leave as they come."""
-    assert slow_start(World(overflow=overflow), 2.0, daemon=daemon, sample=sample) == 100
+    assert begin(World(overflow=overflow), 2.0, price=price, sample=sample) == 100
 
 
-@pytest.mark.parametrize(("seconds", "daemon"), [(4.2, True), (1.0, False)], ids=["four seconds", "no daemon"])
-def test_the_wait_for_a_plan_ends(seconds, daemon):
+@pytest.mark.parametrize(("seconds", "price"), [(4.2, spare(0.0)), (1.0, None)], ids=["four seconds", "no daemon"])
+def test_the_wait_for_a_plan_ends(seconds, price):
     """A topic that gets no plan waits for four seconds, and only while a daemon is there."""
     world = World()
-    slow_start(world, seconds)
-    assert slow_start(world, 2.0, daemon=daemon) == pytest.approx(100, abs=1)
+    begin(world, seconds, price=spare(0.0))
+    assert begin(world, 2.0, price=price) == pytest.approx(100, abs=1)

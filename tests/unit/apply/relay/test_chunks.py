@@ -1,4 +1,4 @@
-"""One paced queue: what leaves next onto a link in virtual time, and how much of it."""
+"""One paced queue whose messages cross in chunks: what leaves next onto a link in virtual time, and how much of it."""
 
 import heapq
 import math
@@ -9,10 +9,11 @@ from itertools import count
 
 import pytest
 
+from arpd.apply.endpoint.lane import SMALL_BYTES, Lane
+from arpd.apply.endpoint.queue import PacedQueue
+from arpd.apply.relay.chunks import Chunks
 from arpd.apply.relay.envelope import Assembly, decode_chunk
 from arpd.apply.relay.flight import Flight, Receipt, Received
-from arpd.apply.relay.lane import SMALL_BYTES, Lane
-from arpd.apply.relay.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.wire import FRAGMENT_BYTES, wire_size
@@ -40,7 +41,7 @@ class Link:
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
         self.flight, self.received = Flight(), Received()
-        self.queue = PacedQueue(7, self.flight)
+        self.queue = PacedQueue(Chunks(7, self.flight))
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.apply.relay.lane import SMALL_BYTES, Lane
+from arpd.apply.endpoint.lane import SMALL_BYTES, Lane
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from tests.examples import examples
@@ -138,7 +138,7 @@ def test_what_a_rate_withholds_is_counted_by_its_cause():
         row = TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=1.0, packets=1)
         lane.retune(row, Price(share_per_weight=0.0, capacity_bytes_per_second=1.0))
         play(lane, every(100.0, "a", for_s=0.05))
-        assert lane.withheld == {cause: 2}
+        assert lane.withheld == {cause: 3}
 
 
 def test_what_is_on_its_way_or_was_just_now_is_known():

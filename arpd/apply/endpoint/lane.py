@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.apply.endpoint.meters import SampleRate
-from arpd.apply.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES
-from arpd.model.endpoints import WithheldCause
+from arpd.model.endpoints import FlowState, WithheldCause
+from arpd.model.plan import TopicPlan
 from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-#: A larger message is cut into chunks, and waits for its share of the link.
-SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+#: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
+SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST = 10.0
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
+_NO_PLAN = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill 0..1 evenly and repeat nothing
 
 
@@ -36,9 +36,11 @@ class _Bucket:
 
     def due_s(self, now_s: float) -> float:
         """Return when there is credit for a sample (s)."""
+        if self.rate_hz <= 0.0:
+            return math.inf
         if self.credit(now_s) >= 1.0 - 1e-9:
             return now_s
-        return now_s + (1.0 - self._credit) / self.rate_hz if self.rate_hz > 0.0 else math.inf
+        return now_s + (1.0 - self._credit) / self.rate_hz
 
     def credit(self, now_s: float) -> float:
         """Return how many samples may leave at once."""
@@ -77,11 +79,18 @@ class Lane:
 
     Parameters
     ----------
-    write : writes one serialized chunk to the topic
+    write : writes one serialized sample to the topic
     depth, large_depth : most small samples that wait of each source, and most large ones
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
     is_kept : whether the other end delivers its samples however old they are
     weight : without a plan
+    patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
+        none (s)
+
+    Attributes
+    ----------
+    claimant : thread that is at its writer, so that no other one may be; the owner of the threads sets it
+    blocked_s : time inside its writer, which the same owner counts (s)
     """
 
     def __init__(
@@ -93,12 +102,17 @@ class Lane:
         is_ordered: bool = False,
         is_kept: bool = False,
         weight: float = 1.0,
+        patience_s: float = math.inf,
     ) -> None:
         self.write = write
         self._depth, self._large_depth = depth, large_depth
         self._is_ordered = is_ordered
         self.is_kept = is_kept
         self._weight = weight
+        self._patience_s = patience_s
+        self._first_s = math.inf  # when its first sample came
+        self.claimant: int | None = None
+        self.blocked_s = 0.0
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
         self._is_thinned = False
@@ -130,18 +144,22 @@ class Lane:
         return self._allowed.rate_hz
 
     @property
-    def link_share(self) -> float:
-        """Share of the link time that its rate takes at the price; of a topic that waits for its plan, all."""
+    def link_share(self) -> float | None:
+        """Share of the link time that its rate takes at the price; None where a topic with samples has no plan yet."""
         if self.plan is None or self.price is None:
             return 0.0
         if self.plan.wire_bytes > 0.0:
             return self._allowed.rate_hz * self.price.cost_s(self.plan)
-        return float(self.offered_rate.samples > 0)
+        return None if self.offered_rate.samples else 0.0
 
     @property
     def is_small(self) -> bool:
         """Whether the next message leaves whole, before all large ones."""
         return self.current is None and len(self._next[1][0].message) <= SMALL_BYTES
+
+    def is_unbound(self, now_s: float) -> bool:
+        """Return whether it waits for no share of the link, because it has waited for a plan in vain."""
+        return now_s >= self._first_s + self._patience_s and (self.plan is None or self.plan.wire_bytes <= 0.0)
 
     def retune(self, plan: TopicPlan | None, price: Price | None) -> None:
         """Take a plan and a price; None = there is none."""
@@ -173,11 +191,7 @@ class Lane:
         expires_s : when nobody wants it any more (s)
         is_held_up : whether the link takes nothing now, so that no rate is the cause of what is withheld
         """
-        self.offered_rate.count(now_s)
-        if len(message) > MOST_MESSAGE_BYTES:
-            self.withheld[WithheldCause.FAILED.value] += 1
-            return
-        self.payload_bytes += (0.1 if self.payload_bytes else 1.0) * (len(message) - self.payload_bytes)
+        self._note(message, now_s)
         line = self._lines.setdefault(None if self._is_ordered else source, deque())
         line.append(_Waiting(source, message, expires_s))
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
@@ -187,7 +201,18 @@ class Lane:
         while len(line) > most:
             line.popleft()
             self._is_thinned = True
-            self.withheld[self._cause(now_s, is_held_up=is_held_up).value] += 1
+            self.withheld[self._cause(is_held_up=is_held_up).value] += 1
+
+    def admit(self, message: bytes, now_s: float) -> bool:
+        """Let a message pass at once where none waits and the rates allow it; return whether it did."""
+        if self._lines or self.current is not None or self.due_s(now_s, in_turn=False) > now_s:
+            return False
+        self._note(message, now_s)
+        self._cap.spend(1.0)
+        self._allowed.spend(1.0)
+        self._begun_s = now_s
+        self.sent_rate.count(now_s)
+        return True
 
     def due_s(self, now_s: float, *, in_turn: bool) -> float:
         """Return when the next message may begin: by its allowed rate, or ``in_turn``, by its cap alone (s)."""
@@ -240,17 +265,46 @@ class Lane:
             self.withheld[WithheldCause.BLOCKED.value] += 1
             self.current = None
 
+    def state(self, now_s: float) -> FlowState:
+        """Return the settings in force and the counters; called about once a second."""
+        rates = [meter.rate_hz(now_s) for meter in (self.offered_rate, self.sent_rate)]
+        self.offered_rate.mark(now_s)
+        self.sent_rate.mark(now_s)
+        withheld, plan = dict(self.withheld), self.plan or _NO_PLAN
+        return FlowState(
+            payload_bytes=self.payload_bytes,
+            source_rate_hz=rates[0],
+            published_rate_hz=rates[1],
+            offered=self.offered_rate.samples,
+            published=self.sent_rate.samples,
+            withheld=sum(withheld.values()),
+            withheld_by_cause=withheld,
+            queued=len(self),
+            blocked_s=self.blocked_s,
+            rate_hz=plan.rate_hz,
+            paced_rate_hz=self.rate_hz,
+            depth=plan.depth,
+            deadline_ns=plan.deadline_ns,
+        )
+
     def close(self) -> None:
         """Withhold all that waits."""
         self.withheld[WithheldCause.CLOSED.value] += len(self) + (self.current is not None)
         self._lines.clear()
         self.current = None
 
+    def _note(self, message: bytes, now_s: float) -> None:
+        self.offered_rate.count(now_s)
+        if self.payload_bytes:
+            self.payload_bytes += 0.1 * (len(message) - self.payload_bytes)
+        else:
+            self._first_s, self.payload_bytes = now_s, float(len(message))
+
     @property
     def _next(self) -> tuple[Hashable, deque[_Waiting]]:
         return next(iter(self._lines.items()))
 
-    def _cause(self, now_s: float, *, is_held_up: bool) -> WithheldCause:
-        if is_held_up:
+    def _cause(self, *, is_held_up: bool) -> WithheldCause:
+        if is_held_up or self.claimant is not None or math.isinf(self._allowed.rate_hz):
             return WithheldCause.BLOCKED
-        return WithheldCause.RATE if self._cap.due_s(now_s) > now_s else WithheldCause.PRICE
+        return WithheldCause.PRICE if self._allowed.rate_hz < self._cap.rate_hz else WithheldCause.RATE

@@ -1,0 +1,188 @@
+"""A relay's two ends in virtual time, with arpd's own queue, chunks and receipts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import count
+from typing import TYPE_CHECKING
+
+from arpd.adapters.sim.arrivals import Arrivals
+from arpd.adapters.sim.result import TopicResult
+from arpd.adapters.sim.socket import Socket
+from arpd.adapters.sim.timeline import Alarm
+from arpd.adapters.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.apply.endpoint.lane import Lane
+from arpd.apply.relay.envelope import Assembly, Record, pack, unpack
+from arpd.apply.relay.link_end import LinkEnd
+from arpd.apply.relay.signs import SIGN_BYTES
+from arpd.model.endpoints import Direction, PublisherState, WriterQos
+from arpd.model.plan import TopicPlan
+from arpd.model.wire import wire_size
+
+if TYPE_CHECKING:
+    from arpd.adapters.sim.robot import SimTopic
+    from arpd.adapters.sim.socket import Carrier
+    from arpd.adapters.sim.timeline import Timeline
+    from arpd.apply.relay.envelope import Chunk
+    from arpd.model.price import Price
+
+_LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.adapters.ros.ends.link_topic
+_HEARTBEAT_S = 0.05
+_DEPTH = 10  # before a plan
+
+
+class SimulatedEnd:
+    """One end: its thread writes what its queue lets onto the link, and its signs of life.
+
+    Parameters
+    ----------
+    there, back : ways to the other end, and from it
+    session : of its process
+    """
+
+    def __init__(self, timeline: Timeline, *, there: Carrier, back: Carrier, session: int) -> None:
+        self.timeline, self._there = timeline, there
+        # Its participant waits for no write: what a full socket does not take is sent again.
+        socket = Socket(timeline, there, room_bytes=math.inf)
+        self.route = LinkPath(timeline=timeline, there=there, back=back, socket=socket)
+        self._end = LinkEnd(session, timeline.now_s)
+        self._alarm = Alarm(timeline, self._run)
+        self.other: SimulatedEnd = self
+
+    @property
+    def link_bytes(self) -> int:
+        """What both ends' chunks took of the link."""
+        return self._end.link_bytes
+
+    @property
+    def held_s(self) -> float:
+        """Time in which something waited for receipts (s)."""
+        return self._end.held_s
+
+    def start(self, other: SimulatedEnd) -> None:
+        """Begin to speak with the other end."""
+        self.other = other
+        self._run()
+
+    def add(self, lane: Lane) -> None:
+        """Serve a lane from now on."""
+        self._end.queue.add(lane)
+
+    def offer(self, lane: Lane, message: bytes) -> None:
+        """Let a message wait for its turn, which may be now."""
+        self._end.queue.offer(lane, message, self.timeline.now_s)
+        self._run()
+
+    def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = there is none."""
+        self._end.queue.retune(lane, plan, price)
+        self._run()
+
+    def arrived(self, sample: bytes) -> Chunk:
+        """Account for a chunk of the other end."""
+        chunk, _ = self._end.arrived(sample, self.timeline.now_s)
+        self._run()
+        return chunk
+
+    def hear(self, sign: bytes) -> None:
+        """Take a sign of life of the other end."""
+        self._end.follow(self._end.hear(sign, self.timeline.now_s))
+        self._run()
+
+    def _run(self) -> None:
+        now_s = self.timeline.now_s
+        while True:
+            if (sign := self._end.take_sign(now_s)) is not None:
+                wire_bytes, packets = wire_size(16 + SIGN_BYTES, rate_hz=math.inf)
+                self._there.send(wire_bytes, packets, partial(self.other.hear, sign))
+            elif (ready := self._end.queue.take(now_s)) is not None:
+                ready.lane.write(ready.sample)
+            else:
+                break
+        self._end.note_held(now_s)
+        if (due_s := min(self._end.sign_s, self._end.queue.due_s(now_s))) < self._alarm.when_s:
+            self._alarm.set(due_s)
+
+
+class SimulatedLinkTopic:
+    """One topic that the two ends carry; its writer on the link is never replaced.
+
+    Parameters
+    ----------
+    topic : the topic
+    end : the end that sends it
+    node : name of the end's node
+    ingress_s : age of a sample when it gets to the end (s)
+    """
+
+    def __init__(self, topic: SimTopic, *, end: SimulatedEnd, node: str, ingress_s: float) -> None:
+        self.topic, self._end = topic, end
+        self.arrivals = Arrivals()
+        self.swaps = 0
+        self._ingress_s = ingress_s
+        self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
+        self._numbers = count()
+        self._assembly = Assembly()
+        self._counting = Counting(self.arrivals, end.timeline, topic.payload_bytes)
+        self._writer = SimulatedWriter(end.route, self, qos=_LINK_QOS, heartbeat_s=_HEARTBEAT_S)
+        self._lane = Lane(self._writer.publish)
+        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)
+        self._price: Price | None = None
+        end.add(self._lane)
+        self._state = PublisherState(
+            node=node,
+            topic=topic.name,
+            type_name="sim",
+            direction=topic.direction,
+            payload_bytes=0.0,
+            source_rate_hz=0.0,
+            depth=_DEPTH,
+            baseline_depth=_DEPTH,
+            remote_readers=int(topic.direction is not Direction.LOCAL),
+        )
+
+    def publish(self) -> None:
+        """Publish the next sample of the source."""
+        number = next(self._numbers)
+        sample = SAMPLE.pack(number, self._end.timeline.now_s - self._ingress_s) + self._padding
+        self._end.offer(self._lane, pack([Record(0, 1, number + 1, sample)]))
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take a plan, which is in force at once."""
+        self._plan = plan
+        self._end.retune(self._lane, plan, self._price)
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link; None = no daemon is heard."""
+        self._price = price
+        self._end.retune(self._lane, self._plan, price)
+
+    def state(self, *, generation: int) -> PublisherState:
+        """Return the state to announce."""
+        flow = replace(self._lane.state(self._end.timeline.now_s), blocked_s=self._end.held_s, depth=self._plan.depth)
+        return replace(self._state, generation=generation, **flow.counted())
+
+    def result(self) -> TopicResult:
+        """Return the result of the run."""
+        flow = self._lane.state(self._end.timeline.now_s)
+        return TopicResult(
+            topic=self.topic.name,
+            source_rate_hz=self.topic.rate_hz,
+            expected=flow.offered,
+            offered=flow.offered,
+            withheld=flow.withheld,
+            sent=flow.published,
+            **asdict(self.arrivals.reception()),
+        )
+
+    def on_arrival(self, sample: bytes) -> None:
+        """Do nothing: a chunk has no latency of its own."""
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Put a chunk to its message at the other end; the ghost there publishes what is whole."""
+        if (message := self._assembly.add(self._end.other.arrived(sample))) is not None:
+            for record in unpack(message):
+                self._counting.on_arrival(record.sample)
+                self._counting.on_delivery(record.sample)

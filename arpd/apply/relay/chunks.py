@@ -1,0 +1,67 @@
+"""Messages cross the link in chunks between the two ends, which confirm what has arrived: pure."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from arpd.apply.endpoint.queue import Part
+from arpd.apply.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, encode_chunk
+from arpd.model.wire import FRAGMENT_BYTES, wire_size
+
+if TYPE_CHECKING:
+    from arpd.apply.endpoint.lane import Lane, UnderWay
+    from arpd.apply.relay.flight import Flight
+
+_CHUNK_S = 0.0025  # of the link; samples of one packet wait behind one chunk
+_LEAST_PACKETS, _MOST_PACKETS = 2, 16
+_UNKNOWN_PACKETS = 4
+
+
+class Chunks:
+    """Cuts large messages, so that small ones wait behind one chunk at most; a `Carrier` of the paced queue.
+
+    Parameters
+    ----------
+    session : of this process, 32 bit
+    flight : what is on its way
+    """
+
+    most_bytes: float = MOST_MESSAGE_BYTES
+    has_receipts = True
+
+    def __init__(self, session: int, flight: Flight) -> None:
+        self._session = session
+        self._flight = flight
+        self._chunk_bytes = self._bytes_of(_UNKNOWN_PACKETS)
+        self.has_room, self.is_out = flight.has_room, flight.is_out
+
+    @property
+    def relief(self) -> float:
+        """Times its share that the queue drains: less than once while a queue stands on the link."""
+        return self._flight.relief
+
+    def adapt(self, capacity: float | None) -> None:
+        """Let a chunk take its time of the link; None = no daemon is heard (bytes/s)."""
+        self._flight.capacity = capacity
+        packets = _UNKNOWN_PACKETS if capacity is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
+        self._chunk_bytes = self._bytes_of(packets)
+
+    def cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_whole: bool, asking_bytes: float) -> Part:
+        """Return the next chunk of a message, or one with all of it."""
+        message, offset = current.message, current.offset
+        most = len(message) if is_whole else self._chunk_bytes
+        part = message[offset : offset + most] if most < len(message) else message
+        size, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
+        size += asking_bytes
+        number = self._flight.send(int(size), now_s)
+        if offset == 0:
+            current.number = number
+        current.offset += len(part)
+        departed_us = int(now_s * 1e6) % WRAP
+        chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
+        return Part(encode_chunk(chunk), size, packets)
+
+    @staticmethod
+    def _bytes_of(packets: int) -> int:
+        return min(max(packets, _LEAST_PACKETS), _MOST_PACKETS) * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
