@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from contextlib import ExitStack, closing
 from types import SimpleNamespace
 
 import pytest
@@ -18,6 +19,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from arpd.adapters.ros import relay as relay_module
+from arpd.adapters.ros.participants import Participants
 from arpd.adapters.ros.relay import Relay, _run_one_end
 from arpd.model.settings import RelaySettings
 from tests.ros.domain import DOMAIN
@@ -106,6 +108,12 @@ def test_shards_carry_all_topics_as_one_relay(ros, relay, notices, tmp_path, eve
     assert not re.search("Traceback|Error|failed", log), log
 
 
+@pytest.fixture
+def stack():
+    with ExitStack() as stack:
+        yield stack
+
+
 class Heartbeat:
     """Stands for the watchdog of a relay: it keeps its parts, and counts the beats."""
 
@@ -149,18 +157,17 @@ def test_a_shard_that_hangs_starves_the_watchdog(ros, monkeypatch, background, e
     eventually("the shard goes on", lambda: heartbeat.parts[-1]() > finished_s[-1])
 
 
-def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, monkeypatch, background, eventually):
+def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monkeypatch, eventually):
     """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    notifier = SimpleNamespace(
-        ready=lambda: None, status=lambda _text: None, stopping=lambda: None, watchdog=lambda: None
-    )
-    settings, addresses = RelaySettings(topics=("/image", "/chatter")), SimpleNamespace(are_outdated=lambda: False)
     source, far, heard = ros.node("source"), ros.node("far"), set()
     publishers = [source.create_publisher(kind, topic, 10) for kind, topic in ((Image, "/image"), (String, "/chatter"))]
     for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
-    background(lambda stopping: _run_one_end(settings, "mixed", notifier, stopping, addresses))
+    node = ros.node("mixed")
+    participants = stack.enter_context(closing(Participants(node, "mixed")))
+    settings = RelaySettings(topics=("/image", "/chatter"))
+    Relay(node, settings, on_change=lambda _status: None, participants=participants)
 
     def carriers():
         found = [far.get_publishers_info_by_topic(topic) for topic in ("/link/image", "/link/chatter")]
