@@ -1,13 +1,9 @@
-"""Status of a relay with one end, over all its shards: pure."""
+"""Status of a relay with one end, and its shards: pure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _MOST_TOPICS = 100
 
@@ -30,7 +26,7 @@ def shard_name(name: str, number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayStatus:
-    """State of a relay or of one shard of it.
+    """State of a relay.
 
     Parameters
     ----------
@@ -46,12 +42,6 @@ class RelayStatus:
     gone: tuple[str, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
     ignored: tuple[tuple[str, str], ...] = ()
-
-    @classmethod
-    def of(cls, parts: Iterable[RelayStatus]) -> RelayStatus:
-        """Return the status of all these together."""
-        parts = tuple(parts)
-        return cls(**{each.name: sum((getattr(part, each.name) for part in parts), ()) for each in fields(cls)})
 
     @property
     def line(self) -> str:

@@ -1,7 +1,8 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,8 +12,10 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 
+from arpd.adapters.ros.ends.survey import Surveyed
+from arpd.adapters.ros.participants import Participants
 from arpd.adapters.ros.relay import Relay
 from arpd.model.settings import Overflow, RelaySettings
 from tests.ros.domain import DOMAIN
@@ -30,28 +33,36 @@ def lines():
     return []
 
 
-def shown(lines):
-    """Return a function that appends the line of a status."""
-    return lambda status: lines.append(status.line)
+@pytest.fixture
+def carry(lines):
+    """Start a relay in a node."""
+    with ExitStack() as stack:
+
+        def start(node, settings):
+            participants = stack.enter_context(closing(Participants(node, settings.topics)))
+            note = lambda status: lines.append(status.line)  # noqa: E731 - shorter than a function
+            stack.enter_context(closing(Relay(node, settings, participants=participants, on_change=note)))
+
+        yield start
 
 
-def test_it_carries_what_an_unmodified_node_publishes(ros, lines, background, eventually):
+def test_it_carries_what_an_unmodified_node_publishes(ros, lines, carry, background, eventually):
     """Messages of a plain publisher on /chatter arrive unchanged on /link/chatter."""
     talker = Numbers(ros.node("plain").create_publisher(String, "/chatter", 1000), "plain")
     received = listen(ros.node("far"), "/link/chatter")
     settings = RelaySettings(topics=("/chatter", "/never"), depths={"/chatter": 1000})
-    Relay(ros.node("relay"), settings, on_change=shown(lines))
+    carry(ros.node("relay"), settings)
     background(talker.talk)
     eventually("samples arrive", lambda: len(received) > 20)
     assert is_whole(received, "plain")
     eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published yet: /never")
 
 
-def test_a_latched_topic_stays_latched(ros, lines, eventually):
+def test_a_latched_topic_stays_latched(ros, lines, carry, eventually):
     """A late reader of the relayed topic receives the map published before it joined."""
     talker = ros.node("map_server").create_publisher(String, "/map", LATCHED)
     talker.publish(String(data="the map"))
-    Relay(ros.node("relay"), RelaySettings(topics=("/map",)), on_change=shown(lines))
+    carry(ros.node("relay"), RelaySettings(topics=("/map",)))
     eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
     received = []
     ros.node("late").create_subscription(String, "/link/map", lambda m: received.append(m.data), LATCHED)
@@ -95,11 +106,11 @@ SETTINGS = RelaySettings(topics=("/chatter",), overflow={"/chatter": Overflow.QU
 
 
 @pytest.mark.parametrize("executor", [SingleThreadedExecutor, EventsExecutor])
-def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, lines, background, eventually, executor):
+def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, background, eventually, executor):
     """A best-effort publisher that joins is carried too, and the first one's messages are not lost or doubled."""
     reliable = Numbers(elsewhere("first").create_publisher(String, "/chatter", 1000), "first")
     received = listen(elsewhere("far"), "/link/chatter")
-    Relay(elsewhere("relay", executor), SETTINGS, on_change=shown(lines))
+    carry(elsewhere("relay", executor), SETTINGS)
     background(reliable.talk)
     eventually("the first one is heard", lambda: len(numbers(received, "first")) > 20)
     weak = Numbers(elsewhere("second").create_publisher(String, "/chatter", BEST_EFFORT), "second")
@@ -108,3 +119,35 @@ def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, lines, bac
     so_far = reliable.sent
     eventually("the first one goes on", lambda: numbers(received, "first")[-1] >= so_far)
     assert is_whole(received, "first")
+
+
+def writer(number, type_name):
+    return SimpleNamespace(
+        endpoint_gid=[number] * 16,
+        node_name="talker",
+        node_namespace="/",
+        topic_type=type_name,
+        qos_profile=QoSProfile(depth=1),
+    )
+
+
+def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
+    """Two types at first are none; one that is carried stays beside another, which is carried when it is left alone."""
+    surveyed, courses = Surveyed(), []
+    for types in (["String", "Empty"], ["String"], ["String", "Empty"], ["Empty"]):
+        surveyed.read([writer(number, kind) for number, kind in enumerate(types, 1)], 0.0, is_look=True)
+        courses.append((surveyed.type_name, len(surveyed.writers)))
+    assert courses == [("", 0), ("String", 1), ("String", 1), ("Empty", 1)]
+
+
+def test_a_topic_that_returns_with_another_type_is_carried_with_it(elsewhere, lines, carry, background, eventually):
+    """The next source may publish another type; a type that is not installed is named."""
+    carry(elsewhere("relay"), RelaySettings(topics=("/chatter",)))
+    first = elsewhere("first")
+    talker = first.create_publisher(Empty, "/chatter", 10)
+    eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
+    first.destroy_publisher(talker)
+    second = Numbers(elsewhere("second").create_publisher(String, "/chatter", 10), "second")
+    background(second.talk)
+    received = listen(elsewhere("far"), "/link/chatter")
+    eventually("the other type arrives", lambda: len(received) > 5)

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 from contextlib import ExitStack, closing
-from types import SimpleNamespace
 
 import pytest
 
@@ -18,9 +17,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from arpd.adapters.ros import relay as relay_module
 from arpd.adapters.ros.participants import Participants
-from arpd.adapters.ros.relay import Relay, _run_one_end
+from arpd.adapters.ros.relay import Relay
 from arpd.model.settings import RelaySettings
 from tests.ros.domain import DOMAIN
 
@@ -114,47 +112,26 @@ def stack():
         yield stack
 
 
-class Heartbeat:
-    """Stands for the watchdog of a relay: it keeps its parts, and counts the beats."""
-
-    def __init__(self):
-        self.parts, self.beats = (), 0
-
-    def __call__(self, _notifier, *, parts):
-        self.parts = parts
-        return self
-
-    def beat(self):
-        self.beats += 1
-
-
-def test_a_shard_that_hangs_starves_the_watchdog(ros, monkeypatch, background, eventually):
-    """While the thread of one shard hangs, its part of the watchdog stands still, although the other threads go on."""
+def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatch, eventually):
+    """While the thread of one shard hangs, its part stands still, although the other threads go on."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    participants = stack.enter_context(closing(Participants(ros.node("slow"), TOPICS)))
     hang, hangs, go_on = threading.Event(), threading.Event(), threading.Event()
-    discover = Relay._discover
 
-    def discover_or_hang(relay):
-        if hang.is_set() and relay._node.get_name() == "slow_2":
+    def work():
+        if hang.is_set():
             hangs.set()
             go_on.wait()
-        discover(relay)
 
-    heartbeat = Heartbeat()
-    monkeypatch.setattr(Relay, "_discover", discover_or_hang)
-    monkeypatch.setattr(relay_module, "Watchdog", heartbeat)
-    notifier = SimpleNamespace(ready=lambda: None, status=lambda _text: None, stopping=lambda: None)
-    settings, addresses = RelaySettings(topics=TOPICS), SimpleNamespace(are_outdated=lambda: False)
-    background(lambda stopping: _run_one_end(settings, "slow", notifier, stopping, addresses))
-    eventually("the relay runs", lambda: heartbeat.beats)
+    participants.of(TOPICS[-1], is_large=False).create_timer(0.01, work)
+    first, last = participants.parts[0], participants.parts[-1]
     hang.set()
     eventually("the shard hangs", hangs.is_set)
-    finished_s, beats = [part() for part in heartbeat.parts], heartbeat.beats
-    eventually("the first shard goes on", lambda: heartbeat.beats > beats + 20)
-    stands_still = [part() == before for part, before in zip(heartbeat.parts, finished_s, strict=True)]
+    stands, goes_on = last(), first()
+    eventually("another thread goes on", lambda: first() > goes_on)
+    assert last() == stands
     go_on.set()
-    assert stands_still[-1], "the last part is the thread of the second shard"
-    eventually("the shard goes on", lambda: heartbeat.parts[-1]() > finished_s[-1])
+    eventually("the shard goes on", lambda: last() > stands)
 
 
 def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monkeypatch, eventually):
@@ -165,9 +142,10 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
     for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
     node = ros.node("mixed")
-    participants = stack.enter_context(closing(Participants(node, "mixed")))
     settings = RelaySettings(topics=("/image", "/chatter"))
-    Relay(node, settings, on_change=lambda _status: None, participants=participants)
+    participants = stack.enter_context(closing(Participants(node, settings.topics)))
+    relay = Relay(node, settings, on_change=lambda _status: None, participants=participants)
+    stack.enter_context(closing(relay))
 
     def carriers():
         found = [far.get_publishers_info_by_topic(topic) for topic in ("/link/image", "/link/chatter")]

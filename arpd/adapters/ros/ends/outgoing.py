@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-from rclpy.qos import QoSProfile
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.ends.link_topic import LinkTopic
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
-from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
-from arpd.adapters.ros.graph import participant_of, policies_of
+from arpd.adapters.ros.ends.topic_readers import TopicReaders
+from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
+from arpd.adapters.ros.graph import participant_of
 from arpd.apply.endpoint.lane import Lane
-from arpd.apply.relay.depths import MOST_BYTES, held_depth
 from arpd.apply.relay.envelope import Record, pack
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
@@ -26,16 +23,13 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.adapters.ros.ends.link_thread import LinkThread
+    from arpd.adapters.ros.ends.raw_reader import ReadingThread, Sample
     from arpd.adapters.ros.ends.survey import Survey
-    from arpd.apply.relay.offers import TopicOffer
+    from arpd.apply.relay.offers import TopicOffer, WriterOffer
     from arpd.model.settings import RelaySettings
 
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
-_MOST_HELD = 1000
-_HELD_S = 3.0
 _LINGER_S = 3.0
-
-WriterClass = tuple[bool, bool]  # whether writers are reliable, and latched
 
 
 class Names:
@@ -56,15 +50,6 @@ class Names:
         return link_name in self._groups
 
 
-class _Held(NamedTuple):
-    """A sample whose writer the graph does not name yet."""
-
-    topic: str
-    writers: WriterClass  # that its reader hears
-    sample: Sample
-    at_s: float
-
-
 @dataclass(slots=True)
 class _Carried:
     """One topic, or one group of topics, on the link."""
@@ -75,22 +60,19 @@ class _Carried:
     wanted_s: float  # when it was wanted last
     wanted: set[str] = field(default_factory=set)
     types: dict[str, str] = field(default_factory=dict)  # of its topics
-    readers: dict[tuple[str, WriterClass], RawReader] = field(default_factory=dict)
-    held: deque[_Held] = field(default_factory=lambda: deque(maxlen=_MOST_HELD))
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    readers: dict[str, TopicReaders] = field(default_factory=dict)  # of its topics
+    lock: threading.Lock = field(default_factory=threading.Lock)  # guards the sets
 
     def close_readers(self, topics: Collection[str]) -> None:
         """Destroy the readers of these topics."""
-        for key in [key for key in self.readers if key[0] in topics]:
-            self.readers.pop(key).destroy()
+        for topic in self.readers.keys() & topics:
+            self.readers.pop(topic).destroy()
 
 
 class Outgoing:
     """Reads the wanted topics and offers their samples to the paced queue of the link.
 
-    Each class of writers (reliable or not, latched or not) has a reader of its own, which takes the samples of that
-    class only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced. A
-    topic is read once its writer on the link has a reader there: a history would be lost otherwise.
+    A topic is read once its writer on the link has a reader there: a history would be lost otherwise.
 
     Parameters
     ----------
@@ -131,7 +113,7 @@ class Outgoing:
     @property
     def carried(self) -> frozenset[str]:
         """Topics that are read here and sent over the link."""
-        return frozenset(topic for carried in self._carried.values() for topic, _ in carried.readers)
+        return frozenset(topic for carried in self._carried.values() for topic in carried.readers)
 
     @property
     def plans(self) -> dict[str, tuple[int, int]]:
@@ -169,21 +151,39 @@ class Outgoing:
             if not carried.readers and not self._is_heard(carried.publisher):
                 continue
             for topic in carried.wanted & offers.keys():
-                self._read_all(carried, topic, offers[topic])
-            with carried.lock:
-                if carried.sets is not None:
+                self._read(carried, topic, offers[topic])
+            if carried.sets is not None:
+                with carried.lock:
                     carried.sets.members = {self.names.of(topic)[1] for topic in carried.wanted - self.refused.keys()}
-                self._deliver_held(carried)
 
-    def _read_all(self, carried: _Carried, topic: str, offer: TopicOffer) -> None:
-        """Read a topic with a reader for each class of its writers."""
+    def _read(self, carried: _Carried, topic: str, offer: TopicOffer) -> None:
         if carried.types.get(topic) != offer.type_name:
             carried.close_readers((topic,))
             carried.types[topic] = offer.type_name
             self.refused.pop(topic, None)
-        for writers in {(writer.is_reliable, writer.is_latched) for writer in offer.writers}:
-            if (topic, writers) not in carried.readers and topic not in self.refused:
-                self._read(carried, topic, writers, offer.type_name)
+        if topic in self.refused:
+            return
+        try:
+            if topic not in carried.readers:
+                carried.readers[topic] = self._readers(carried, topic, offer.type_name)
+            carried.readers[topic].follow(offer.writers)
+        except (UnknownTypeError, RuntimeError, ValueError) as fault:
+            self.refused[topic] = str(fault)
+
+    def _readers(self, carried: _Carried, topic: str, type_name: str) -> TopicReaders:
+        message = message_class(type_name)
+        if carried.sets is not None and not has_header(message):
+            raise ValueError(f"{type_name} has no header stamp, by which its group is thinned")
+        return TopicReaders(
+            self._node,
+            self._local_name(topic),
+            message,
+            survey=self._survey,
+            thread=self._thread,
+            deliver=partial(self._send, carried, self.names.of(topic)[1]),
+            depth=self._settings.depths.get(topic),
+            clock=self._clock,
+        )
 
     def _drop_unwanted(self, wanted: Collection[str]) -> None:
         """Drop what has not been wanted for a while: an end that has just started wants nothing at first."""
@@ -239,64 +239,16 @@ class Outgoing:
         sets = Sets(()) if self.names.is_group(link_name) else None
         return _Carried(publisher=publisher, sets=sets, is_latched=is_latched, wanted_s=self._clock())
 
-    def _read(self, carried: _Carried, topic: str, writers: WriterClass, type_name: str) -> None:
-        is_reliable, is_latched = writers
-
-        def deliver(sample: Sample) -> None:
+    def _send(self, carried: _Carried, member: int, writer: WriterOffer, sample: Sample) -> None:
+        """Offer a sample to the link; of a group, when its set is complete."""
+        records = [Record(member, writer.number, sample.sequence, sample.data)]
+        source: int | None = writer.number
+        if carried.sets is not None:
             with carried.lock:
-                # Behind those that are held, perhaps of the same writer.
-                if carried.held or not self._deliver(carried, topic, writers, sample):
-                    carried.held.append(_Held(topic, writers, sample, self._clock()))
-                    self._deliver_held(carried)
-
-        try:
-            message = message_class(type_name)
-            if carried.sets is not None and not has_header(message):
-                self.refused[topic] = f"{type_name} has no header stamp, by which its group is thinned"
-                return
-            asked = self._settings.depths.get(topic)
-            depth = held_depth(asked or DEFAULT_RELAY_DEPTH, sample_bytes=expected_bytes(message))
-            carried.readers[topic, writers] = RawReader(
-                self._node,
-                message,
-                self._local_name(topic),
-                QoSProfile(depth=depth, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
-                deliver=deliver,
-                thread=self._thread,
-                most_bytes=None if asked else MOST_BYTES,
-            )
-        except (UnknownTypeError, RuntimeError, ValueError) as fault:
-            self.refused[topic] = str(fault)
-
-    def _deliver(self, carried: _Carried, topic: str, writers: WriterClass, sample: Sample) -> bool:
-        """Send a sample if its writer is of the reader's class; return whether the graph names the writer."""
-        gid, local = sample.writer.hex(), self._local_name(topic)
-        surveyed = self._survey.topics.get(local)
-        if surveyed is None or gid not in surveyed.known:
-            surveyed = self._survey.read_soon(local)
-        writer = surveyed.known.get(gid) if surveyed is not None else None
-        if writer is None:
-            return False
-        if (writer.is_reliable, writer.is_latched) == writers:
-            record = Record(self.names.of(topic)[1], writer.number, sample.sequence, sample.data)
-            records: list[Record] | None = [record]
-            if carried.sets is not None:
-                records = carried.sets.add(record)
-            if records is not None:
-                source = writer.number if carried.sets is None else None
-                carried.publisher.offer(pack(records), source=source, lifespan_ns=writer.lifespan_ns)
-        return True
-
-    def _deliver_held(self, carried: _Carried) -> None:
-        """Send the samples whose writer is known by now, each writer's in their order."""
-        now_s = self._clock()
-        unknown: set[bytes] = set()
-        for _ in range(len(carried.held)):
-            held = carried.held.popleft()
-            if held.sample.writer in unknown or not self._deliver(carried, held.topic, held.writers, held.sample):
-                unknown.add(held.sample.writer)
-                if now_s - held.at_s < _HELD_S:
-                    carried.held.append(held)
+                if (complete := carried.sets.add(records[0])) is None:
+                    return
+            records, source = complete, None
+        carried.publisher.offer(pack(records), source=source, lifespan_ns=writer.lifespan_ns)
 
     def _drop(self, link_name: str) -> None:
         carried = self._carried.pop(link_name)

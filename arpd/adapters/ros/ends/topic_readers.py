@@ -1,0 +1,139 @@
+"""The readers of one topic of the local domain: one for each class of its writers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rclpy.qos import QoSProfile
+
+from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.ends.types import expected_bytes
+from arpd.adapters.ros.graph import policies_of
+from arpd.apply.relay.depths import MOST_BYTES, held_depth
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rclpy.node import Node
+
+    from arpd.adapters.ros.ends.survey import Survey
+    from arpd.apply.relay.offers import WriterOffer
+
+_MOST_HELD = 1000
+_HELD_S = 3.0
+
+WriterClass = tuple[bool, bool]  # whether writers are reliable, and latched
+
+
+class _Held(NamedTuple):
+    """A sample whose writer the graph does not name yet."""
+
+    writers: WriterClass  # that its reader hears
+    sample: Sample
+    at_s: float
+
+
+class TopicReaders:
+    """Reads one topic, each sample with its writer.
+
+    Each class of writers (reliable or not, latched or not) has a reader of its own, of which the samples of that class
+    count only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced.
+
+    Parameters
+    ----------
+    node : node of the readers
+    topic : its fully qualified name
+    msg_type : message class
+    survey : names the writers
+    thread : takes the samples
+    deliver : called with every sample and its writer, in the thread, one at a time
+    depth : most samples that wait for the thread; None = a second of them
+    keeps_history : whether late writers of latched samples are read with their history
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        msg_type: Any,
+        *,
+        survey: Survey,
+        thread: ReadingThread,
+        deliver: Callable[[WriterOffer, Sample], None],
+        depth: int | None = None,
+        keeps_history: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._node, self._topic, self._msg_type = node, topic, msg_type
+        self._survey, self._thread, self._deliver_one = survey, thread, deliver
+        self._depth, self._keeps_history, self._clock = depth, keeps_history, clock
+        self._readers: dict[WriterClass, RawReader] = {}
+        self._held: deque[_Held] = deque(maxlen=_MOST_HELD)
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._readers)
+
+    def follow(self, writers: Iterable[WriterOffer]) -> None:
+        """Read every class of these writers, and deliver what waited for their names."""
+        for each in {self._class_of(writer) for writer in writers} - self._readers.keys():
+            self._read(each)
+        with self._lock:
+            self._deliver_held()
+
+    def destroy(self) -> None:
+        """Destroy the readers; a sample may still be delivered while this is called."""
+        while self._readers:
+            self._readers.popitem()[1].destroy()
+
+    def _class_of(self, writer: WriterOffer) -> WriterClass:
+        return writer.is_reliable, writer.is_latched and self._keeps_history
+
+    def _read(self, writers: WriterClass) -> None:
+        is_reliable, is_latched = writers
+
+        def deliver(sample: Sample) -> None:
+            with self._lock:
+                # Behind those that are held, perhaps of the same writer.
+                if self._held or not self._deliver(writers, sample):
+                    self._held.append(_Held(writers, sample, self._clock()))
+                    self._deliver_held()
+
+        depth = held_depth(self._depth or DEFAULT_RELAY_DEPTH, sample_bytes=expected_bytes(self._msg_type))
+        self._readers[writers] = RawReader(
+            self._node,
+            self._msg_type,
+            self._topic,
+            QoSProfile(depth=depth, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
+            deliver=deliver,
+            thread=self._thread,
+            most_bytes=None if self._depth else MOST_BYTES,
+        )
+
+    def _deliver(self, writers: WriterClass, sample: Sample) -> bool:
+        """Deliver a sample if its writer is of the reader's class; return whether the graph names the writer."""
+        gid = sample.writer.hex()
+        surveyed = self._survey.topics.get(self._topic)
+        if surveyed is None or gid not in surveyed.known:
+            surveyed = self._survey.read_soon(self._topic)
+        writer = surveyed.known.get(gid) if surveyed is not None else None
+        if writer is None:
+            return False
+        if self._class_of(writer) == writers:
+            self._deliver_one(writer, sample)
+        return True
+
+    def _deliver_held(self) -> None:
+        """Deliver the samples whose writer is known by now, each writer's in their order."""
+        now_s = self._clock()
+        unknown: set[bytes] = set()
+        for _ in range(len(self._held)):
+            held = self._held.popleft()
+            if held.sample.writer in unknown or not self._deliver(held.writers, held.sample):
+                unknown.add(held.sample.writer)
+                if now_s - held.at_s < _HELD_S:
+                    self._held.append(held)
