@@ -1,6 +1,6 @@
 """Keeps the wireless traffic of a ROS 2 robot inside what its link can carry, by re-tuning live publishers.
 
-A robot's nodes import the two endpoints from here; these need only the standard library and packages of ROS 2.
+A robot's nodes import AdaptivePublisher from here; it needs only the standard library and packages of ROS 2.
 """
 
 from __future__ import annotations
@@ -10,43 +10,38 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from arpd.adapters.ros.publisher import AdaptivePublisher
-    from arpd.adapters.ros.subscription import AdaptiveSubscription
 
-__all__ = ["AdaptivePublisher", "AdaptiveSubscription", "__version__"]
+__all__ = ["AdaptivePublisher", "__version__"]
 
 # The only place; pyproject.toml reads it. A constant, because nodes reach this package without its metadata.
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    """Import an endpoint on first use, so that `import arpd` is fast and works without ROS.
+    """Import AdaptivePublisher on first use, so that `import arpd` is fast and works without ROS.
 
     Raises
     ------
     ImportError
         If this Python is too old or has no ROS 2; the message says what to do.
     """
-    if name not in {"AdaptivePublisher", "AdaptiveSubscription"}:
+    if name != "AdaptivePublisher":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if sys.version_info < (3, 11):  # noqa: UP036 - no pip has checked it where the package is reached through a link
         version = "{}.{}".format(*sys.version_info)
         raise ImportError(f"arpd.{name} needs Python 3.11 or newer; {sys.executable} is Python {version}", name="arpd")
     try:
-        if name == "AdaptivePublisher":
-            from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
-
-            return AdaptivePublisher
-        from arpd.adapters.ros.subscription import AdaptiveSubscription  # noqa: PLC0415 - the same
+        from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
     except ImportError as error:
         missing = (error.name or "").partition(".")[0]
         if missing in {"", "arpd"}:  # a fault of arpd itself
             raise
         raise ImportError(f"arpd.{name} {_needs(missing, error)}", name=error.name) from None
-    return AdaptiveSubscription
+    return AdaptivePublisher
 
 
 def _needs(package: str, error: ImportError) -> str:
-    """Say what an endpoint lacks here, and what to do about it.
+    """Say what AdaptivePublisher lacks here, and what to do about it.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Publishers and readers for tests: each test states only what it is about."""
+"""Publishers for tests: each test states only what it is about."""
 
 from __future__ import annotations
 
-from arpd.apply.ordering import Ordering
-from arpd.model.endpoints import Direction, PublisherState, ReaderState
+from arpd.apply.progress import Progress
+from arpd.model.endpoints import Direction, PublisherState
 
 
 def publisher(node: str, topic: str, **fields) -> PublisherState:
@@ -19,14 +19,6 @@ def publisher(node: str, topic: str, **fields) -> PublisherState:
     return PublisherState(node=node, topic=topic, **{**neutral, **fields})
 
 
-def reader(node: str, topic: str, **fields) -> ReaderState:
-    """Return a reader with its application's QoS, except for ``fields``."""
-    return ReaderState(node=node, topic=topic, **{"depth": 10, "baseline_depth": 10, **fields})
-
-
 def plan_transitions(publishers, plan, *, reason="test", lease_s=0.0):
-    """Return the steps from announced publishers to a plan, without earlier requests and without readers."""
-    steps = Ordering().steps(
-        0.0, publishers=publishers, readers=(), plan=plan, reader_plans={}, reason=reason, lease_s=lease_s
-    )
-    return steps.transitions
+    """Return the steps from announced publishers to a plan, without earlier requests."""
+    return Progress().steps(publishers=publishers, plan=plan, reason=reason, lease_s=lease_s).transitions

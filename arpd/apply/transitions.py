@@ -10,7 +10,7 @@ from arpd.model.plan import QosPlan, TopicPlan
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.endpoints import PublisherState, ReaderState
+    from arpd.model.endpoints import PublisherState
 
 
 def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
@@ -26,9 +26,9 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
     return same_depth and publisher.deadline_ns == row.deadline_ns
 
 
-def has_lease(endpoint: PublisherState | ReaderState, lease_s: float) -> bool:
-    """Return whether an endpoint announces the lease; announced times have six digits."""
-    return math.isclose(endpoint.lease_s, lease_s, rel_tol=1e-4)
+def has_lease(publisher: PublisherState, lease_s: float) -> bool:
+    """Return whether a publisher announces the lease; announced times have six digits."""
+    return math.isclose(publisher.lease_s, lease_s, rel_tol=1e-4)
 
 
 def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:

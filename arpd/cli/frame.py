@@ -14,7 +14,7 @@ from arpd.cli.client import number, rows, series, text
 from arpd.cli.columns import clock, wall_clock, wrapped
 from arpd.cli.fitted_table import FittedTable
 from arpd.cli.status_facts import facts, findings, link_now
-from arpd.cli.status_tables import is_slowed, pressing_first, reader_table, topic_table
+from arpd.cli.status_tables import is_slowed, pressing_first, topic_table
 from arpd.model.quantities import format_duration, format_rate, format_share, printable
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ _IN_ASCII = str.maketrans("…→≤≥" + _BLOCKS, "~><>_.-:=+*#")
 class Frame:
     """A daemon's documents, for rich to print.
 
-    Printed, it shows every topic and reader. On a screen, which does not scroll, it leaves out readers and then counts
-    topics that do not fit, and fills what is left with events.
+    Printed, it shows every topic. On a screen, which does not scroll, it counts topics that do not fit, and fills what
+    is left with events.
 
     Parameters
     ----------
@@ -88,14 +88,12 @@ class Frame:
         sections: list[list[RenderableType]] = [
             [*courses, *self._facts(width)],
             [topic_table(topics)] if topics else [],
-            reader_table(self.status),
         ]
         if not self.is_on_screen:
             return _airy([*sections, [*log[-_PRINTED_EVENTS:]]])
-        for whole in (sections, sections[:-1]):
-            room = height - 1 - sum(1 + sum(map(_lines, section)) for section in whole if section)
-            if room >= _LEAST_EVENTS:
-                return _airy([*whole, [*log[-room:]]])
+        room = height - 1 - sum(1 + sum(map(_lines, section)) for section in sections if section)
+        if room >= _LEAST_EVENTS:
+            return _airy([*sections, [*log[-room:]]])
         return _squeezed([*courses, *self._facts(width, most=1)], topics, log, height)
 
     def _courses(self, width: int) -> list[Text]:

@@ -58,7 +58,7 @@ def link_now(status: dict[str, Any]) -> dict[str, str]:
 
 
 def facts(status: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return label and sentence of everything else but topics, readers and log; without a label, more of the same."""
+    """Return label and sentence of everything else but topics and log; without a label, more of the same."""
     plan = status.get("plan")
     force = f"{count(plan, 'generation')} for {format_rate(number(status, 'level_bytes_per_second'))}"
     why = [text(plan, "reason"), *(f"refused {refusal}" for refusal in texts(plan, "refusals"))]
@@ -94,8 +94,6 @@ def _who_confirmed(plan: Any) -> str:
         confirmed=count(plan, "confirmed"),
         publishers=count(plan, "publishers"),
         paced_only=count(plan, "paced_only"),
-        readers_confirmed=count(plan, "readers_confirmed"),
-        readers=count(plan, "readers"),
     )
 
 

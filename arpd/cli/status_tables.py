@@ -1,12 +1,10 @@
-"""The tables of publishers and readers, the topics that need a look first."""
+"""The table of publishers, the topics that need a look first."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rich.text import Text
-
-from arpd.cli.client import count, counts, find, number, rows, text
+from arpd.cli.client import count, counts, find, number, text
 from arpd.cli.fitted_table import FittedTable
 from arpd.model.quantities import format_number, format_period, format_share
 from arpd.report.situation import SLOWED_BELOW
@@ -14,8 +12,6 @@ from arpd.report.wording import PACED_ONLY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
-
-    from rich.console import RenderableType
 
 _LONGEST_NAME = 250
 
@@ -51,21 +47,6 @@ def topic_table(topics: Sequence[dict[str, Any]]) -> FittedTable:
     return FittedTable(rows=rows, ranks=ranks, styles=[_style(topic) for topic in topics])
 
 
-def reader_table(status: dict[str, Any]) -> list[RenderableType]:
-    """Return a line per reader that is planned or refuses to be, and the number of the others; nothing without any."""
-    known = rows(status, "readers")
-    readers = [reader for reader in known if find(reader, "planned") or text(reader, "refusal")]
-    others = [Text(f"readers that no plan touches: {rest}")] if (rest := len(known) - len(readers)) else []
-    if not readers:
-        return [*others]
-    grid, ranks = [["READER OF", "DEPTH", "DEADLINE", "NODE"], *map(_reader_cells, readers)], [0, 1, 2, 0]
-    if any(count(reader, "deadlines_missed") for reader in readers):
-        for cells, late in zip(grid, ("LATE", *map(_late, readers)), strict=True):
-            cells.insert(-1, late)
-        ranks.insert(-1, 0)
-    return [FittedTable(rows=grid, ranks=ranks), *others]
-
-
 def _rank(topic: dict[str, Any]) -> tuple[bool, float, float, str, str]:
     return (
         not _is_refused(topic),
@@ -91,16 +72,6 @@ def _style(topic: dict[str, Any]) -> str:
     if is_slowed(topic):
         return "yellow"
     return "" if topic.get("planned") else "dim"
-
-
-def _reader_cells(reader: dict[str, Any]) -> list[str]:
-    node, refusal = text(reader, "node", longest=_LONGEST_NAME), text(reader, "refusal")
-    return [
-        text(reader, "topic", longest=_LONGEST_NAME),
-        _moving(reader, "depth", format_number, missing="-"),
-        _moving(reader, "deadline_ns", format_period, missing="none"),
-        f"{node}: {refusal}" if refusal else node,
-    ]
 
 
 def _unknown(topics: Sequence[dict[str, Any]]) -> set[str]:

@@ -1,11 +1,10 @@
-"""Restoring: a stopping daemon gives every publisher and reader its application's QoS back."""
+"""Restoring: a stopping daemon gives every publisher its application's QoS back."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.apply.ordering import Ordering
-from arpd.apply.readers import restore_readers
+from arpd.apply.progress import Progress
 from arpd.apply.transitions import paced_restore_plan, restore_plan
 
 if TYPE_CHECKING:
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
 
 _RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
-_RESTORE_READERS_S = 4.0  # more when readers move first
 _UNPACE_S = 3.0  # more for the rates, which need no swap
 
 
@@ -27,7 +25,7 @@ def restore(
     clock: Callable[[], float],
     wait: Callable[[], None],
 ) -> int:
-    """Restore every publisher and reader that carries a plan, and wait for the announcements.
+    """Restore every publisher that carries a plan, and wait for the announcements.
 
     The rates come last: on a link that cannot carry the applications' full traffic, no new writer could prove itself.
 
@@ -40,9 +38,9 @@ def restore(
 
     Returns
     -------
-    Number of publishers and readers that did not confirm in time.
+    Number of publishers that did not confirm in time.
     """
-    ordering = Ordering(patience_s=_RESTORE_READERS_S)
+    progress = Progress()
     begun_s = clock()
     plan_of = paced_restore_plan
     while True:
@@ -53,23 +51,13 @@ def restore(
         # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
         publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
         generation = max([generation, *(publisher.generation for publisher in publishers)])
-        generation = max([generation, *(reader.generation for reader in observation.readers)])
-        reader_plans = restore_readers(observation.readers)
-        steps = ordering.steps(
-            now_s,
-            publishers=publishers,
-            readers=observation.readers,
-            plan=plan_of(publishers, generation=generation),
-            reader_plans=reader_plans,
-            reason="stop",
-        )
-        missing = len(publishers) - steps.confirmed + len(reader_plans) - steps.readers_confirmed
-        patience_s = _RESTORE_S + (_RESTORE_READERS_S if reader_plans else 0.0)
+        steps = progress.steps(publishers=publishers, plan=plan_of(publishers, generation=generation), reason="stop")
+        missing = len(publishers) - steps.confirmed
         is_done, spent_s = not (missing or steps.transitions), now_s - begun_s
-        if plan_of is paced_restore_plan and (is_done or spent_s > patience_s):
+        if plan_of is paced_restore_plan and (is_done or spent_s > _RESTORE_S):
             plan_of = restore_plan
             continue
-        if is_done or spent_s > patience_s + _UNPACE_S:
+        if is_done or spent_s > _RESTORE_S + _UNPACE_S:
             return missing
         world.apply(steps.transitions, now_s=now_s)
         wait()

@@ -7,13 +7,11 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.apply.broadcast import Broadcast
-from arpd.apply.ordering import Ordering
-from arpd.apply.readers import plan_readers
+from arpd.apply.progress import Progress
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
@@ -32,12 +30,12 @@ from arpd.solve.topics import Demand, memory_budget_bytes
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.apply.ordering import Steps
+    from arpd.apply.progress import Steps
     from arpd.daemon.world import CapacityEstimator, World
     from arpd.model.allocation import Allocation, Topic
     from arpd.model.link import LinkEstimate, LinkState
     from arpd.model.observation import Observation
-    from arpd.model.plan import Decision, ReaderPlans
+    from arpd.model.plan import Decision
     from arpd.model.settings import Settings
     from arpd.report.events import Event
     from arpd.report.history import History
@@ -90,7 +88,7 @@ class Daemon:
         self._demand = Demand()
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
-        self._ordering = Ordering()
+        self._progress = Progress()
         self._turns = Turns()
         self._link: LinkEstimate | None = None
         self._ticked_s = -math.inf  # the last tick that finished and was no glance
@@ -153,13 +151,9 @@ class Daemon:
         lasting_capacity = self._budget.lasting_bytes_per_second
         lasting = divide(capacity=lasting_capacity, budget=self.settings.link.headroom * lasting_capacity)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
-        reader_plans = plan_readers(observation.readers, decision.plan)
-        steps = self._ordering.steps(
-            now_s,
+        steps = self._progress.steps(
             publishers=observation.publishers,
-            readers=observation.readers,
             plan=decision.plan,
-            reader_plans=reader_plans,
             reason=decision.reason,
             lease_s=self.settings.lease_s,
         )
@@ -173,7 +167,6 @@ class Daemon:
             allocation=rates,
             decision=decision,
             steps=steps,
-            reader_plans=reader_plans,
         )
         self._turns.note(
             now_s,
@@ -247,7 +240,7 @@ class Daemon:
         topics: Sequence[Topic],
     ) -> Decision:
         if observation.active_daemon:
-            self._ordering = Ordering()  # what the other daemon asks for is unknown
+            self._progress = Progress()  # what the other daemon asks for is unknown
             self._world.stand_by()
             return self._governor.stand_by()
         return self._governor.decide(
@@ -257,7 +250,6 @@ class Daemon:
             lasting=lasting,
             topics=topics,
             publishers=observation.publishers,
-            newest=max((reader.generation for reader in observation.readers), default=0),
             participants=max(1, observation.remote_participants),
         )
 
@@ -286,7 +278,6 @@ class Daemon:
         allocation: Allocation,
         decision: Decision,
         steps: Steps,
-        reader_plans: ReaderPlans,
     ) -> None:
         finished_s, configuration = self._clock(), self.configuration
         picture = Snapshot(
@@ -305,8 +296,6 @@ class Daemon:
             config_path=configuration.path,
             config_error=configuration.error,
             confirmed=steps.confirmed,
-            reader_plans=MappingProxyType(reader_plans),
-            readers_confirmed=steps.readers_confirmed,
             lease_s=self.settings.lease_s,
             config_loaded_at_s=configuration.loaded_at_s,
             keys_awaiting_restart=configuration.awaiting_restart,
@@ -344,7 +333,7 @@ class Daemon:
             return Program.of(settings, backend=Backend.EXACT, clock=self._clock)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
-        """Give every publisher and reader its application's QoS back; see `arpd.daemon.restore.restore`.
+        """Give every publisher its application's QoS back; see `arpd.daemon.restore.restore`.
 
         Parameters
         ----------
@@ -352,7 +341,7 @@ class Daemon:
 
         Returns
         -------
-        Number of publishers and readers that did not confirm in time.
+        Number of publishers that did not confirm in time.
         """
         generation = self._governor.plan.generation + 1
         self._observe(self._clock())

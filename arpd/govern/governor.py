@@ -77,7 +77,6 @@ class Governor:
         lasting: Allocation,
         topics: Sequence[Topic],
         publishers: Sequence[PublisherState],
-        newest: int = 0,
         participants: int = 1,
     ) -> Decision:
         """Decide on a plan at this tick.
@@ -86,10 +85,9 @@ class Governor:
         ----------
         rates : division of the budget of this tick; its price gives every publisher its rate
         lasting : division of the budget that holds most of the time; its periods become deadlines
-        newest : newest generation that any reader announces
         participants : processes across the link, which hear of each swap
         """
-        announced = max([newest, *(publisher.generation for publisher in publishers)])
+        announced = max((publisher.generation for publisher in publishers), default=0)
         look = Look(
             now_s=now_s,
             lasting=lasting,

@@ -1,4 +1,4 @@
-"""Publishers and readers that arpd re-tunes: their counters, settings and announcements."""
+"""Publishers that arpd re-tunes: their counters, settings and announcements."""
 
 from __future__ import annotations
 
@@ -96,16 +96,6 @@ class SwapResult(StrEnum):
     SUPERSEDED = "superseded"  # a newer request came first
     UNDELIVERED = "undelivered"  # beside the swap's own result: an old writer went with samples unacknowledged
     FAILED = "failed"  # the middleware refused the new writer; the old one stays
-
-
-class ReaderSwapResult(StrEnum):
-    """Result of a reader swap."""
-
-    OK = "ok"
-    INCOMPLETE = "incomplete"  # the old reader had not delivered all that the new one received
-    UNMATCHED = "unmatched"  # not all writers matched the new reader in time; the old one stays
-    SUPERSEDED = "superseded"  # a newer request came first
-    FAILED = "failed"  # the middleware refused the new reader, or it ran too far ahead; the old one stays
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,7 +214,7 @@ class PublisherState(FlowState):
     keeps_all : True when its history is KEEP_ALL, where a depth means nothing
     lacks_profile : True when it says that its process runs without arpd's Fast DDS profile
     remote_readers : participants on other hosts that read the topic
-    requested_deadline_ns : tightest deadline that a reader not driven by arpd requests, 0 when none does
+    requested_deadline_ns : tightest deadline that a reader requests, 0 when none does
     announced_at_s : when the announcement arrived, by the monotonic clock; ``inf`` before one did (s)
     """
 
@@ -252,50 +242,3 @@ class PublisherState(FlowState):
     def copies(self) -> int:
         """Times that each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
         return max(1, self.remote_readers)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReaderState:
-    """Announcement of one AdaptiveSubscription, joined with what the graph says of its topic.
-
-    Parameters
-    ----------
-    node, topic : fully qualified names, together the reader's identity
-    depth, deadline_ns : in force; ``deadline_ns`` is the requested period, 0 = infinite (samples, ns)
-    baseline_depth, baseline_deadline_ns : the application's own, to be restored on a clean stop
-    generation : plan that was requested last, 0 = the application's own
-    lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    keeps_all : True when its history is KEEP_ALL, where a depth means nothing
-    refusal, refusal_reason : why the last request was refused, or any would be, in words and by name
-    swaps_by_result : reader swaps since start, by result
-    requests_ns : periods that its node's readers of the topic request in the graph; two during a reader swap
-    offers_ns : periods that the topic's writers offer in the graph, 0 = infinite
-    deadlines_missed : requested deadlines that the middleware counted as missed, over all readers so far
-    announced_at_s : when the announcement arrived, by the monotonic clock; ``inf`` before one did (s)
-    """
-
-    node: str
-    topic: str
-    depth: int
-    deadline_ns: int = 0
-    baseline_depth: int
-    baseline_deadline_ns: int = 0
-    generation: int = 0
-    lease_s: float = 0.0
-    keeps_all: bool = False
-    refusal: str = ""
-    refusal_reason: RefusalReason = RefusalReason.NONE
-    swaps_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    requests_ns: tuple[int, ...] = ()
-    offers_ns: tuple[int, ...] = ()
-    deadlines_missed: int = 0
-    announced_at_s: float = math.inf
-
-    def age_s(self, now_s: float) -> float:
-        """Return the time since the announcement (s)."""
-        return max(0.0, now_s - self.announced_at_s)
-
-    @property
-    def is_driven(self) -> bool:
-        """True when arpd may change it; otherwise its request binds writers like that of any other reader."""
-        return not self.refusal_reason.is_lasting

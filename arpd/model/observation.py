@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.endpoints import PublisherState, ReaderState
+    from arpd.model.endpoints import PublisherState
     from arpd.model.interface import LinkCounters
     from arpd.model.probing import ClockOffset, PeerReport
     from arpd.model.relay import RelaySummary
@@ -20,7 +20,6 @@ class MessageKind(StrEnum):
     """Subject of a message that arrives."""
 
     PUBLISHERS = "publishers"
-    READERS = "readers"
     REPORTS = "reports"
     HEARTBEATS = "claims"
     RELAY_SUMMARIES = "relay_summaries"
@@ -44,7 +43,7 @@ class Taken:
     Parameters
     ----------
     refused : messages, or parts of them, refused since the start, by kind and reason
-    pending : publishers and readers that announce themselves but that the graph does not show (yet)
+    pending : publishers that announce themselves but that the graph does not show (yet)
     """
 
     refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
@@ -69,7 +68,6 @@ class Observation:
     counters : the robot's link interface, None while it cannot be read
     reports : peer reports that arrived since the last tick, oldest first
     publishers : live AdaptivePublishers
-    readers : live AdaptiveSubscriptions
     memory : memory of the robot computer
     sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
@@ -95,7 +93,6 @@ class Observation:
     sensing_topics: int
     actuation_topics: int
     peers: int | None = None
-    readers: tuple[ReaderState, ...] = ()
     rmw: str = ""
     rmw_refusal: str = ""
     other_daemons: tuple[str, ...] = ()

@@ -1,10 +1,9 @@
-"""Plans: the QoS of every publisher and reader, and the steps that lead there."""
+"""Plans: the QoS of every publisher, and the steps that lead there."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -76,14 +75,13 @@ class QosPlan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Transition:
-    """One atomic step of a node towards a plan, with all that is now asked of its publishers, or of its readers.
+    """One atomic step of a node towards a plan, with all that is now asked of its publishers.
 
     Parameters
     ----------
     node : fully qualified node name
     generation : plan generation the step belongs to
     topics : topic name → row to set on its publisher
-    readers : topic name → row to set on its reader; a step has either these or ``topics``
     reason : cause of the plan, in words
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
     """
@@ -93,7 +91,6 @@ class Transition:
     topics: Mapping[str, TopicPlan]
     reason: str
     lease_s: float = 0.0
-    readers: Mapping[str, ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -118,15 +115,6 @@ class Decision:
     refusals: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReaderPlan:
-    """QoS of one reader under a plan: depth (samples) and requested deadline period (ns, 0 = infinite)."""
-
-    depth: int
-    deadline_ns: int
-
-
-ReaderPlans = dict[tuple[str, str], ReaderPlan]  # by node and topic
 # Endpoints may announce any generation, but no plan gets one above this: every parameter, announcement and metric can
 # hold it. At this number generations no longer tell plans apart; everything else continues.
 MOST_GENERATION = 2**53

@@ -167,16 +167,6 @@ def format_number(value: float | None, *, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def format_cell(value: float) -> str:
-    """Write a number for a column in which points stand below each other: three digits, at most two after the point.
-
-    `number` in adapters/http/assets/fields.js does the same in the browser.
-    """
-    value *= 1 + 1e-12  # halves go up here and in the browser
-    size = abs(value)
-    return f"{value:.{0 if size >= 99.95 else 1 if size >= 9.995 else 2}f}"
-
-
 def shortened(value: float) -> float:
     """Return a number in five digits: more than a reader needs, and short in JSON."""
     return float(f"{value:.5g}")

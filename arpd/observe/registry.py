@@ -1,12 +1,12 @@
-"""Registry of publishers, or of readers: those that announce themselves and that the graph shows."""
+"""Registry of publishers: those that announce themselves and that the graph shows."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from arpd.model.endpoints import PublisherState, ReaderState
+from arpd.model.endpoints import PublisherState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -16,9 +16,7 @@ MOST = 2000  # of all nodes together: more than any robot has
 _FLOODED_S = 10.0  # silence that proves nothing while a flood displaces announcements
 _UNSEEN_S = 10.0  # the graph may lose an endpoint for some seconds, most of all behind a bad link
 
-_FIELDS = {kind: tuple(each.name for each in fields(kind)) for kind in (PublisherState, ReaderState)}
-
-S = TypeVar("S", PublisherState, ReaderState)
+_FIELDS = tuple(each.name for each in fields(PublisherState))
 _Identity = tuple[str, str]  # node and topic
 
 
@@ -61,19 +59,18 @@ class Row(Protocol):
 
 
 @dataclass(slots=True)
-class _Endpoint(Generic[S]):
-    kind: type[S]
+class _Endpoint:
     told: Mapping[str, Any]  # fields of the last status
     now: Mapping[str, Any]  # the same, with what changed since
     at_s: float
     tag: Tag | None = None
     known: Mapping[str, Any] | None = None  # fields that the graph shows
-    state: S | None = None  # made of all this when somebody asks
+    state: PublisherState | None = None  # made of all this when somebody asks
     is_shown: bool = False  # by the graph at the last look
     shown_s: float = -math.inf  # last time that the graph showed it
 
 
-class Endpoints(Generic[S]):
+class Endpoints:
     """Last announcement of every endpoint, by node and topic.
 
     An endpoint counts once the graph has shown it, so an invented one never counts. Entries are bounded per node and in
@@ -86,12 +83,12 @@ class Endpoints(Generic[S]):
 
     def __init__(self, stale_s: float) -> None:
         self._stale_s = stale_s
-        self._known: dict[_Identity, _Endpoint[S]] = {}
+        self._known: dict[_Identity, _Endpoint] = {}
         self._by_number: dict[tuple[str, int, int], _Identity] = {}  # node, incarnation and number
         self._of_node: dict[str, int] = {}
         self._unseen: dict[_Identity, None] = {}  # that the graph never showed, oldest first
         self._is_shown: Callable[[str, str], bool] = lambda _node, _topic: False
-        self._live: tuple[S, ...] | None = None  # None when something changed since
+        self._live: tuple[PublisherState, ...] | None = None  # None when something changed since
         self._live_until_s = -math.inf  # until then time alone changes nothing
         self._known_of: Any = None
         self._order: list[_Identity] | None = None  # None when endpoints came or went since
@@ -106,10 +103,10 @@ class Endpoints(Generic[S]):
         """Topics of all endpoints."""
         return frozenset(topic for _, topic in self._known)
 
-    def note(self, state: S, now_s: float, tag: Tag | None = None) -> bool:
+    def note(self, state: PublisherState, now_s: float, tag: Tag | None = None) -> bool:
         """Note an announcement; return False when there is no room for it."""
         key = state.node, state.topic
-        told = {name: getattr(state, name) for name in _FIELDS[type(state)]}
+        told = {name: getattr(state, name) for name in _FIELDS}
         self._live = None
         if (known := self._known.get(key)) is not None:
             if tag is not None and known.tag is not None and tag.is_before(known.tag):
@@ -121,7 +118,7 @@ class Endpoints(Generic[S]):
         is_shown = self._is_shown(*key)
         if self._of_node.get(state.node, 0) >= MOST_OF_NODE or not self._has_room(is_shown):
             return False
-        endpoint = self._known[key] = _Endpoint(type(state), told, told, now_s)
+        endpoint = self._known[key] = _Endpoint(told, told, now_s)
         endpoint.is_shown, endpoint.shown_s = is_shown, now_s if is_shown else -math.inf
         self._live_until_s = min(self._live_until_s, now_s + self._stale_s)
         if not is_shown:
@@ -178,7 +175,7 @@ class Endpoints(Generic[S]):
         *,
         is_flooded: bool = False,
         known_of: Callable[[str, str], Mapping[str, Any]] = lambda _node, _topic: {},
-    ) -> tuple[S, ...]:
+    ) -> tuple[PublisherState, ...]:
         """Return the endpoints that announced themselves lately, sorted by node and topic.
 
         It is the same tuple until something arrives, expires, or the graph changes.
@@ -223,15 +220,15 @@ class Endpoints(Generic[S]):
             if (known := self._known_of(*key)) != endpoint.known:
                 endpoint.known, endpoint.state = known, None
 
-    def _state_of(self, key: _Identity, endpoint: _Endpoint[S]) -> S:
+    def _state_of(self, key: _Identity, endpoint: _Endpoint) -> PublisherState:
         if endpoint.known is None:
             endpoint.known = self._known_of(*key)
         # 4 µs; `dataclasses.replace` takes twice that.
-        state = endpoint.kind(**{**endpoint.now, "announced_at_s": endpoint.at_s, **endpoint.known})
+        state = PublisherState(**{**endpoint.now, "announced_at_s": endpoint.at_s, **endpoint.known})
         endpoint.state = state
         return state
 
-    def _name(self, key: _Identity, endpoint: _Endpoint[S], tag: Tag | None) -> None:
+    def _name(self, key: _Identity, endpoint: _Endpoint, tag: Tag | None) -> None:
         """Give an endpoint the tag of its newest status."""
         node, _ = key
         if endpoint.tag is not None:

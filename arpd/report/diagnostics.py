@@ -137,7 +137,6 @@ def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, s
         ("bound by", str(snapshot.allocation.binding)),
         ("admitted", format_share(decision.gate)),
         ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
-        ("readers confirmed", f"{snapshot.readers_confirmed} of {len(snapshot.reader_plans)}"),
         ("waits for", ", ".join(decision.refusals) or "nothing"),
         *slowed[:_MOST_TOPICS],
         *([("further topics slowed", str(more))] if more > 0 else []),

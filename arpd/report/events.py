@@ -37,7 +37,7 @@ class EventKind(StrEnum):
     MEMORY = "memory"  # depths follow memory
     WRITER_REPLACED = "swap"  # a topic has a new writer
     WRITER_KEPT = "swap_failed"  # a topic keeps its old writer
-    REFUSED = "refused"  # a publisher or reader refuses new QoS
+    REFUSED = "refused"  # a publisher refuses new QoS
     TOPIC_FOUND = "topic_found"
     TOPIC_LOST = "topic_lost"
     RELOADED = "reloaded"

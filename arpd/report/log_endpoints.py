@@ -1,4 +1,4 @@
-"""Events of publishers and readers: topics that come and go, writer swaps, refusals."""
+"""Events of publishers: topics that come and go, writer swaps, refusals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from arpd.report.wording import count, deadline, listed
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from arpd.model.endpoints import PublisherState, ReaderState, SwapRecord
+    from arpd.model.endpoints import PublisherState, SwapRecord
     from arpd.report.snapshot import Snapshot
 
 _QUIET_S = 2.0  # a node brings its topics one after the other
@@ -26,8 +26,7 @@ _AFTER_OUTAGE_S = 10.0  # by then publishers across the link have announced them
 _MOST_ALONE = 3  # a larger batch is one event
 
 _Identity = tuple[str, str]  # node and topic
-_WRITER_FACTS = attrgetter("node", "topic", "refusal_reason", "last_swap")
-_READER_FACTS = attrgetter("node", "topic", "refusal_reason")
+_FACTS = attrgetter("node", "topic", "refusal_reason", "last_swap")
 
 # Results of a swap that kept the old writer, in words; a refusal of the publisher says more.
 _KEPT = {
@@ -39,7 +38,7 @@ _FAILED_CHANGES = frozenset({RefusalReason.UNMATCHED, RefusalReason.INCOMPATIBLE
 
 
 class EndpointLog:
-    """Publishers and readers; costs little while none of them announces anything new."""
+    """Publishers; costs little while none of them announces anything new."""
 
     def __init__(self) -> None:
         self._facts: list[tuple[object, ...]] = []
@@ -49,12 +48,12 @@ class EndpointLog:
 
     def follow(self, snapshot: Snapshot) -> Iterator[Said]:
         """Return what happened since the snapshot before."""
-        publishers, readers = snapshot.observation.publishers, snapshot.observation.readers
-        facts = [*map(_WRITER_FACTS, publishers), *map(_READER_FACTS, readers)]
+        publishers = snapshot.observation.publishers
+        facts: list[tuple[object, ...]] = [*map(_FACTS, publishers)]
         is_new, self._facts = facts != self._facts, facts
         if is_new:
             self._swaps.see(snapshot.finished_at_s, publishers)
-            self._refusals.see(snapshot.finished_at_s, publishers, readers)
+            self._refusals.see(snapshot.finished_at_s, publishers)
         yield from self._topics.follow(snapshot, is_new=is_new)
         yield from self._refusals.due(snapshot.finished_at_s)
         yield from self._swaps.due(snapshot.finished_at_s)
@@ -206,26 +205,25 @@ class _Refused(NamedTuple):
 
 
 class _RefusalLog:
-    """Refusals, each reason once per endpoint; a refused swap is an event of its own kind."""
+    """Refusals, each reason once per publisher; a refused swap is an event of its own kind."""
 
     def __init__(self) -> None:
-        self._told: dict[tuple[str, str, str], frozenset[RefusalReason]] = {}
+        self._told: dict[_Identity, frozenset[RefusalReason]] = {}
         self._new: list[_Refused] = []
         self._since_s = math.inf
 
-    def see(self, now_s: float, publishers: Iterable[PublisherState], readers: Iterable[ReaderState]) -> None:
-        told: dict[tuple[str, str, str], frozenset[RefusalReason]] = {}
-        for side, endpoints in (("writer", publishers), ("reader", readers)):
-            for endpoint in endpoints:
-                identity = side, endpoint.node, endpoint.topic
-                reasons = self._told.get(identity, frozenset())
-                reason = endpoint.refusal_reason
-                if reason is not RefusalReason.NONE and reason not in reasons and not _is_of_a_swap(endpoint):
-                    reasons |= {reason}
-                    self._new.append(_Refused(endpoint.node, endpoint.topic, reason, endpoint.refusal))
-                    self._since_s = min(self._since_s, now_s)
-                if reasons:
-                    told[identity] = reasons
+    def see(self, now_s: float, publishers: Iterable[PublisherState]) -> None:
+        told: dict[_Identity, frozenset[RefusalReason]] = {}
+        for publisher in publishers:
+            identity = publisher.node, publisher.topic
+            reasons = self._told.get(identity, frozenset())
+            reason = publisher.refusal_reason
+            if reason is not RefusalReason.NONE and reason not in reasons and not _is_of_a_swap(publisher):
+                reasons |= {reason}
+                self._new.append(_Refused(publisher.node, publisher.topic, reason, publisher.refusal))
+                self._since_s = min(self._since_s, now_s)
+            if reasons:
+                told[identity] = reasons
         self._told = told
 
     def due(self, now_s: float) -> Iterator[Said]:
@@ -244,12 +242,12 @@ class _RefusalLog:
                 continue
             topics = sorted({one.topic for one in all_of_them})
             text = f"{listed(topics)} {'refuse' if len(topics) > 1 else 'refuses'}: {all_of_them[0].words}"
-            details = {"reason": str(reason), "endpoints": str(len(all_of_them))}
+            details = {"reason": str(reason), "publishers": str(len(all_of_them))}
             yield Said(EventKind.REFUSED, Severity.WARNING, text, details=details)
 
 
-def _is_of_a_swap(endpoint: PublisherState | ReaderState) -> bool:
-    return endpoint.refusal_reason in _FAILED_CHANGES and getattr(endpoint, "last_swap", None) is not None
+def _is_of_a_swap(publisher: PublisherState) -> bool:
+    return publisher.refusal_reason in _FAILED_CHANGES and publisher.last_swap is not None
 
 
 def _is_due(now_s: float, since_s: Iterable[float]) -> bool:

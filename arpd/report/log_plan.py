@@ -29,7 +29,7 @@ _REFUSED = {
 
 
 class PlanLog:
-    """New plans, and when every publisher and reader runs them; a plan that another one overtakes never gets there."""
+    """New plans, and when every publisher runs them; a plan that another one overtakes never gets there."""
 
     def __init__(self) -> None:
         self._plan: QosPlan | None = None
@@ -70,7 +70,7 @@ def _is_same(plan: QosPlan, before: QosPlan | None) -> bool:
 
 
 def _is_in_force(snapshot: Snapshot) -> bool:
-    return 0 < snapshot.managed <= snapshot.confirmed and snapshot.readers_confirmed >= len(snapshot.reader_plans)
+    return 0 < snapshot.managed <= snapshot.confirmed
 
 
 def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Said:

@@ -286,18 +286,13 @@ def stale(age_s: float) -> Finding:
 
 
 def who_confirmed(snapshot: Snapshot) -> str:
-    """Say how many publishers and readers run the plan in force."""
-    return confirmed(
-        confirmed=snapshot.confirmed,
-        publishers=snapshot.managed,
-        readers_confirmed=snapshot.readers_confirmed,
-        readers=len(snapshot.reader_plans),
-    )
+    """Say how many publishers run the plan in force."""
+    return confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)
 
 
 def _unconfirmed_s(snapshot: Snapshot) -> float:
-    """Return for how long publishers or readers do not follow the plan (s); 0 where the decision log does not say."""
-    if snapshot.confirmed >= snapshot.managed and snapshot.readers_confirmed >= len(snapshot.reader_plans):
+    """Return for how long publishers do not follow the plan (s); 0 where the decision log does not say."""
+    if snapshot.confirmed >= snapshot.managed:
         return 0.0
     began = None
     for began in reversed(snapshot.events):

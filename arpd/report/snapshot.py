@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from arpd.model.allocation import Allocation
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
-    from arpd.model.plan import Decision, ReaderPlan
+    from arpd.model.plan import Decision
     from arpd.report.events import Event
     from arpd.report.other_traffic import OtherRates
 
@@ -77,8 +77,6 @@ class Snapshot:
     config_loaded_at_s : wall clock when the configuration in force was read (s)
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan
-    reader_plans : what the plan wants of the readers of its topics, by node and topic
-    readers_confirmed : number of those whose announcement matches it
     lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     events : the last of the decision log, oldest first
     other_traffic : what topics, probes and reports do not explain, None while unknown
@@ -101,8 +99,6 @@ class Snapshot:
     keys_awaiting_restart: tuple[str, ...] = ()
     has_interface: bool = True
     confirmed: int = 0
-    reader_plans: Mapping[tuple[str, str], ReaderPlan] = field(default_factory=lambda: MappingProxyType({}))
-    readers_confirmed: int = 0
     lease_s: float = 0.0
     events: tuple[Event, ...] = ()
     other_traffic: OtherRates | None = None

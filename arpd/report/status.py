@@ -32,9 +32,8 @@ from arpd.report.topic_rows import TopicRow, topic_rows
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from arpd.model.endpoints import ReaderState, SwapRecord
+    from arpd.model.endpoints import SwapRecord
     from arpd.model.observation import Observation
-    from arpd.model.plan import ReaderPlan
     from arpd.model.price import Price
     from arpd.model.relay import RelaySummary
     from arpd.report.events import Event
@@ -94,8 +93,6 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "topics": len(decision.plan.topics),
             "publishers": sum(row.planned is not None for row in rows),
             "confirmed": snapshot.confirmed,
-            "readers": len(snapshot.reader_plans),
-            "readers_confirmed": snapshot.readers_confirmed,
             "paced_only": sum(row.planned is not None and row.publisher.refusal_reason.is_lasting for row in rows),
         },
         "allocation": {
@@ -109,10 +106,6 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
         },
         "lease": _lease(snapshot),
         "topics": [_topic(row, snapshot.observation.now_s) for row in rows],
-        "readers": [
-            _reader(reader, snapshot.reader_plans.get((reader.node, reader.topic)), now_s=snapshot.observation.now_s)
-            for reader in sorted(snapshot.observation.readers, key=lambda reader: (reader.topic, reader.node))
-        ],
         "totals": _totals(snapshot.totals),
         "events": event_documents(snapshot.events[-MOST_EVENTS:]),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},
@@ -223,26 +216,6 @@ def _price(price: Price) -> dict[str, Any]:
 def _lease(snapshot: Snapshot) -> dict[str, Any]:
     on_lost = OnLost.BASELINE if snapshot.lease_s else OnLost.KEEP
     return {"on_lost": str(on_lost), "after_seconds": snapshot.lease_s or None}
-
-
-def _reader(reader: ReaderState, planned: ReaderPlan | None, *, now_s: float) -> dict[str, Any]:
-    return {
-        "topic": reader.topic,
-        "node": reader.node,
-        "planned": planned and {"depth": planned.depth, "deadline_ns": planned.deadline_ns or None},
-        "confirmed": {
-            "depth": reader.depth,
-            "deadline_ns": reader.deadline_ns or None,
-            "generation": reader.generation,
-        },
-        "baseline": {"depth": reader.baseline_depth, "deadline_ns": reader.baseline_deadline_ns or None},
-        "handovers": _sorted(reader.swaps_by_result),
-        "deadlines_missed": reader.deadlines_missed,
-        "refusal": reader.refusal,
-        "refusal_reason": str(reader.refusal_reason),
-        "refusal_lasts": reader.refusal_reason.is_lasting,
-        "age_seconds": _rounded(reader.age_s(now_s), 2),
-    }
 
 
 def _topic(row: TopicRow, now_s: float) -> dict[str, Any]:

@@ -14,23 +14,20 @@ _MOST_NAME = 64
 _MOST_NAMED = 3
 
 AT_FLOORS = "no topic sends more than its floor"
-PACED_ONLY = "rate only"  # of a publisher or reader that refuses new QoS for good
+PACED_ONLY = "rate only"  # of a publisher that refuses new QoS for good
 
 
-def confirmed(
-    *, confirmed: int, publishers: int, paced_only: int = 0, readers_confirmed: int = 0, readers: int = 0
-) -> str:
-    """Say how many publishers and readers announce the plan, and how many publishers refuse new QoS for good."""
+def confirmed(*, confirmed: int, publishers: int, paced_only: int = 0) -> str:
+    """Say how many publishers announce the plan, and how many of them refuse new QoS for good."""
     paced = f" ({paced_only} by {PACED_ONLY})" if paced_only else ""
-    of_readers = f", {readers_confirmed} of {readers} readers" if readers else ""
-    return f"{confirmed} of {publishers} publishers{paced}{of_readers} confirmed"
+    return f"{confirmed} of {publishers} publishers{paced} confirmed"
 
 
 def lease(after_s: float | None) -> str:
     """Say what becomes of the plan when the daemon falls silent (s); None = it stays."""
     if after_s is None:
         return "plan and price stay when this daemon falls silent"
-    return f"after {after_s:g} s without this daemon, publishers and readers return to their own QoS"
+    return f"after {after_s:g} s without this daemon, publishers return to their own QoS"
 
 
 def deadline(period_ns: int) -> str:

@@ -113,7 +113,7 @@ def plan() -> Fuzzable:
     from arpd.adapters.ros.plan_message import decode_plan, encode_plan
     from arpd.adapters.ros.publisher_settings import checked_row
     from arpd.model.endpoints import WriterQos
-    from arpd.model.plan import ReaderPlan, TopicPlan
+    from arpd.model.plan import TopicPlan
 
     own = WriterQos(depth=10, deadline_ns=0)
 
@@ -129,30 +129,8 @@ def plan() -> Fuzzable:
     row = TopicPlan(
         rate_hz=math.inf, min_rate_hz=1.0, deadline_ns=10**9, depth=40, weight=1.5, wire_bytes=9.5, packets=1
     )
-    text = encode_plan(
-        generation=3, lease_s=30.0, publishers={"/a": row}, readers={"/b": ReaderPlan(depth=4, deadline_ns=0)}
-    )
+    text = encode_plan(generation=3, lease_s=30.0, publishers={"/a": row})
     return Fuzzable(feed=feed, seeds=(text.encode(),), words=("null", "NaN", "Infinity", "1e999", "true", "-1"))
-
-
-def reader() -> Fuzzable:
-    """Feed a reader's announcement: arpd refuses it, or makes a state of it that it can announce again."""
-    from arpd.adapters.ros.announcement import reader_from_status, reader_to_status
-    from arpd.model.endpoints import ReaderState
-
-    def feed(data: bytes) -> None:
-        try:
-            state = reader_from_status(SimpleNamespace(values=_pairs(data)))
-        except ValueError:
-            return
-        insist(state.depth >= 1 and state.lease_s < math.inf, f"possible numbers: {state}")
-        if _is_text(state.refusal, *state.swaps_by_result):
-            reader_from_status(reader_to_status(state))
-
-    state = ReaderState(
-        node="/base", topic="/cmd_vel", depth=10, baseline_depth=10, swaps_by_result={"done": 2}, lease_s=3.0
-    )
-    return Fuzzable(feed=feed, seeds=(_lines(reader_to_status(state)),), words=_numbers())
 
 
 def wire() -> Fuzzable:
@@ -160,7 +138,7 @@ def wire() -> Fuzzable:
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from arpd.adapters.ros.announcement import from_status, reader_from_status, to_status
+    from arpd.adapters.ros.announcement import from_status, to_status
     from arpd.adapters.ros.daemons import from_status as heartbeat_from_status
 
     def feed(data: bytes) -> None:
@@ -171,7 +149,7 @@ def wire() -> Fuzzable:
                 return  # the middleware refuses it before arpd sees it
             raise
         for status in message.status:
-            for read in (from_status, reader_from_status, heartbeat_from_status):
+            for read in (from_status, heartbeat_from_status):
                 with suppress(ValueError):
                     read(status)
 
@@ -282,5 +260,5 @@ def _is_text(*texts: str) -> bool:
 
 
 def _numbers() -> tuple[str, ...]:
-    words = ("inf", "nan", "-1", "1e308", "9223372036854775807", "9223372036854775808", "swaps_", "handovers_", "/a/b")
+    words = ("inf", "nan", "-1", "1e308", "9223372036854775807", "9223372036854775808", "swaps_", "/a/b")
     return (*words, "keep_all", "refusal=", "refusal_reason=", "lease_s=", "generation=")

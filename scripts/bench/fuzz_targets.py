@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scripts.bench.fuzz_files import config, status_file, trace, web_config
 from scripts.bench.fuzz_http import http
-from scripts.bench.fuzz_messages import counters, heartbeat, parameters, plan, probe, publisher, reader, report, wire
+from scripts.bench.fuzz_messages import counters, heartbeat, parameters, plan, probe, publisher, report, wire
 from scripts.bench.fuzz_target import Target
 
 TARGETS = {
@@ -14,7 +14,6 @@ TARGETS = {
     "report": Target(load=report),
     "probe": Target(load=probe, most_bytes=256),
     "publisher": Target(load=publisher),
-    "reader": Target(load=reader),
     "counters": Target(load=counters, most_bytes=1024),
     "plan": Target(load=plan),
     "wire": Target(load=wire),

@@ -199,15 +199,9 @@ _WITHHELD = timeseries(
 
 _DEADLINES_MISSED = timeseries(
     "Deadlines missed by topic",
-    [
-        query(f"sum by (topic) (rate(arpd_topic_deadlines_missed_total{{{_TOPIC}}}[$__rate_interval]))", "{{topic}}"),
-        query(
-            f"sum(rate(arpd_reader_deadlines_missed_total{{{_TOPIC}}}[$__rate_interval])) or vector(0)",
-            "readers of all topics",
-        ),
-    ],
+    [query(f"sum by (topic) (rate(arpd_topic_deadlines_missed_total{{{_TOPIC}}}[$__rate_interval]))", "{{topic}}")],
     Scale("cps", 2),
-    shows="Offered deadlines missed by each topic's publishers, and requested ones missed by adaptive readers.",
+    shows="Offered deadlines missed by each topic's publishers.",
     bad="steady misses on a steady link; some are normal when the link falls, at a swap and in an outage.",
     then="raise program.deadline_slack, or lower the rate the source claims.",
 )

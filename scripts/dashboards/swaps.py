@@ -15,7 +15,7 @@ def swaps() -> Section:
         title="Swaps: what changing QoS cost",
         lines=(
             (8, evenly(_RESULTS, _PLAN_REACHES, _GENERATIONS)),
-            (8, evenly(_PHASE_TIMES, _WRITER_COST, _READERS)),
+            (8, evenly(_PHASE_TIMES, _WRITER_COST)),
         ),
     )
 
@@ -90,17 +90,4 @@ _WRITER_COST = ranking(
     shows="Time that the ten busiest topics spent in swaps, over the time shown.",
     bad="one topic far above the others.",
     then="its source or its readers change all the time; give it a fixed rate.",
-)
-
-
-def _reader_swaps(result: str) -> str:
-    return f"sum(increase(arpd_reader_handovers_total{{{_TOPIC}, {result}}}[$__rate_interval])) or vector(0)"
-
-
-_READERS = bars(
-    "Reader swaps",
-    [query(_reader_swaps('result="ok"'), "replaced"), query(_reader_swaps('result!="ok"'), "failed")],
-    shows="Swaps of AdaptiveSubscriptions' readers for readers with other QoS, and those that failed.",
-    bad="failed, again and again.",
-    then="see the log of the reader's node.",
 )

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
-from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd import AdaptivePublisher
 from arpd.adapters.sim.demo import COMMAND_TOPIC
 from scripts.robot.process import command_line, live, reading
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
@@ -36,8 +35,7 @@ class Planner(Node):
         self.offered = 0
         self.is_publishing = False
         for topic, (rate_hz, make) in SENSORS.items():
-            subscribe = partial(AdaptiveSubscription, self, raw=True) if is_adaptive else self._read
-            subscribe(type(make()), prefix + topic, self.arrivals[topic].on_sample, reading(qos, rate_hz))
+            self._read(type(make()), prefix + topic, self.arrivals[topic].on_sample, reading(qos, rate_hz))
         self.commands: Any
         if is_adaptive:
             self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, qos)

@@ -1,4 +1,4 @@
-"""A snapshot with managed topics both ways, one of them unpaced and one refused, a local publisher and two readers."""
+"""A snapshot with managed topics both ways, one of them unpaced and one refused, and a local publisher."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from arpd.model.endpoints import Direction, RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
-from arpd.model.plan import Decision, QosPlan, ReaderPlan, TopicPlan
+from arpd.model.plan import Decision, QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
 from arpd.report.other_traffic import OtherRates
 from arpd.report.snapshot import Snapshot, Totals
-from tests.sample_publishers import publisher, reader
+from tests.sample_publishers import publisher
 
 FINISHED_AT_S = 1000.0
 
@@ -98,24 +98,6 @@ _DIAGNOSTICS = publisher(
     offered=100,
     published=100,
     announced_at_s=999.5,
-)
-_PLANNER = reader(
-    "/planner",
-    "/camera/image",
-    deadline_ns=150_000_000,
-    baseline_deadline_ns=100_000_000,
-    generation=3,
-    swaps_by_result=MappingProxyType({"ok": 1}),
-    deadlines_missed=6,
-    announced_at_s=999.5,
-)
-_LOGGER = reader(
-    "/logger",
-    "/map",
-    depth=5,
-    refusal="/map is TRANSIENT_LOCAL",
-    refusal_reason=RefusalReason.TRANSIENT_LOCAL,
-    announced_at_s=999.25,
 )
 
 _ALLOCATION = Allocation(
@@ -212,7 +194,6 @@ def make_snapshot() -> Snapshot:
             ),
             reports=(PeerReport(peer="ceddp", received_at_s=999.5, interval_s=0.1, rx_bytes=48_000, rx_packets=40),),
             publishers=(_IMU, _DIAGNOSTICS, _COMMAND, _IMAGE),
-            readers=(_LOGGER, _PLANNER),
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=3 * 2**30),
             sensing_topics=11,
             actuation_topics=1,
@@ -284,8 +265,6 @@ def make_snapshot() -> Snapshot:
         config_path="/etc/arpd/arpd.yaml",
         config_error="",
         confirmed=2,
-        reader_plans=MappingProxyType({("/planner", "/camera/image"): ReaderPlan(depth=10, deadline_ns=150_000_000)}),
-        readers_confirmed=1,
         other_traffic=OtherRates(transmit=6144.0, receive=2048.0),
     )
 

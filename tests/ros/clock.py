@@ -4,7 +4,6 @@ import time
 
 from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.node_publishers import NodePublishers
-from arpd.adapters.ros.node_subscriptions import NodeSubscriptions
 
 
 class SkippingClock:
@@ -20,7 +19,6 @@ class SkippingClock:
         self._skipped_s += seconds
 
     def rule(self, node):
-        """Let what arpd makes for the endpoints of a new node use this clock."""
-        for kind in (NodePublishers, NodeSubscriptions):
-            attached(node, kind, lambda kind=kind: kind(node, clock=self))
+        """Let what arpd makes for the publishers of a new node use this clock."""
+        attached(node, NodePublishers, lambda: NodePublishers(node, clock=self))
         return node

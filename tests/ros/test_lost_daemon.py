@@ -9,15 +9,15 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd import AdaptivePublisher
 from arpd.adapters.ros.plan_listener import plan_qos
 from arpd.adapters.ros.plan_message import encode_plan
-from arpd.model.plan import ReaderPlan, TopicPlan
+from arpd.model.plan import TopicPlan
 from tests.ros.clock import SkippingClock
 from tests.ros.price import TERMS, PriceSender, costing
 
 pytestmark = pytest.mark.ros
-TOPIC, READ = "/leased", "/read"
+TOPIC = "/leased"
 DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
 ROW = TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TERMS)
 LEASE_S = 60.0  # longer than a busy machine stops a process
@@ -44,8 +44,8 @@ def send_plan(ros, publisher, eventually):
     plans = ros.node("planner").create_publisher(String, "/arpd/plan/talker", plan_qos())
 
     def send(generation, lease_s):
-        rows = {"publishers": {TOPIC: ROW}, "readers": {READ: ReaderPlan(depth=20, deadline_ns=0)}}
-        plans.publish(String(data=encode_plan(generation=generation, lease_s=lease_s, **rows)))
+        plan = encode_plan(generation=generation, lease_s=lease_s, publishers={TOPIC: ROW})
+        plans.publish(String(data=plan))
         eventually("the plan is in force", lambda: publisher.plan == ROW)
 
     return send
@@ -87,17 +87,6 @@ def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(clock, publisher
     assert node.get_parameter("arpd.generation").value == 0
     send_plan(generation=1, lease_s=LEASE_S)  # another daemon, without knowledge of its predecessor
     send_price(50.0)
-
-
-def test_a_reader_outlives_its_daemon_only_as_long_as_was_granted(node, clock, send_plan, eventually):
-    """The readers of a node have their own QoS again when the lease is over."""
-    reader = AdaptiveSubscription(node, String, READ, lambda _message: None, 10)
-    send_plan(generation=7, lease_s=LEASE_S)
-    eventually("the reader has the plan's depth", lambda: reader.qos.depth == 20)
-    assert reader.qos.deadline_ns == 0, "its application requests none"
-    clock.skip(1.1 * LEASE_S)
-    eventually("the reader has its own depth", lambda: reader.qos.depth == 10)
-    assert node.get_parameter("arpd.readers.generation").value == 0
 
 
 @pytest.mark.usefixtures("publisher")

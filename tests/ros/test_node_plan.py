@@ -9,18 +9,16 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd import AdaptivePublisher
 from arpd.adapters.ros.plan_listener import plan_qos
 from arpd.adapters.ros.plan_message import crc_of, encode_plan
-from arpd.model.plan import ReaderPlan, TopicPlan
+from arpd.model.plan import TopicPlan
 from tests.ros.announced import Announced
 from tests.ros.price import TERMS
 
 pytestmark = pytest.mark.ros
 A, B = "/a", "/b"
 ROW = TopicPlan(rate_hz=50.0, min_rate_hz=1.0, deadline_ns=10**8, depth=40, **TERMS)
-IMPOSSIBLE = TopicPlan(rate_hz=50.0, min_rate_hz=1.0, deadline_ns=10**8, depth=10**6, **TERMS)
-SHORT_LEASE = encode_plan(generation=9, lease_s=1.0, publishers={A: ROW}, readers={})
 
 
 @pytest.fixture
@@ -37,10 +35,8 @@ def announced(ros):
 def send(ros):
     publisher = ros.node("daemon").create_publisher(String, "/arpd/plan/talker", plan_qos())
 
-    def send(generation, publishers=None, readers=None, text=None, lease_s=0.0):
-        text = text or encode_plan(
-            generation=generation, lease_s=lease_s, publishers=publishers or {}, readers=readers or {}
-        )
+    def send(generation, publishers, lease_s=0.0):
+        text = encode_plan(generation=generation, lease_s=lease_s, publishers=publishers)
         publisher.publish(String(data=text))
         return crc_of(text)
 
@@ -78,7 +74,7 @@ def test_an_older_plan_is_refused(node, announced, send, eventually):
 
 def test_a_node_that_starts_later_finds_its_plan(ros, announced, send, eventually):
     """The plan waits for the node, for its publishers, and for one that the node makes later."""
-    crc = send(3, {A: ROW, B: ROW}, {"/r": ReaderPlan(depth=9, deadline_ns=0)})
+    crc = send(3, {A: ROW, B: ROW})
     node = ros.node("talker")
     early = AdaptivePublisher(node, String, A, 10)
     eventually("the plan is found", lambda: early.plan == ROW)
@@ -86,9 +82,6 @@ def test_a_node_that_starts_later_finds_its_plan(ros, announced, send, eventuall
     assert late.plan == ROW
     assert node.get_parameter("qos_overrides./b.publisher.depth").value == 40
     eventually("the node answers", lambda: answers(announced, crc))
-    reader = AdaptiveSubscription(node, String, "/r", lambda _message: None, 10)
-    eventually("the reader has its depth", lambda: reader.qos.depth == 9)
-    assert node.get_parameter("arpd.readers.generation").value == 3
 
 
 def test_settings_by_hand_last_until_the_next_message(node, announced, send, eventually):

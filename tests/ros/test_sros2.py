@@ -20,7 +20,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
-from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd import AdaptivePublisher
 from arpd.adapters.ros.runtime import prepare_environment, spinning
 from tests.ros.domain import DOMAIN
 from tests.waiting import eventually
@@ -113,7 +113,7 @@ def beyond(endpoints, allowed):
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
-    """Run daemon, relay, peer and a driver with both kinds of endpoints; return what each opened once it has a plan."""
+    """Run daemon, relay, peer and a driver with an AdaptivePublisher; return what each opened once it has a plan."""
     workdir = tmp_path_factory.mktemp("sros2")
     config = workdir / "arpd.yaml"
     config.write_text(
@@ -145,7 +145,6 @@ def graph(tmp_path_factory):
         rclpy.init(context=context, domain_id=DOMAIN)
         node = rclpy.create_node("driver", context=context)
         publisher = AdaptivePublisher(node, String, TOPIC, 10)
-        AdaptiveSubscription(node, String, "/sros2/cmd", lambda _sample: None, 10)
         node.create_timer(0.05, lambda: publisher.publish(String(data="x")))
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
@@ -200,10 +199,10 @@ def test_an_enclave_allows_exactly_what_its_process_opens(graph, enclave, name):
 
 
 def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
-    """A node with both kinds of endpoints opens its own topics and those in managed.xml."""
+    """A node with an AdaptivePublisher opens its own topics and those in managed.xml."""
     profile = ET.Element("profile", ns="/", node="driver")
     profile.extend([*included(NODE), *included(MANAGED)])
-    assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC), ("subscribe", "/sros2/cmd")}
+    assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC)}
 
 
 def test_enforce_without_a_keystore_starts_nothing(tmp_path):

@@ -217,7 +217,7 @@ def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking,
     daemon = ends.link_side().node("daemon")
     plans = daemon.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
     row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=40, **TERMS)
-    plan = encode_plan(generation=1, lease_s=0.0, publishers={"/planned": row}, readers={})
+    plan = encode_plan(generation=1, lease_s=0.0, publishers={"/planned": row})
     plans.publish(String(data=plan))
 
     def offered():

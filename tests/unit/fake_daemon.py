@@ -84,7 +84,7 @@ def event(number, text, *, kind="plan", severity="info", at_s=1e9):
 
 def busy():
     """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
-    answered = document(observation={"publishers": demo_robot(), "readers": (), "relay": None})
+    answered = document(observation={"publishers": demo_robot(), "relay": None})
     by_name = {topic["topic"]: topic for topic in answered["topics"]}
     for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
         topic = by_name[name]

@@ -12,7 +12,7 @@ import pytest
 import arpd
 
 REPO = Path(__file__).resolve().parents[2]
-ENDPOINTS = ("arpd.adapters.ros.publisher", "arpd.adapters.ros.subscription")
+PUBLISHER = "arpd.adapters.ros.publisher"
 DEPENDS = {str(depend.text) for depend in ET.parse(REPO / "package.xml").iter("exec_depend")}
 
 
@@ -47,14 +47,14 @@ def reach(*modules):
             continue
         names = set(imports(ast.parse(path_of(module).read_text())))
         found[module] = {name.partition(".")[0] for name in names} - {"arpd"}
-        parents = {module.rpartition(".")[0]} - {"", "arpd"}  # arpd itself imports the endpoints on demand
+        parents = {module.rpartition(".")[0]} - {"", "arpd"}  # arpd itself imports the publisher on demand
         waiting += parents | {name for name in names if name.startswith("arpd.")}
     return found
 
 
-def test_the_endpoints_import_the_standard_library_and_packages_of_ros_alone():
-    """No module that an endpoint reaches imports anything that package.xml does not name."""
-    found = reach(*ENDPOINTS)
+def test_a_publisher_needs_the_standard_library_and_packages_of_ros_alone():
+    """No module that AdaptivePublisher reaches imports anything that package.xml does not name."""
+    found = reach(PUBLISHER)
     allowed = sys.stdlib_module_names | {name for name in DEPENDS if not name.startswith("python3-")}
     assert {module: foreign for module, packages in found.items() if (foreign := packages - allowed)} == {}
     assert len(found) > 20
@@ -93,13 +93,12 @@ def python(tmp_path):
     ],
     ids=["no ROS", "rclpy without numpy", "no messages", "ROS for another Python"],
 )
-@pytest.mark.parametrize("name", ["AdaptivePublisher", "AdaptiveSubscription"])
-def test_an_import_without_ros_names_what_is_missing_and_the_way_out(python, name, packages, missing, way_out):
+def test_an_import_without_ros_names_what_is_missing_and_the_way_out(python, packages, missing, way_out):
     """One line at the end of a short traceback, instead of the depths of arpd."""
     messages = {} if "rcl_interfaces" in missing or not packages else {"rcl_interfaces": "import rclpy"}
-    done = python(f"from arpd import {name}", **packages, **messages)
+    done = python("from arpd import AdaptivePublisher", **packages, **messages)
     *traceback, last = done.stderr.splitlines()
-    assert re.match(rf"ImportError: arpd\.{name} {missing} {re.escape(sys.executable)} ", last), last
+    assert re.match(rf"ImportError: arpd\.AdaptivePublisher {missing} {re.escape(sys.executable)} ", last), last
     assert way_out in last
     assert len(traceback) <= 6
 

@@ -17,7 +17,7 @@ from arpd import __version__
 from arpd.adapters.http.families import counter_of, gauge, gauge_by, gauge_of
 from arpd.adapters.http.link_metrics import link_metrics
 from arpd.adapters.http.relay_metrics import relay_metrics
-from arpd.adapters.http.topic_metrics import reader_metrics, topic_metrics
+from arpd.adapters.http.topic_metrics import topic_metrics
 from arpd.adapters.http.total_metrics import total_metrics
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.endpoints import RefusalReason
@@ -190,7 +190,6 @@ class SnapshotCollector(Collector):
         yield from link_metrics(snapshot)
         yield from relay_metrics(snapshot.observation)
         yield from topic_metrics(topic_rows(snapshot), now_s=snapshot.observation.now_s)
-        yield from reader_metrics(snapshot)
         yield from refusal_metrics(snapshot)
 
 
@@ -236,5 +235,5 @@ def refusal_metrics(snapshot: Snapshot) -> Iterator[Metric]:
             for kind, reason in product(MessageKind, MessageRefusal)
         ),
     )
-    text = "Publishers and readers that announce themselves but that the ROS graph does not show."
+    text = "Publishers that announce themselves but that the ROS graph does not show."
     yield gauge("arpd_endpoints_pending", text, taken.pending)

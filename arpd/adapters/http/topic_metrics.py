@@ -1,13 +1,13 @@
-"""Metrics of live AdaptivePublishers (allocation, plan and announcement of each) and AdaptiveSubscriptions."""
+"""Metrics of live AdaptivePublishers (allocation, plan and announcement of each)."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-from arpd.adapters.http.families import counter_by, counter_of, gauge, gauge_by, gauge_of
+from arpd.adapters.http.families import counter_by, counter_of, gauge_by, gauge_of
 from arpd.model.allocation import Binding
-from arpd.model.endpoints import ReaderSwapResult, SwapPhase, SwapResult, WithheldCause
+from arpd.model.endpoints import SwapPhase, SwapResult, WithheldCause
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
     from arpd.adapters.http.families import Labels
     from arpd.model.allocation import TopicAllocation
-    from arpd.model.endpoints import PublisherState, ReaderState
+    from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
-    from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
 
 _FAILURES = tuple(sorted(set(SwapResult) - {SwapResult.OK}))
@@ -125,21 +124,6 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[PublisherSta
 )
 
 
-_READER_GAUGES: tuple[tuple[str, str, Callable[[ReaderState], float]], ...] = (
-    ("arpd_reader_depth_samples", "DEPTH that the reader announces.", lambda r: r.depth),
-    (
-        "arpd_reader_deadline_seconds",
-        "DEADLINE period that the reader requests; +Inf is none.",
-        lambda r: _deadline_s(r.deadline_ns),
-    ),
-    (
-        "arpd_reader_refused",
-        "1 while the reader refuses the last request or would refuse any.",
-        lambda r: bool(r.refusal),
-    ),
-)
-
-
 def topic_metrics(rows: tuple[TopicRow, ...], *, now_s: float) -> Iterator[Metric]:
     """Yield the families in a fixed order, their series in the order of the rows, with ages at ``now_s``."""
     publishers = [(_labels(row), row.publisher) for row in rows]
@@ -162,36 +146,6 @@ def topic_metrics(rows: tuple[TopicRow, ...], *, now_s: float) -> Iterator[Metri
         yield gauge_by(name, text, "binding", Binding, ((labels, binding_of(a)) for labels, a in allocated))
     for name, text, label, known, read_by in _COUNTERS_BY:
         yield counter_by(name, text, label, known, ((labels, read_by(p)) for labels, p in publishers))
-
-
-def reader_metrics(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield the families in a fixed order, their series sorted by topic and node."""
-    ordered = sorted(snapshot.observation.readers, key=lambda r: (r.topic, r.node))
-    readers = [({"topic": reader.topic, "node": reader.node}, reader) for reader in ordered]
-    for name, text, value in (
-        ("arpd_readers_managed", "Live readers that the plan in force covers.", len(snapshot.reader_plans)),
-        ("arpd_readers_confirmed", "Managed readers that announce the plan in force.", snapshot.readers_confirmed),
-    ):
-        yield gauge(name, text, value)
-    for name, text, read in _READER_GAUGES:
-        yield gauge_of(name, text, ((labels, float(read(reader))) for labels, reader in readers))
-    yield gauge_of(
-        "arpd_reader_announcement_age_seconds",
-        "Time since the reader's announcement.",
-        ((labels, reader.age_s(snapshot.observation.now_s)) for labels, reader in readers),
-    )
-    yield counter_of(
-        "arpd_reader_deadlines_missed",
-        "Requested DEADLINE periods that passed without a message.",
-        ((labels, reader.deadlines_missed) for labels, reader in readers),
-    )
-    yield counter_by(
-        "arpd_reader_handovers",
-        "Reader swaps.",
-        "result",
-        ReaderSwapResult,
-        ((labels, reader.swaps_by_result) for labels, reader in readers),
-    )
 
 
 def _labels(row: TopicRow) -> Labels:

@@ -1,1 +1,1 @@
-"""The ROS 2 side: AdaptivePublisher, AdaptiveSubscription, relay, peer, and the daemon's view of the graph."""
+"""The ROS 2 side: AdaptivePublisher, relay, peer, and the daemon's view of the graph."""

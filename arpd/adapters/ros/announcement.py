@@ -1,4 +1,4 @@
-"""Announcements of live publishers and of live readers, to and from diagnostic_msgs.
+"""Announcements of live publishers, to and from diagnostic_msgs.
 
 A daemon ignores unknown keys, and keys added after the first version may be missing.
 """
@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_LEASE_S
+from arpd.adapters.ros.bounds import MOST_LEASE_S
 from arpd.adapters.ros.counters import MOST_INTEGER
 from arpd.adapters.ros.names import is_full_name
-from arpd.adapters.ros.plan_message import MOST_WORDS, PlanAnswer, plain
+from arpd.adapters.ros.plan_message import plain
 from arpd.model.endpoints import (
     Direction,
     PublisherState,
-    ReaderState,
     RefusalReason,
     SwapPhase,
     SwapRecord,
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from enum import StrEnum
 
 _WRITER_RESULTS = "swaps_"
-_READER_RESULTS = "handovers_"
 _CAUSES = "withheld_by_cause"
 _PHASES = "swap_seconds_by_phase"
 _BEGUN = "begun_swaps"  # not "swaps_…": an older daemon would read that as a result
@@ -43,7 +41,6 @@ _PUBLISHED_RATE = "published_rate_hz"
 _PACED_RATE = "paced_rate_hz"
 _KEEP_ALL = "keep_all"
 _TAG = "announcer"
-_ANSWER = "answer"
 _TAG_WORDS = re.compile(r"([0-9a-f]{1,16}) ([0-9]{1,10}) ([0-9]{1,3})", re.ASCII)
 _PROFILE, _MISSING = "profile", "missing"
 _FLOATS = ("payload_bytes", "source_rate_hz", "blocked_s", "rate_hz", "lease_s")
@@ -68,7 +65,6 @@ _MOST_FLOATS = {
     _PACED_RATE: math.inf,
     "lease_s": MOST_LEASE_S,
 }
-_READER_INTEGERS = ("depth", "deadline_ns", "baseline_depth", "baseline_deadline_ns", "generation")
 _MOST_DEPTH = 100_000
 _MOST_RESULTS = 32  # of swaps; each becomes a label of a metric
 _MAX_RESULT = 40
@@ -112,42 +108,6 @@ def tag_of(status: Any) -> Tag | None:
     return Tag(int(found[1], 16), int(found[2]), int(found[3]))
 
 
-def answer_of(status: Any) -> PlanAnswer | None:
-    """Return the node's answer to a plan for its readers, None if the announcement has none.
-
-    Raises
-    ------
-    ValueError
-        If it is malformed.
-    """
-    words = _value(status, _ANSWER)
-    if words is None:
-        return None
-    generation, _, rest = words[: _MAX_NAME + MOST_WORDS].partition(" ")
-    crc, _, refusal = rest.partition(" ")
-    return PlanAnswer(
-        generation=_bounded(_ANSWER, generation), crc=_bounded(_ANSWER, crc), refusal=plain(refusal, MOST_WORDS)
-    )
-
-
-def reader_to_status(state: ReaderState, answer: PlanAnswer | None = None) -> Any:
-    """Encode one reader; small, because most readers live across the link.
-
-    Parameters
-    ----------
-    answer : of the node to its last plan for readers; one status of a message has it
-    """
-    values = [] if answer is None else [(_ANSWER, f"{answer.generation} {answer.crc} {answer.refusal[:MOST_WORDS]}")]
-    values += [("node", state.node), ("topic", state.topic), ("lease_s", f"{state.lease_s:.6g}")]
-    values += [("refusal", state.refusal)] if state.refusal else []
-    values += _remarks(state)
-    values += [(key, str(getattr(state, key))) for key in _READER_INTEGERS]
-    values += [(_READER_RESULTS + result, str(count)) for result, count in sorted(state.swaps_by_result.items())]
-    values += [(_MISSED, str(state.deadlines_missed))] if state.deadlines_missed else []
-    # A lasting refusal is no fault, so it is no warning.
-    return _status(state, values, warning=state.refusal if state.is_driven else "", summary=f"depth {state.depth}")
-
-
 def from_status(status: Any) -> PublisherState:
     """Decode one publisher's announcement, and check every field.
 
@@ -172,26 +132,11 @@ def from_status(status: Any) -> PublisherState:
     )
 
 
-def reader_from_status(status: Any) -> ReaderState:
-    """Decode one reader's announcement, and check every field.
-
-    Raises
-    ------
-    ValueError
-        If a field is missing, malformed or out of range; the message names it.
-    """
-    values, fields = _fields(status, texts=("node", "topic"), floats=("lease_s",), integers=_READER_INTEGERS)
-    # A writer is asked to offer what its readers request, so a false announcement could ask it for a nanosecond.
-    if any(0 < fields[key] < LEAST_DEADLINE_NS for key in ("deadline_ns", "baseline_deadline_ns")):
-        raise ValueError(f"announcement of a reader with a deadline shorter than {LEAST_DEADLINE_NS} ns")
-    return ReaderState(swaps_by_result=_counts(values, _READER_RESULTS), **fields)
-
-
 def _value(status: Any, key: str) -> str | None:
     return next((str(pair.value) for pair in status.values if pair.key == key), None)
 
 
-def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
+def _status(state: PublisherState, values: list[tuple[str, str]], *, warning: str, summary: str) -> Any:
     return DiagnosticStatus(
         level=DiagnosticStatus.WARN if warning else DiagnosticStatus.OK,
         name=f"{state.node}: {state.topic}",
@@ -204,7 +149,7 @@ def _status(state: PublisherState | ReaderState, values: list[tuple[str, str]], 
 def _fields(
     status: Any, *, texts: Iterable[str], floats: Iterable[str], integers: Iterable[str]
 ) -> tuple[Mapping[str, str], dict[str, Any]]:
-    """Return all pairs as they came, and the checked fields that writers and readers both announce."""
+    """Return all pairs as they came, and the checked fields."""
     if len(status.values) > MOST_VALUES:
         raise ValueError(f"announcement with {len(status.values)} values; at most {MOST_VALUES} are allowed")
     values = {pair.key: pair.value for pair in status.values}
@@ -226,7 +171,7 @@ def _fields(
     }
 
 
-def _remarks(state: PublisherState | ReaderState) -> list[tuple[str, str]]:
+def _remarks(state: PublisherState) -> list[tuple[str, str]]:
     """Return the pairs that only some endpoints announce."""
     refused = [("refusal_reason", str(state.refusal_reason))] if state.refusal else []
     return [*refused, ("history", _KEEP_ALL)] if state.keeps_all else refused

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
 from arpd.model.endpoints import Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,31 +31,18 @@ class Crossing:
     direction : a topic with writers on both sides counts as sensing
     remote_readers : participants across the link from a writer that read it; each receives a unicast copy
     requests : node and requested deadline of every reader (ns, 0 = infinite)
-    offers_ns : deadlines its writers offer, each once (ns, 0 = infinite)
     writers : nodes that write it; the empty name is a node whose name is unknown
     """
 
     direction: Direction
     remote_readers: int
     requests: tuple[tuple[str, int], ...] = ()
-    offers_ns: tuple[int, ...] = ()
     writers: frozenset[str] = frozenset()
 
-    def tightest_request_ns(self, *, besides: Collection[str] = ()) -> int:
-        """Return the tightest deadline requested by a reader of other nodes than these, 0 = none (ns).
-
-        Requests that no writer can keep do not count.
-        """
-        return min((ns for node, ns in self.requests if ns >= LEAST_DEADLINE_NS and node not in besides), default=0)
-
-    def requests_of(self, node: str) -> tuple[int, ...]:
-        """Return the deadlines that readers of a node request, without those that no writer can keep (ns)."""
-        return tuple(ns for name, ns in self.requests if name == node and not 0 < ns < LEAST_DEADLINE_NS)
-
     @property
-    def readers(self) -> frozenset[str]:
-        """Nodes that read it; the empty name is a node whose name is unknown."""
-        return frozenset(node for node, _ in self.requests)
+    def tightest_request_ns(self) -> int:
+        """Tightest deadline that a reader requests and a writer can keep, 0 = none (ns)."""
+        return min((ns for _, ns in self.requests if ns >= LEAST_DEADLINE_NS), default=0)
 
 
 def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
@@ -75,9 +62,28 @@ def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterabl
         direction=direction,
         remote_readers=_copies(writer_hosts, readers) if direction is not Direction.LOCAL else 0,
         requests=_requests(readers),
-        offers_ns=_offers_ns(writers),
         writers=_nodes(writers),
     )
+
+
+def joined_by(crossings: Mapping[str, Crossing]) -> Callable[[str, str], Mapping[str, Any]]:
+    """Return what gives the fields of a publisher that the graph shows, by its node and topic; a new object each time.
+
+    Parameters
+    ----------
+    crossings : topics of the graph
+    """
+
+    def fields(_node: str, topic: str) -> Mapping[str, Any]:
+        if (crossing := crossings.get(topic)) is None:
+            return {}
+        return {
+            "direction": crossing.direction,
+            "remote_readers": crossing.remote_readers,
+            "requested_deadline_ns": crossing.tightest_request_ns,
+        }
+
+    return fields
 
 
 def _copies(writer_hosts: Collection[bytes], readers: Collection[Endpoint]) -> int:
@@ -99,17 +105,12 @@ def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[End
         direction=Direction.SENSING if is_crossing else Direction.LOCAL,
         remote_readers=int(is_crossing),
         requests=_requests(readers),
-        offers_ns=_offers_ns(writers),
         writers=_nodes(writers),
     )
 
 
 def _requests(readers: Iterable[Endpoint]) -> tuple[tuple[str, int], ...]:
     return tuple(sorted((reader.node, reader.deadline_ns) for reader in readers))
-
-
-def _offers_ns(writers: Iterable[Endpoint]) -> tuple[int, ...]:
-    return tuple(sorted({writer.deadline_ns for writer in writers}))
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:

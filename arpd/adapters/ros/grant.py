@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.bounds import checked_lease_s
+from arpd.adapters.ros.names import GENERATION_PARAMETER, LEASE_PARAMETER
 from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.adapters.ros.plan_message import PlanAnswer, Setting
 from arpd.apply.endpoint.lease import Lease
@@ -19,28 +20,23 @@ if TYPE_CHECKING:
 
 
 class Grant:
-    """Generation and lease of the plan of a node's publishers, or of its readers, shown as two parameters.
+    """Generation and lease of the plan of a node's publishers, shown as two parameters.
 
     Parameters
     ----------
     node : declares the parameters; its owner's callbacks call `check` and `take`
-    generation_name, lease_name : names of the parameters
-    plan, whose : the plan, and the endpoints whose own QoS returns after the lease, in words
     clock : monotonic clock (s)
     """
 
-    def __init__(
-        self, node: Node, *, generation_name: str, lease_name: str, plan: str, whose: str, clock: Callable[[], float]
-    ) -> None:
-        self._generation_name, self._lease_name = generation_name, lease_name
+    def __init__(self, node: Node, *, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._answered = 0, ""  # hash and refusal of the last plan; one object, because two threads use it
         self.generation = 0
         self.lease = Lease()
         self._own = OwnParameters(node)
-        self._own.declare(generation_name, 0, f"generation of the {plan}; 0 = none, or its lease is over")
+        self._own.declare(GENERATION_PARAMETER, 0, "generation of the plan in force; 0 = none, or its lease is over")
         self._own.declare(
-            lease_name, 0.0, f"silence of arpd in s after which the {whose} return to their own QoS, 0 = never"
+            LEASE_PARAMETER, 0.0, "silence of arpd in s after which the publishers return to their own QoS, 0 = never"
         )
 
     @property
@@ -57,22 +53,22 @@ class Grant:
             The message names the parameter.
         """
         for parameter in parameters:
-            if parameter.name == self._generation_name and parameter.value < self.generation:
+            if parameter.name == GENERATION_PARAMETER and parameter.value < self.generation:
                 raise ValueError(
                     f"{parameter.name} {parameter.value} is older than {self.generation}, the plan in force"
                 )
-            if parameter.name == self._generation_name and parameter.value > MOST_GENERATION:
+            if parameter.name == GENERATION_PARAMETER and parameter.value > MOST_GENERATION:
                 raise ValueError(f"{parameter.name} {parameter.value} is more than {MOST_GENERATION}")
-            if parameter.name == self._lease_name:
+            if parameter.name == LEASE_PARAMETER:
                 checked_lease_s(parameter)
 
     def take(self, parameters: Sequence[Any]) -> None:
         """Take checked parameters."""
         for parameter in parameters:
-            if parameter.name == self._generation_name:
+            if parameter.name == GENERATION_PARAMETER:
                 self.generation = int(parameter.value)
                 self.lease.renew(self._clock())  # a plan is a sign of the daemon
-            elif parameter.name == self._lease_name:
+            elif parameter.name == LEASE_PARAMETER:
                 self.lease.granted_s = float(parameter.value)
 
     def check_plan(self, plan: NodePlan) -> None:
@@ -95,7 +91,7 @@ class Grant:
     def end(self) -> None:
         """Forget the plan: the next daemon may begin with any generation."""
         self.generation = 0
-        self._own.show({self._generation_name: 0})
+        self._own.show({GENERATION_PARAMETER: 0})
 
     def _settings(self, plan: NodePlan) -> list[Setting]:
-        return [Setting(self._generation_name, plan.generation), Setting(self._lease_name, plan.lease_s)]
+        return [Setting(GENERATION_PARAMETER, plan.generation), Setting(LEASE_PARAMETER, plan.lease_s)]

@@ -17,7 +17,6 @@ from arpd.adapters.ros.names import (
     INFINITE_NS,
     PRICE_TOPIC,
     PUBLISHERS_TOPIC,
-    READERS_TOPIC,
     REPORT_TOPIC,
     is_full_name,
 )
@@ -52,14 +51,13 @@ class Graph:
     Parameters
     ----------
     crossings : every topic of the robot
-    announcers, reader_announcers : nodes that may announce publishers, and readers; the empty name is an unknown node
+    announcers : nodes that may announce publishers; the empty name is an unknown node
     peers : writers of receiver reports
     remote_participants : processes with ROS nodes on other hosts than the robot
     """
 
     crossings: Mapping[str, Crossing]
     announcers: frozenset[str]
-    reader_announcers: frozenset[str]
     peers: int
     remote_participants: int = 1
 
@@ -67,11 +65,6 @@ class Graph:
         """Return whether a node may announce a publisher of the topic, and writes it."""
         crossing = self.crossings.get(topic)
         return crossing is not None and _may_speak(node, crossing.writers, self.announcers)
-
-    def shows_reader(self, node: str, topic: str) -> bool:
-        """Return whether a node may announce a reader of the topic, and reads it."""
-        crossing = self.crossings.get(topic)
-        return crossing is not None and _may_speak(node, crossing.readers, self.reader_announcers)
 
 
 def _may_speak(node: str, endpoints: Collection[str], announcers: Collection[str]) -> bool:
@@ -125,7 +118,7 @@ class GraphReader:
         self._known: dict[str, _Known] = {}
         self._looks = 0
 
-    def read(self, *, first: Collection[str] = (), always: Collection[str] = ()) -> Graph:
+    def read(self, *, first: Collection[str] = ()) -> Graph:
         """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
 
         Bytes 2 and 3 of a Fast DDS GUID name the host; the robot's host is that of this node's price writer.
@@ -133,7 +126,6 @@ class GraphReader:
         Parameters
         ----------
         first : topics to read first, in case there are too many
-        always : topics to read again even when their numbers are the same
         """
         self._looks += 1
         self._find_host()
@@ -142,14 +134,13 @@ class GraphReader:
         nodes = self._nodes_by_topic()
         self._known = {
             topic: known
-            for topic in (*topics, *_EVERY_NODE_WRITES, PUBLISHERS_TOPIC, READERS_TOPIC)
-            if (known := self._look(topic, nodes.get(topic, ()), is_due=topic in always)) is not None
+            for topic in (*topics, *_EVERY_NODE_WRITES, PUBLISHERS_TOPIC)
+            if (known := self._look(topic, nodes.get(topic, ()))) is not None
         }
         crossed = {topic: self._known[topic].crossing for topic in topics if topic in self._known}
         return Graph(
             crossings=crossed,
             announcers=self._writers(PUBLISHERS_TOPIC),
-            reader_announcers=self._writers(READERS_TOPIC),
             peers=self._node.count_publishers(REPORT_TOPIC),
             remote_participants=self._remote_participants(),
         )
@@ -195,10 +186,10 @@ class GraphReader:
             log.debug("no nodes: %s", fault)
             return []
 
-    def _look(self, topic: str, nodes: Sequence[str], *, is_due: bool) -> _Known | None:
+    def _look(self, topic: str, nodes: Sequence[str]) -> _Known | None:
         """Return what is known of a topic, None where the graph has a name or QoS that ROS cannot express."""
         known, turn = self._known.get(topic), self._looks + crc32(topic.encode())
-        is_due = is_due or turn % max(_LOOKS_PER_READ, len(self._known) // _MOST_READ_AGAIN) == 0
+        is_due = turn % max(_LOOKS_PER_READ, len(self._known) // _MOST_READ_AGAIN) == 0
         is_counted = turn % (1 + len(self._known) // _MOST_COUNTED) == 0
         try:
             if (

@@ -1,21 +1,20 @@
-"""Announcements of the endpoints of one kind, believed as far as the ROS graph confirms them."""
+"""Announcements of publishers, believed as far as the ROS graph confirms them."""
 
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.announcement import answer_of, tag_of
+from arpd.adapters.ros.announcement import from_status, tag_of
 from arpd.adapters.ros.counters import MOST_COUNTERS_BYTES, Counters, decode_counters, sender_of
-from arpd.adapters.ros.names import COUNTERS_TOPIC, is_full_name
+from arpd.adapters.ros.names import COUNTERS_TOPIC, PUBLISHERS_TOPIC, is_full_name
 from arpd.adapters.ros.plan_message import PlanAnswer
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, octets, peek
-from arpd.model.endpoints import PublisherState, ReaderState
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.rate_limits import SourceRateLimiter
 from arpd.observe.registry import MOST_OF_NODE, Endpoints
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
     from arpd.adapters.ros.raw_subscription import RefusedMessages
+    from arpd.model.endpoints import PublisherState
 
 _DEPTH = 1000  # messages that may wait while the executor is busy
 _MOST_BYTES = 512 * 1024  # of a message: twice the size of MOST_OF_NODE endpoints
@@ -33,12 +33,11 @@ _STAMP_END = 12  # of the serialized message: all before it changes with every m
 _MOST_STRANGERS = 64  # nodes whose messages wait until the graph shows them
 _MOST_STRANGE_BYTES = 4 * 1024 * 1024  # of all of them
 _MOST_OF_STRANGER = 256 * 1024  # bytes: MOST_OF_NODE publishers
+_STALE_S = 3.5  # three announcements missed: the publisher is gone
 
-S = TypeVar("S", PublisherState, ReaderState)
 
-
-class Announcements(Generic[S]):
-    """The live endpoints of one kind.
+class Announcements:
+    """The live publishers.
 
     A node is heard when the graph shows that it may announce, each node at its own limited rate. The graph may show a
     node after its first message arrives; that message waits, undecoded, until the graph is read again.
@@ -46,11 +45,6 @@ class Announcements(Generic[S]):
     Parameters
     ----------
     node : rclpy node; its owner spins it
-    topic : topic of the announcements
-    kind : kind of the endpoints
-    decode : decodes one status
-    is_reliable : True when a lost message is not soon followed by the same
-    stale_s : silence after which an endpoint is gone (s)
     refused : counts refused messages
     pause : taken by the executor in a flood
     clock : monotonic clock (s)
@@ -59,22 +53,15 @@ class Announcements(Generic[S]):
     def __init__(
         self,
         node: Any,
-        topic: str,
-        kind: MessageKind,
-        decode: Callable[[Any], S],
         *,
-        is_reliable: bool,
-        stale_s: float,
         refused: RefusedMessages,
         pause: Pause,
         clock: Callable[[], float],
     ) -> None:
-        self._kind = kind
-        self._decode: Callable[[Any], S] = decode
         self._refused = refused
         self._clock = clock
         self._lock = threading.Lock()
-        self._endpoints: Endpoints[S] = Endpoints(stale_s)
+        self._endpoints = Endpoints(_STALE_S)
         self._limiter = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
         self._has_unnamed = False
         self._strangers: dict[str, list[bytes]] = {}  # messages by node
@@ -84,11 +71,8 @@ class Announcements(Generic[S]):
         self._subscription = RawSubscription(
             node,
             DiagnosticArray,
-            topic,
-            QoSProfile(
-                depth=_DEPTH,
-                reliability=QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
-            ),
+            PUBLISHERS_TOPIC,
+            QoSProfile(depth=_DEPTH),
             most_bytes=_MOST_BYTES,
             take=self._on_message,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any announcement"),
@@ -109,7 +93,7 @@ class Announcements(Generic[S]):
 
     def live(
         self, now_s: float, known_of: Callable[[str, str], Mapping[str, Any]] = lambda _node, _topic: {}
-    ) -> tuple[S, ...]:
+    ) -> tuple[PublisherState, ...]:
         """Return the live endpoints, sorted by node and topic: the same tuple until one of them changes.
 
         Parameters
@@ -164,7 +148,7 @@ class Announcements(Generic[S]):
             for data in messages if node in announcers else ():
                 self._take(node, data, now_s)
             if node not in announcers:
-                self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces {self._kind}")
+                self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces publishers")
 
     def _on_message(self, data: bytes, _info: Any) -> None:
         try:
@@ -177,11 +161,11 @@ class Announcements(Generic[S]):
             is_heard = self._limiter.knows(node) or self._has_unnamed
             passes = is_heard and self._limiter.lets_pass(node, self._clock())
         if is_heard and not passes:
-            self._refuse(MessageRefusal.RATE, node, f"{node} announces {self._kind} more than {_HZ:g} times a second")
+            self._refuse(MessageRefusal.RATE, node, f"{node} announces publishers more than {_HZ:g} times a second")
         elif not is_full_name(node):
             self._refuse(MessageRefusal.MALFORMED, "", "an announcement names no node")
         elif count > MOST_OF_NODE:
-            self._refuse(MessageRefusal.QUOTA, node, f"{node} announces {count} {self._kind}, above {MOST_OF_NODE}")
+            self._refuse(MessageRefusal.QUOTA, node, f"{node} announces {count} publishers, above {MOST_OF_NODE}")
         elif is_heard:
             self._take(node, data, self._clock())
         else:
@@ -199,7 +183,7 @@ class Announcements(Generic[S]):
                 self._strangers[node] = [*kept, data]
                 self._strange_bytes += len(data)
         if not is_kept:
-            self._refuse(MessageRefusal.SOURCE, "", f"many nodes that the graph does not show announce {self._kind}")
+            self._refuse(MessageRefusal.SOURCE, "", "many nodes that the graph does not show announce publishers")
 
     def _take(self, node: str, data: bytes, now_s: float) -> None:
         content = hash(data[_STAMP_END:])
@@ -210,17 +194,17 @@ class Announcements(Generic[S]):
         try:
             statuses = deserialize_message(data, DiagnosticArray).status
         except (RuntimeError, ValueError):  # rclpy documents neither; the second means bytes that are no text
-            self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces {self._kind} that cannot be decoded")
+            self._refuse(MessageRefusal.MALFORMED, node, f"{node} announces publishers that cannot be decoded")
             return
         noted = [state for status in statuses if (state := self._note(node, status, now_s)) is not None]
         with self._lock:
             if len(noted) == len(statuses) and len(self._repeated) < _MOST_NODES:
                 self._repeated[node] = content, tuple((state.node, state.topic) for state in noted)
 
-    def _note(self, node: str, status: Any, now_s: float) -> S | None:
+    def _note(self, node: str, status: Any, now_s: float) -> PublisherState | None:
         """Note one status, and return its state, None if it is refused."""
         try:
-            state, tag, answer = self._decode(status), tag_of(status), answer_of(status)
+            state, tag = from_status(status), tag_of(status)
         except ValueError as fault:
             self._refuse(MessageRefusal.MALFORMED, node, str(fault))
             return None
@@ -229,15 +213,13 @@ class Announcements(Generic[S]):
             return None
         with self._lock:
             has_room = self._endpoints.note(state, now_s, tag)
-            if answer is not None:
-                self._note_answer(node, answer)
         if not has_room:
-            self._refuse(MessageRefusal.QUOTA, node, f"too many {self._kind}; {state.topic} of {node} is left out")
+            self._refuse(MessageRefusal.QUOTA, node, f"too many publishers; {state.topic} of {node} is left out")
             return None
         return state
 
     def _refuse(self, reason: MessageRefusal, source: str, words: str) -> None:
-        self._refused.note(self._kind, reason, words, source=source)
+        self._refused.note(MessageKind.PUBLISHERS, reason, words, source=source)
 
 
 class CounterMessages:
@@ -255,7 +237,7 @@ class CounterMessages:
     def __init__(
         self,
         node: Any,
-        publishers: Announcements[PublisherState],
+        publishers: Announcements,
         *,
         refused: RefusedMessages,
         pause: Pause,

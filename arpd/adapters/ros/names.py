@@ -6,7 +6,6 @@ import re
 
 PUBLISHERS_TOPIC = "/arpd/publishers"
 COUNTERS_TOPIC = "/arpd/counters"
-READERS_TOPIC = "/arpd/subscriptions"
 DAEMONS_TOPIC = "/arpd/daemons"
 PRICE_TOPIC = "/arpd/price"
 PROBE_TOPIC = "/arpd/probe"
@@ -15,8 +14,6 @@ RELAY_SUMMARY_TOPIC = "/arpd/relay/summary"  # in the link domain, from the robo
 PLAN_TOPICS = "/arpd/plan"  # followed by the node's full name
 GENERATION_PARAMETER = "arpd.generation"
 LEASE_PARAMETER = "arpd.lease"
-READERS_GENERATION_PARAMETER = "arpd.readers.generation"
-READERS_LEASE_PARAMETER = "arpd.readers.lease"
 
 INFINITE_NS = 2**63 - 1  # ROS 2's "no deadline"
 
@@ -46,11 +43,6 @@ def parameter_name(topic: str, setting: str) -> str:
     if setting in {DEPTH, DEADLINE}:
         return f"qos_overrides.{topic}.publisher.{setting}"
     return f"arpd.{topic}.publisher.{setting}"
-
-
-def reader_parameter_name(topic: str, setting: str) -> str:
-    """Return the full parameter name of depth or deadline of the reader of ``topic``, by the same standard."""
-    return f"qos_overrides.{topic}.subscription.{setting}"
 
 
 def is_full_name(name: str) -> bool:

@@ -18,7 +18,7 @@ from arpd.adapters.ros.announcer import Announcer
 from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.events import no_subscription_events
 from arpd.adapters.ros.grant import Grant
-from arpd.adapters.ros.names import GENERATION_PARAMETER, LEASE_PARAMETER, PRICE_TOPIC, parameter_name
+from arpd.adapters.ros.names import PRICE_TOPIC, parameter_name
 from arpd.adapters.ros.own_parameters import OwnParameters
 from arpd.adapters.ros.plan_listener import PlanListener
 from arpd.adapters.ros.price_message import decode_price
@@ -95,14 +95,7 @@ class NodePublishers:
         self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
         self._check_s = clock()
-        self._grant = Grant(
-            node,
-            generation_name=GENERATION_PARAMETER,
-            lease_name=LEASE_PARAMETER,
-            plan="plan in force",
-            whose="publishers",
-            clock=clock,
-        )
+        self._grant = Grant(node, clock=clock)
         # Only Fast DDS has profiles, and only its writers can be swapped.
         self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
         if self._lacks_profile:
@@ -115,7 +108,7 @@ class NodePublishers:
         )
         node.create_timer(_CHECK_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._announcer: Announcer[Paced] = Announcer(node, self._state_of)
-        PlanListener.of(node).serve(self)
+        PlanListener(node, self)
         self.thread.wake(self)
 
     @classmethod

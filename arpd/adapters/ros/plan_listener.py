@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String
 
-from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.events import no_subscription_events
 from arpd.adapters.ros.names import plan_topic
 from arpd.adapters.ros.plan_message import crc_of, decode_plan
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from arpd.adapters.ros.plan_message import NodePlan
 
     class PlanTaker(Protocol):
-        """The publishers of a node, or its readers."""
+        """The publishers of a node."""
 
         def take_plan(self, plan: NodePlan, crc: int) -> None:
             """Take the rows that concern it, or none of them, and answer."""
@@ -37,39 +36,26 @@ def plan_qos() -> QoSProfile:
 
 
 class PlanListener:
-    """Receives the plans of a node, and gives each to the publishers and to the readers, in the node's executor.
+    """Receives the plans of a node, and gives each to its publishers, in the node's executor.
 
     The writer keeps the last plan, so a node that starts later than its daemon receives it too.
 
     Parameters
     ----------
-    node : node of the application; use `of`, so that a node has one subscription
+    node : node of the application
+    taker : takes the plans
     """
 
-    def __init__(self, node: Node) -> None:
-        self._takers: list[PlanTaker] = []
-        self._last: tuple[NodePlan, int] | None = None
+    def __init__(self, node: Node, taker: PlanTaker) -> None:
+        self._taker = taker
         topic = plan_topic(node.get_fully_qualified_name())
         node.create_subscription(String, topic, self._on_plan, plan_qos(), event_callbacks=no_subscription_events())
-
-    @classmethod
-    def of(cls, node: Node) -> PlanListener:
-        """Return the node's own, made on first use and stored on the node."""
-        return attached(node, cls, lambda: cls(node))
-
-    def serve(self, taker: PlanTaker) -> None:
-        """Give this one every plan from now on, and the last one."""
-        self._takers.append(taker)
-        if self._last is not None:
-            taker.take_plan(*self._last)
 
     def _on_plan(self, message: Any) -> None:
         crc = crc_of(message.data)
         try:
-            self._last = plan, _ = decode_plan(message.data), crc
+            plan = decode_plan(message.data)
         except ValueError as fault:
-            for taker in self._takers:
-                taker.refuse_plan(crc, str(fault))
+            self._taker.refuse_plan(crc, str(fault))
             return
-        for taker in self._takers:
-            taker.take_plan(plan, crc)
+        self._taker.take_plan(plan, crc)

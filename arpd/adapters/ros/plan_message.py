@@ -14,11 +14,10 @@ from arpd.model.plan import MOST_GENERATION
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.plan import ReaderPlan, TopicPlan
+    from arpd.model.plan import TopicPlan
 
-_VERSION = 1
+_VERSION = 2
 PUBLISHER_FIELDS = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "weight", "wire_bytes", "packets")
-READER_FIELDS = ("depth", "deadline_ns")
 _INTEGERS = frozenset({"depth", "deadline_ns", "packets"})
 MOST_WORDS = 300  # characters of a refusal
 _MOST_BYTES = 1 << 20  # a thousand topics take a tenth of it
@@ -54,29 +53,21 @@ class NodePlan:
     ----------
     generation : number of the plan
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
-    publishers, readers : topic → fields of its row, by name; those without a row stay as they are
+    publishers : topic → fields of its row, by name; those without a row stay as they are
     """
 
     generation: int
     lease_s: float = 0.0
     publishers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    readers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def encode_plan(
-    *,
-    generation: int,
-    lease_s: float,
-    publishers: Mapping[str, TopicPlan],
-    readers: Mapping[str, ReaderPlan],
-) -> str:
+def encode_plan(*, generation: int, lease_s: float, publishers: Mapping[str, TopicPlan]) -> str:
     """Return the text of a plan; the same plan has the same text."""
     document = {
         "version": _VERSION,
         "generation": generation,
         "lease_s": lease_s,
-        "publishers": {topic: _row(row, PUBLISHER_FIELDS) for topic, row in sorted(publishers.items())},
-        "readers": {topic: _row(row, READER_FIELDS) for topic, row in sorted(readers.items())},
+        "publishers": {topic: _row(row) for topic, row in sorted(publishers.items())},
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
@@ -113,19 +104,18 @@ def decode_plan(text: str) -> NodePlan:
     return NodePlan(
         generation=generation,
         lease_s=_number("lease_s", document.get("lease_s"), is_integer=False),
-        publishers=_rows(document.get("publishers"), PUBLISHER_FIELDS),
-        readers=_rows(document.get("readers"), READER_FIELDS),
+        publishers=_rows(document.get("publishers")),
     )
 
 
-def _row(row: TopicPlan | ReaderPlan, names: tuple[str, ...]) -> list[float | None]:
-    return [None if (value := getattr(row, name)) == math.inf else value for name in names]
+def _row(row: TopicPlan) -> list[float | None]:
+    return [None if (value := getattr(row, name)) == math.inf else value for name in PUBLISHER_FIELDS]
 
 
-def _rows(rows: Any, names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+def _rows(rows: Any) -> dict[str, dict[str, Any]]:
     if not isinstance(rows, dict):
         raise ValueError("a plan without rows")  # noqa: TRY004 - a message may hold anything, so it is no type error
-    found = {}
+    names, found = PUBLISHER_FIELDS, {}
     for topic, row in rows.items():
         if not is_full_name(topic) or not isinstance(row, list) or len(row) != len(names):
             raise ValueError(f"a plan with a row of {topic[:80]!r} that has not the numbers {', '.join(names)}")

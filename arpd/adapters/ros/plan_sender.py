@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.exceptions import NameValidationException
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from arpd.adapters.ros.plan_message import PlanAnswer
-    from arpd.model.plan import ReaderPlan, TopicPlan, Transition
+    from arpd.model.plan import TopicPlan, Transition
 
 log = logging.getLogger(__name__)
 
@@ -31,35 +30,12 @@ _LEAST_S = 0.2  # between two messages to a node
 _MOST_NODES = 500  # writers kept; the one used longest ago goes
 
 
-class _Kind(Enum):
-    PUBLISHERS = "publishers"
-    READERS = "readers"
-
-
 class _Asked(NamedTuple):
     """All that is now asked of a node."""
 
     generation: int
     lease_s: float
     publishers: Mapping[str, TopicPlan]
-    readers: Mapping[str, ReaderPlan]
-
-    @classmethod
-    def of(cls, transitions: Iterable[Transition]) -> _Asked:
-        """Return what the transitions of one node ask together."""
-        publishers: dict[str, TopicPlan] = {}
-        readers: dict[str, ReaderPlan] = {}
-        generation, lease_s = 0, 0.0
-        for transition in transitions:
-            publishers |= transition.topics
-            readers |= transition.readers
-            generation, lease_s = transition.generation, transition.lease_s
-        return cls(generation, float(lease_s), publishers, readers)
-
-    @property
-    def kinds(self) -> set[_Kind]:
-        rows = {_Kind.PUBLISHERS: self.publishers, _Kind.READERS: self.readers}
-        return {kind for kind, asked in rows.items() if asked}
 
 
 @dataclass(slots=True)
@@ -71,7 +47,7 @@ class _Node:
     sent_at_s: float = 0.0
     next_at_s: float = 0.0
     backoff_s: float = _TIMEOUT_S
-    awaited: set[_Kind] = field(default_factory=set)  # whose answers are missing
+    is_awaited: bool = False  # its answer is missing
 
 
 class PlanSender:
@@ -84,42 +60,32 @@ class PlanSender:
     Parameters
     ----------
     node : rclpy node of the writers
-    publishers_answer, readers_answer : return a node's last answer for its publishers, and for its readers
+    answer_of : returns a node's last answer
     """
 
-    def __init__(
-        self,
-        node: Any,
-        *,
-        publishers_answer: Callable[[str], PlanAnswer],
-        readers_answer: Callable[[str], PlanAnswer],
-    ) -> None:
+    def __init__(self, node: Any, *, answer_of: Callable[[str], PlanAnswer]) -> None:
         self._ros = node
-        self._answers = {_Kind.PUBLISHERS: publishers_answer, _Kind.READERS: readers_answer}
+        self._answer_of = answer_of
         self._nodes: dict[str, _Node] = {}
         self._waiting: set[str] = set()  # nodes that owe an answer
         self._results: Counter[str] = Counter()
 
     @property
     def results(self) -> Mapping[str, int]:
-        """Answers so far, by result: ``ok``, ``refused``, ``timeout``, ``unreachable``, ``failed``.
-
-        A message to publishers and readers of a node has two answers.
-        """
+        """Answers so far, by result: ``ok``, ``refused``, ``timeout``, ``unreachable``, ``failed``."""
         return dict(self._results)
 
     def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
         """Send what is new or due again; returns at once."""
         for name in tuple(self._waiting):
             self._read_answers(name, self._nodes[name], now_s)
-        by_node: dict[str, list[Transition]] = {}
         for transition in transitions:
-            by_node.setdefault(transition.node, []).append(transition)
-        for name, steps in by_node.items():
+            name = transition.node
+            asked = _Asked(transition.generation, float(transition.lease_s), transition.topics)
             try:
                 node = self._nodes.pop(name) if name in self._nodes else self._new(name)
                 self._nodes[name] = node  # the one used last at the end
-                self._send_if_due(name, node, _Asked.of(steps), now_s)
+                self._send_if_due(name, node, asked, now_s)
             except (RuntimeError, ValueError, NameValidationException) as error:  # rclpy documents none
                 self._results["failed"] += 1
                 log.warning("%s: its plan cannot be sent: %s", name, error)
@@ -143,12 +109,7 @@ class PlanSender:
 
     def _send_if_due(self, name: str, node: _Node, asked: _Asked, now_s: float) -> None:
         if node.asked is None or (asked != node.asked and now_s >= node.sent_at_s + _LEAST_S):
-            text = encode_plan(
-                generation=asked.generation,
-                lease_s=asked.lease_s,
-                publishers=asked.publishers,
-                readers=asked.readers,
-            )
+            text = encode_plan(generation=asked.generation, lease_s=asked.lease_s, publishers=asked.publishers)
             node.asked, node.message, node.crc = asked, String(data=text), crc_of(text)
             node.backoff_s = _TIMEOUT_S
         elif now_s < node.next_at_s:
@@ -156,28 +117,25 @@ class PlanSender:
         node.sent_at_s, node.next_at_s = now_s, now_s + node.backoff_s
         node.backoff_s = min(2 * node.backoff_s, _MAX_BACKOFF_S)
         node.publisher.publish(node.message)
-        node.awaited = node.asked.kinds
+        node.is_awaited = True
         self._waiting.add(name)
 
     def _read_answers(self, name: str, node: _Node, now_s: float) -> None:
-        for kind in tuple(node.awaited):
-            answer = self._answers[kind](name)
-            if answer.crc != node.crc or node.asked is None:
-                continue
+        answer = self._answer_of(name)
+        if node.asked is not None and answer.crc == node.crc:
             if answer.refusal:
                 self._results["refused"] += 1
                 log.warning("%s refused plan %d: %r", name, node.asked.generation, answer.refusal)
+                node.is_awaited = False
             elif answer.generation == node.asked.generation:
                 self._results["ok"] += 1
                 node.next_at_s = max(node.next_at_s, node.sent_at_s + _ACCEPTED_S)
-            else:
-                continue
-            node.awaited.discard(kind)
-        if node.awaited and now_s - node.sent_at_s >= _TIMEOUT_S:
+                node.is_awaited = False
+        if node.is_awaited and now_s - node.sent_at_s >= _TIMEOUT_S:
             is_there = node.publisher.get_subscription_count() > 0
-            self._results["timeout" if is_there else "unreachable"] += len(node.awaited)
+            self._results["timeout" if is_there else "unreachable"] += 1
             words = "answer" if is_there else "receive"
             log.warning("%s did not %s its plan within %.1f s", name, words, _TIMEOUT_S)
-            node.awaited.clear()
-        if not node.awaited:
+            node.is_awaited = False
+        if not node.is_awaited:
             self._waiting.discard(name)

@@ -18,20 +18,19 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 from arpd.adapters.host.interface import InterfaceReader, MemoryReader, read_speed
 from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
-from arpd.adapters.ros.announcement import from_status, reader_from_status
+from arpd.adapters.ros.crossing import joined_by
 from arpd.adapters.ros.daemons import Daemons
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.graph import GraphReader
-from arpd.adapters.ros.joined import Joined, unsettled
 from arpd.adapters.ros.listeners import Announcements, CounterMessages
-from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
 from arpd.adapters.ros.relay_summaries import RelaySummaries
 from arpd.adapters.ros.rmw import Rmw, current_rmw
-from arpd.model.endpoints import Direction, PublisherState, ReaderState
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.observation import Glance, MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
@@ -50,8 +49,6 @@ log = logging.getLogger(__name__)
 _LOOK_AROUND_S = 1.0
 _MEMORY_S = 0.5  # between two readings
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
-_STALE_S = 3.5  # three announcements missed: the publisher is gone
-_READER_STALE_S = 10.0  # the same for a reader, which announces itself every three seconds
 _PEER_FORGOTTEN_S = 60.0  # a scrape or two must see its age grow
 _MOST_REPORTS = 200  # waiting for a tick
 _WHY = {
@@ -110,8 +107,8 @@ class RosControl:
         self._peer_clocks = PeerClocks()
         self._crossings: Mapping[str, Crossing] = {}
         self._crossing_counts = (0, 0)  # topics from the robot, and to it
-        self._joined = Joined(self._crossings)
-        self._endpoints: tuple[tuple[PublisherState, ...], tuple[ReaderState, ...]] = (), ()
+        self._joined: tuple[object, Callable[[str, str], Mapping[str, Any]]] = None, joined_by(self._crossings)
+        self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
         self._peers: int | None = None
         self._remote_participants = 1
@@ -127,25 +124,8 @@ class RosControl:
         )
         pause = Pause()
         shared: dict[str, Any] = {"refused": self._refused, "pause": pause, "clock": clock}
-        self._publishers: Announcements[PublisherState] = Announcements(
-            node,
-            PUBLISHERS_TOPIC,
-            MessageKind.PUBLISHERS,
-            from_status,
-            is_reliable=True,
-            stale_s=_STALE_S,
-            **shared,
-        )
+        self._publishers = Announcements(node, **shared)
         self._counters = CounterMessages(node, self._publishers, **shared)
-        self._readers: Announcements[ReaderState] = Announcements(
-            node,
-            READERS_TOPIC,
-            MessageKind.READERS,
-            reader_from_status,
-            is_reliable=False,
-            stale_s=_READER_STALE_S,
-            **shared,
-        )
         self._report_subscription = RawSubscription(
             node,
             UInt8MultiArray,
@@ -156,9 +136,7 @@ class RosControl:
             refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
             pause=pause,
         )
-        self._sender = PlanSender(
-            node, publishers_answer=self._publishers.answer_of, readers_answer=self._readers.answer_of
-        )
+        self._sender = PlanSender(node, answer_of=self._publishers.answer_of)
         self._daemons = Daemons(node, **shared)
         self._relay = RelaySummaries(node, **shared) if has_two_ends else None
         self._graph = GraphReader(node, self._rmw)
@@ -181,7 +159,7 @@ class RosControl:
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
         crossings = self._crossings
-        publishers, readers = self._join(now_s, crossings)
+        publishers = self._join(now_s, crossings)
         pinned = self._graph_settings
         relay, is_relay_silent = (None, False) if self._relay is None else self._relay.newest(now_s)
         sensing, actuation = self._crossing_counts
@@ -190,7 +168,6 @@ class RosControl:
             counters=self._reader.read(),
             reports=reports,
             publishers=publishers,
-            readers=readers,
             memory=self._memory_state(now_s),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
@@ -202,7 +179,7 @@ class RosControl:
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
-            taken=Taken(refused=self._refused.counts, pending=self._publishers.pending + self._readers.pending),
+            taken=Taken(refused=self._refused.counts, pending=self._publishers.pending),
             relay=relay,
             is_relay_silent=is_relay_silent,
             domain=self._domain,
@@ -221,19 +198,13 @@ class RosControl:
             self._memory_read = now_s, state
         return state
 
-    def _join(
-        self, now_s: float, crossings: Mapping[str, Crossing]
-    ) -> tuple[tuple[PublisherState, ...], tuple[ReaderState, ...]]:
-        """Return the live endpoints with what the graph shows of them; what did not change is not made again."""
-        if now_s < self._endpoints_until_s:
-            return self._endpoints
-        if crossings is not self._joined.crossings:
-            self._joined = Joined(crossings)
-        readers = self._readers.live(now_s, self._joined.of_reader)
-        self._joined.note_readers(readers)
-        publishers = self._publishers.live(now_s, self._joined.of_publisher)
-        self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(publishers)
-        self._endpoints = publishers, readers
+    def _join(self, now_s: float, crossings: Mapping[str, Crossing]) -> tuple[PublisherState, ...]:
+        """Return the live publishers with what the graph shows of them; what did not change is not made again."""
+        if now_s >= self._endpoints_until_s:
+            if crossings is not self._joined[0]:
+                self._joined = crossings, joined_by(crossings)
+            self._endpoints = self._publishers.live(now_s, self._joined[1])
+            self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(self._endpoints)
         return self._endpoints
 
     # -- act
@@ -300,9 +271,7 @@ class RosControl:
         self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
-        graph = self._graph.read(
-            first=self._publishers.topics | self._readers.topics, always=unsettled(*self._endpoints)
-        )
+        graph = self._graph.read(first=self._publishers.topics)
         if graph.crossings != self._crossings:  # the same object means that nothing changed
             self._crossings = graph.crossings
             directions = [crossing.direction for crossing in graph.crossings.values()]
@@ -312,7 +281,6 @@ class RosControl:
             self._peer_admission.see(graph.peers)
         self._publishers.see(graph.announcers, graph.shows_writer)
         self._counters.see(graph.announcers)
-        self._readers.see(graph.reader_announcers, graph.shows_reader)
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)

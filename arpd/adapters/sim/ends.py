@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING
 
 from arpd.adapters.sim.arrivals import Arrivals
-from arpd.adapters.sim.result import TopicResult
 from arpd.adapters.sim.socket import Socket
 from arpd.adapters.sim.timeline import Alarm
 from arpd.adapters.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
@@ -22,6 +21,7 @@ from arpd.model.plan import TopicPlan
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
+    from arpd.adapters.sim.result import TopicResult
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.socket import Carrier
     from arpd.adapters.sim.timeline import Timeline
@@ -167,15 +167,7 @@ class SimulatedLinkTopic:
     def result(self) -> TopicResult:
         """Return the result of the run."""
         flow = self._lane.state(self._end.timeline.now_s)
-        return TopicResult(
-            topic=self.topic.name,
-            source_rate_hz=self.topic.rate_hz,
-            expected=flow.offered,
-            offered=flow.offered,
-            withheld=flow.withheld,
-            sent=flow.published,
-            **asdict(self.arrivals.reception()),
-        )
+        return self.topic.result(flow, self.arrivals, expected=flow.offered)
 
     def on_arrival(self, sample: bytes) -> None:
         """Do nothing: a chunk has no latency of its own."""

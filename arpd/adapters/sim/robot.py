@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.socket import Carrier
     from arpd.adapters.sim.timeline import Timeline
     from arpd.apply.endpoint.lane import Lane
+    from arpd.model.endpoints import FlowState
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
@@ -49,6 +50,25 @@ class SimTopic:
     rate_hz: float
     direction: Direction = Direction.SENSING
     prefix: str = ""
+
+    def result(self, flow: FlowState, arrivals: Arrivals, *, expected: int) -> TopicResult:
+        """Return the result of a run.
+
+        Parameters
+        ----------
+        flow : of its publisher
+        arrivals : at its reader
+        expected : samples that the application would have published if nothing had blocked it
+        """
+        return TopicResult(
+            topic=self.name,
+            source_rate_hz=self.rate_hz,
+            expected=expected,
+            offered=flow.offered,
+            withheld=flow.withheld,
+            sent=flow.published,
+            **asdict(arrivals.reception()),
+        )
 
 
 def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:
@@ -203,16 +223,7 @@ class SimulatedPublisher:
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
-        flow = self._flow.state()
-        return TopicResult(
-            topic=self.topic.name,
-            source_rate_hz=self.topic.rate_hz,
-            expected=self._ticks,
-            offered=flow.offered,
-            withheld=flow.withheld,
-            sent=flow.published,
-            **asdict(self.arrivals.reception()),
-        )
+        return self.topic.result(self._flow.state(), self.arrivals, expected=self._ticks)
 
     def _write(self, sample: bytes) -> None:
         self._flow.write(sample)

@@ -10,15 +10,15 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.announcement import reader_to_status, to_status
+from arpd.adapters.ros.announcement import to_status
 from arpd.adapters.ros.counters import encode_counters, row_of
 from arpd.adapters.ros.daemons import to_status as heartbeat_to_status
-from arpd.adapters.ros.names import COUNTERS_TOPIC, DAEMONS_TOPIC, PUBLISHERS_TOPIC, READERS_TOPIC, REPORT_TOPIC
+from arpd.adapters.ros.names import COUNTERS_TOPIC, DAEMONS_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.plan_message import PlanAnswer
 from arpd.adapters.ros.probe_messages import encode_report
 from arpd.model.probing import PeerReport, Train
 from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
-from tests.sample_publishers import publisher, reader
+from tests.sample_publishers import publisher
 
 BATCHES_HZ = 50.0
 honest_node, honest_topic = sys.argv[1:]
@@ -51,7 +51,6 @@ def spoilt(data):
 
 
 writers = [announcement(to_status(publisher(f"/rogue{k}", f"/invented{k}", **HUGE))) for k in range(3000)]
-readers = [announcement(reader_to_status(reader(f"/rogue{k}", honest_topic, deadline_ns=20_000))) for k in range(300)]
 # A real node, with topics that it does not write, and with too many of them.
 own = [
     announcement(*(to_status(publisher("/rogue", f"/own{k}", **HUGE)) for k in range(of, of + 100)))
@@ -78,7 +77,6 @@ rclpy.init()
 node = rclpy.create_node("rogue")
 qos = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 to_publishers = node.create_publisher(DiagnosticArray, PUBLISHERS_TOPIC, 1000)
-to_readers = node.create_publisher(DiagnosticArray, READERS_TOPIC, qos)
 to_reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, qos)
 to_counters = node.create_publisher(UInt8MultiArray, COUNTERS_TOPIC, qos)
 to_daemons = node.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
@@ -90,7 +88,6 @@ while True:
     for data in draw.choices(writers, k=25):
         to_publishers.publish(data)
     to_publishers.publish(draw.choice(own))
-    to_readers.publish(draw.choice(readers))
     for data in draw.choices(numbers, k=10):
         to_counters.publish(data)
     for data in draw.choices(reports, k=5):
@@ -99,6 +96,5 @@ while True:
         to_daemons.publish(heartbeats[batch // 5 % 3])
     if batch % 25 == 0:
         to_publishers.publish(long)
-        to_readers.publish(long)
     due_s = max(due_s + 1 / BATCHES_HZ, time.monotonic())
     time.sleep(max(0.0, due_s - time.monotonic()))

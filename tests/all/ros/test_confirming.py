@@ -11,7 +11,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.world import RosControl
-from arpd.apply.ordering import Ordering
+from arpd.apply.progress import Progress
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
@@ -27,7 +27,7 @@ class Planner:
 
     def __init__(self, node):
         self._control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
-        self._ordering = Ordering()
+        self._progress = Progress()
         self._generation = 0
 
     def publishers(self):
@@ -43,9 +43,7 @@ class Planner:
         time.sleep(0.1)
         began_s = time.monotonic()
         while (now_s := time.monotonic()) < began_s + 20.0:
-            steps = self._ordering.steps(
-                now_s, publishers=self.publishers(), readers=(), plan=plan, reader_plans={}, reason="test"
-            )
+            steps = self._progress.steps(publishers=self.publishers(), plan=plan, reason="test")
             self._control.apply(steps.transitions, now_s=now_s)
             if steps.confirmed == len(RATES_HZ):
                 return now_s - began_s

@@ -120,7 +120,7 @@ def test_an_honest_publisher_is_planned_for_in_a_flood(outcome):
 
 
 def test_nothing_invented_is_planned_for(outcome):
-    """No publisher, reader, peer or daemon counts that the graph does not show."""
+    """No publisher, peer or daemon counts that the graph does not show."""
     last = outcome.seen[-1]
     assert [row["topic"] for row in outcome.status["topics"]] == [TOPIC]
     assert last["arpd_other_daemons"] == last["arpd_standing_by"] == 0
@@ -152,7 +152,6 @@ def test_every_refusal_is_counted_and_few_are_logged(outcome):
         ("publishers", "size"),
         ("publishers", "malformed"),
         ("publishers", "quota"),
-        ("readers", "source"),
         ("reports", "unanswered"),
         ("reports", "size"),
         ("reports", "malformed"),

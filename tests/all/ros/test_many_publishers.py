@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.adapters.ros.world import RosControl
-from arpd.apply.ordering import Ordering
+from arpd.apply.progress import Progress
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.ros.child import child
@@ -22,11 +22,11 @@ MEASURED_S = 16.0
 
 
 class Planner:
-    """The daemon's ROS side and its ordering, without the program: one plan for every topic that is there."""
+    """The daemon's ROS side and its progress, without the program: one plan for every topic that is there."""
 
     def __init__(self, node):
         self._control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
-        self._ordering = Ordering()
+        self._progress = Progress()
         self.observation = self.steps = self.plan = None
 
     def intend(self, generation, **fields):
@@ -48,9 +48,7 @@ class Planner:
         self.observation = seen = self._control.observe(now_s)
         if (plan := self.plan) is None:
             return
-        steps = self._ordering.steps(
-            now_s, publishers=seen.publishers, readers=seen.readers, plan=plan, reader_plans={}, reason="test"
-        )
+        steps = self._progress.steps(publishers=seen.publishers, plan=plan, reason="test")
         self._control.apply(steps.transitions, now_s=now_s)
         if plan is self.plan:
             self.steps = steps

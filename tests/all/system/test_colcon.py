@@ -64,7 +64,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 import arpd
-from arpd import AdaptivePublisher, AdaptiveSubscription
+from arpd import AdaptivePublisher
 
 
 class Greeter(Node):
@@ -77,7 +77,7 @@ class Greeter(Node):
 class Listener(Node):
     def __init__(self):
         super().__init__("listener")
-        self.sub = AdaptiveSubscription(self, String, "{TOPIC}", lambda message: print(message.data, flush=True), 10)
+        self.create_subscription(String, "{TOPIC}", lambda message: print(message.data, flush=True), 10)
 
 
 def greet():

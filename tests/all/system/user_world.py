@@ -13,7 +13,7 @@ from tests.all.system.user_node import TOPIC
 from tests.waiting import eventually
 
 PROFILE = "/usr/local/share/arpd/fastdds.xml"
-IMPORT = "from arpd import AdaptivePublisher, AdaptiveSubscription; print(AdaptivePublisher.__module__)"
+IMPORT = "from arpd import AdaptivePublisher; print(AdaptivePublisher.__module__)"
 NODE = "/srv/user_node.py"
 FILES = {NODE: Path(__file__).with_name("user_node.py")}
 _USER = 4242  # neither root nor arpd

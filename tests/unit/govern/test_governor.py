@@ -46,7 +46,7 @@ TOPICS = tuple(
 class Run:
     """A governor that ticks every 100 ms; the budget that lasts is that of the tick, unless a test says otherwise."""
 
-    def __init__(self, generation=0, topics=TOPICS, newest=0, participants=1):
+    def __init__(self, generation=0, topics=TOPICS, participants=1):
         self.settings = Settings()
         self.participants = participants
         self.governor = Governor(self.settings)
@@ -54,7 +54,6 @@ class Run:
         self.topics = topics
         self.silent = set()
         self.generation = generation
-        self.newest = newest
         self.requested_ns = 0
         self.memory = MEMORY
         self.now_s = 100.0
@@ -78,7 +77,6 @@ class Run:
             lasting=self.program.solve(capacity if lasting is None else lasting, self.topics, self.memory),
             topics=self.topics,
             publishers=[self.announced(topic.name) for topic in self.topics],
-            newest=self.newest,
             participants=self.participants,
         )
 
@@ -458,10 +456,9 @@ def test_depths_follow_memory_down_even_in_an_outage():
 # -- other daemons
 
 
-@pytest.mark.parametrize("known", [{"generation": 41}, {"newest": 41}, {"generation": 41, "newest": 3}])
-def test_a_restarted_daemon_never_falls_behind_its_predecessor(known):
+def test_a_restarted_daemon_never_falls_behind_its_predecessor():
     """Generations only grow, even over a restart, because endpoints refuse an older plan."""
-    run = Run(**known)
+    run = Run(generation=41)
     run.ticks(2.0)
     assert run.governor.plan.generation == 42
     assert run.governor.plans_by_cause == {"start": 1}
@@ -485,14 +482,10 @@ def test_a_restarted_daemon_keeps_what_its_predecessor_left():
     assert decision.plan.topics == left.topics
 
 
-@pytest.mark.parametrize("where", ["publishers", "readers"])
-def test_a_newer_plan_of_another_daemon_is_superseded(where):
+def test_a_newer_plan_of_another_daemon_is_superseded():
     """Endpoints with a newer plan would refuse an older one, so one newer plan is made."""
     run = Run().planned()
-    if where == "publishers":
-        run.generation = 5
-    else:
-        run.newest = 5
+    run.generation = 5
     assert changes(run.ticks(5.0)) == ["takeover"]
     assert run.governor.plan.generation == 6
     assert run.governor.plans_by_cause["takeover"] == 1

@@ -22,7 +22,7 @@ class Row(NamedTuple):
 
 @pytest.fixture
 def endpoints():
-    found: Endpoints[Any] = Endpoints(3.5)
+    found = Endpoints(3.5)
     found.see(lambda _node, _topic: True, 0.0)
     found.note(publisher("/n", "/a", published=100), 0.0, Tag(LIFE, 1, 0))
     found.note(publisher("/n", "/b", published=200), 0.0, Tag(LIFE, 2, 4))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -20,7 +19,7 @@ from arpd.report.events import EventKind, Severity
 from arpd.report.snapshot import Totals
 from tests.examples import examples
 from tests.golden.sample import changed as sample
-from tests.sample_publishers import publisher, reader
+from tests.sample_publishers import publisher
 
 MBIT = 125_000.0
 MS = 1_000_000
@@ -49,7 +48,6 @@ def slowed(**rates_hz):
 CALM = {
     "observation": {
         "publishers": (),
-        "readers": (),
         "counters": counters(),
         "peer_ages_s": {},
         "peers": None,
@@ -69,7 +67,7 @@ class Log:
         self.decision_log = DecisionLog()
         self.at_s = 1000.0
         self.parts = {part: {**values} for part, values in CALM.items()}
-        self.others = {"totals": Totals(), "confirmed": 0, "reader_plans": MappingProxyType({}), "readers_confirmed": 0}
+        self.others = {"totals": Totals(), "confirmed": 0}
         self.snapshot: Any = None
 
     def tick(self, after_s=0.1, **changed):
@@ -144,13 +142,11 @@ def test_every_cause_has_its_own_words(log):
 
 
 def test_a_plan_is_confirmed_once_and_only_when_everybody_runs_it(log):
-    """It says after how long; a plan that another one overtook is never confirmed, and readers count too."""
+    """It says after how long; a plan that another one overtook is never confirmed."""
     first(log)
     assert not log.wait(1.0, confirmed=3)
     assert log.tick(plan=SLOW, reason="down")
     assert not log.wait(3.8, confirmed=3)
-    waiting = replace(log.snapshot, confirmed=4, reader_plans={("/r", "/camera"): None}, readers_confirmed=0)
-    assert log.decision_log.follow(waiting) == ()
     told = log.wait(5.0, confirmed=4)
     assert kinds(told) == [EventKind.CONFIRMED]
     assert "plan 2, 4 s" in told[0].text
@@ -213,7 +209,7 @@ def test_peers_come_and_go(log):
     assert ("10 s" in told[-1].text, told[-1].severity) == (True, Severity.WARNING)
 
 
-# -- publishers and readers
+# -- publishers
 
 
 def swapped(number, result="ok", **phases):
@@ -232,7 +228,7 @@ def test_swaps_from_before_the_start_are_history():
 
 
 def test_a_refusal_is_told_once_however_often_it_is_announced(log):
-    """It comes and goes with every plan, and its words change; a reader's refusal is the same."""
+    """It comes and goes with every plan, and its words change."""
     camera, front, *_ = log.parts["observation"]["publishers"]
     told = []
     for reason in 5 * (RefusalReason.TRANSIENT_LOCAL, RefusalReason.NONE):
@@ -240,8 +236,6 @@ def test_a_refusal_is_told_once_however_often_it_is_announced(log):
         told += log.wait(2.0, publishers=(camera, replace(front, refusal=said, refusal_reason=reason)))
     (refused,) = [event for event in told if event.kind is EventKind.REFUSED]
     assert (refused.topic, refused.node, "/front is " in refused.text) == ("/front", "/lidar", True)
-    asking = reader("/rviz", "/camera", refusal="depth 4: no", refusal_reason=RefusalReason.UNMATCHED)
-    assert kinds(log.wait(3.0, readers=(asking,))) == [EventKind.REFUSED]
 
 
 # -- one event each

@@ -17,9 +17,8 @@ NAMED = Settings(topics={"/chatter": TopicSettings()})
 
 def starting(settings=None, **observation):
     """Return a snapshot without publishers, relay and peers, in domain 7."""
-    nobody = dict.fromkeys(("publishers", "readers"), ())
     return changed(
-        observation={**nobody, "relay": None, "peer_ages_s": {}, "domain": 7, **observation},
+        observation={"publishers": (), "relay": None, "peer_ages_s": {}, "domain": 7, **observation},
         settings=settings or Settings(),
     )
 

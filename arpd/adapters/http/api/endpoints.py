@@ -1,4 +1,4 @@
-"""Publishers and readers in the document of ``/api/v1/status``."""
+"""Publishers in the document of ``/api/v1/status``."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Topic(Part):
     remote_readers: Count
     """Participants on other hosts that read the topic."""
     requested_deadline_ns: Count | None
-    """Shortest DEADLINE that a reader outside arpd requests (ns); null if none does."""
+    """Shortest DEADLINE that a reader requests (ns); null if none does."""
     deadlines_missed: Count
     """Missed deadlines that the middleware counted, over all writers so far."""
     swaps: dict[str, Count]
@@ -125,38 +125,5 @@ class Topic(Part):
     """The same reason by name; none if it does not refuse."""
     refusal_lasts: bool
     """True if depth and deadline stay for good, so that arpd governs only the rate."""
-    age_seconds: Amount | None
-    """Time since the announcement (s)."""
-
-
-class ReaderConfirmed(Qos):
-    """Settings in the last announcement."""
-
-    generation: Count
-    """Generation of the last requested plan; 0 = the application's own QoS."""
-
-
-class Reader(Part):
-    """One AdaptiveSubscription that has announced itself."""
-
-    topic: str
-    """Topic name; topic and node identify the reader."""
-    node: str
-    """Fully qualified node name."""
-    planned: Qos | None
-    """Settings in the plan in force; null if no plan has the topic."""
-    confirmed: ReaderConfirmed
-    baseline: Qos
-    """The application's own QoS, restored on a clean stop."""
-    handovers: dict[str, Count]
-    """Reader swaps since the reader started, by result."""
-    deadlines_missed: Count
-    """Missed deadlines that the middleware counted, over all readers so far."""
-    refusal: str
-    """Why the reader refuses the last request, in words; empty if it does not."""
-    refusal_reason: str
-    """The same reason by name; none if it does not refuse."""
-    refusal_lasts: bool
-    """True if its QoS stays for good."""
     age_seconds: Amount | None
     """Time since the announcement (s)."""

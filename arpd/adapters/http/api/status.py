@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from arpd.adapters.http.api.endpoints import Reader, Topic
+from arpd.adapters.http.api.endpoints import Topic
 from arpd.adapters.http.api.part import Amount, Count, Event, Part, Ratio
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.interface import InterfaceState
@@ -213,10 +213,6 @@ class Plan(Part):
     """Live publishers of the plan."""
     confirmed: Count
     """Publishers whose announcement matches the plan."""
-    readers: Count
-    """Live readers of the plan."""
-    readers_confirmed: Count
-    """Readers whose announcement matches the plan."""
     paced_only: Count
     """Publishers of the plan that refuse new QoS for good."""
 
@@ -256,7 +252,7 @@ class Lease(Part):
     """Fate of the plan if publishers lose the daemon."""
 
     on_lost: OnLost
-    """keep: the plan stays; baseline: publishers and readers return to their own QoS."""
+    """keep: the plan stays; baseline: publishers return to their own QoS."""
     after_seconds: Amount | None
     """Silence after which this happens (s); null = never."""
 
@@ -347,8 +343,6 @@ class Status(Part):
     lease: Lease
     topics: list[Topic]
     """Publishers that have announced themselves, sorted by topic and node."""
-    readers: list[Reader]
-    """AdaptiveSubscriptions that have announced themselves, sorted by topic and node."""
     totals: Totals
     events: Annotated[list[Event], Field(max_length=MOST_EVENTS)]
     """The last lines of the decision log, oldest first."""

@@ -23,7 +23,7 @@ const withUnit = (unit, scale) => (value) => (isNone(value) ? NONE : `${number(v
 
 export function number(value) {
   if (isNone(value)) return NONE;
-  const rounded = value * (1 + 1e-12); // as format_cell in arpd/model/quantities.py
+  const rounded = value * (1 + 1e-12); // halves go up
   const digits = Math.abs(rounded) >= 99.95 ? 0 : Math.abs(rounded) >= 9.995 ? 1 : 2;
   return rounded.toFixed(digits);
 }

@@ -57,9 +57,7 @@ def documents(sample_snapshot, simulated):
     history = History()
     history.note(sample_snapshot)
     told = replace(sample_snapshot, events=(EVENT,))
-    observation = replace(
-        sample_snapshot.observation, publishers=(), readers=(), counters=None, peer_ages_s={}, rmw="", taken=None
-    )
+    observation = replace(sample_snapshot.observation, publishers=(), counters=None, peer_ages_s={}, rmw="", taken=None)
     allocation = replace(sample_snapshot.allocation, topics=(), status=AllocationStatus.EMPTY)
     empty = replace(sample_snapshot, observation=observation, allocation=allocation)
     return {

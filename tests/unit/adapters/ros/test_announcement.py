@@ -8,9 +8,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import KeyValue
 
-from arpd.adapters.ros.announcement import from_status, reader_from_status, reader_to_status, to_status
+from arpd.adapters.ros.announcement import from_status, to_status
 from arpd.model.endpoints import Direction, RefusalReason, SwapPhase, SwapRecord, SwapResult, WithheldCause
-from tests.sample_publishers import publisher, reader
+from tests.sample_publishers import publisher
 
 PLAIN = publisher("/n", "/t", direction=Direction.LOCAL)
 LATCHED = publisher(
@@ -45,35 +45,10 @@ REPLACED = publisher(
 )
 
 
-DRIVEN = reader(
-    "/n",
-    "/t",
-    deadline_ns=50_000,
-    baseline_deadline_ns=70_000,
-    generation=3,
-    lease_s=30.0,
-    swaps_by_result={"ok": 2},
-)
-REFUSING = replace(
-    DRIVEN,
-    refusal="not in time",
-    refusal_reason=RefusalReason.UNMATCHED,
-    keeps_all=True,
-    swaps_by_result={},
-    deadlines_missed=12,
-)
-
-
 @pytest.mark.parametrize("state", [PLAIN, LATCHED, REPLACED], ids=["plain", "refused", "swapped"])
 def test_a_publisher_is_read_as_it_was_announced(state):
     """Encoding and decoding an announcement changes nothing."""
     assert from_status(to_status(state)) == state
-
-
-@pytest.mark.parametrize("state", [DRIVEN, REFUSING], ids=["driven", "refused"])
-def test_a_reader_is_read_as_it_was_announced(state):
-    """Encoding and decoding a reader's announcement changes nothing."""
-    assert reader_from_status(reader_to_status(state)) == state
 
 
 def test_an_announcer_cannot_make_labels_without_end():
@@ -83,12 +58,6 @@ def test_an_announcer_cannot_make_labels_without_end():
     swaps = from_status(status).swaps_by_result
     assert len(swaps) <= 32
     assert max(map(len, swaps)) <= 40
-
-
-def test_a_reader_cannot_ask_a_writer_for_a_nanosecond():
-    """A reader's deadline that no writer can keep is refused."""
-    with pytest.raises(ValueError, match="shorter than 10000 ns"):
-        reader_from_status(reader_to_status(replace(DRIVEN, deadline_ns=1)))
 
 
 def test_words_of_others_do_nothing_to_a_terminal():

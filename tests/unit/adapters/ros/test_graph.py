@@ -90,8 +90,8 @@ def test_a_writer_or_reader_that_comes_or_goes_is_seen_at_once(node):
     assert graph.read().crossings["/t3"].remote_readers == 1
     node.readers["/t3"].append(endpoint("/late", host=2, number=9, deadline_ns=50_000_000))
     seen = graph.read().crossings["/t3"]
-    assert (seen.remote_readers, seen.tightest_request_ns()) == (2, 50_000_000)
+    assert (seen.remote_readers, seen.tightest_request_ns) == (2, 50_000_000)
     node.readers["/t3"].clear()
     assert graph.read().crossings["/t3"].remote_readers == 0
     node.readers["/t4"] = [endpoint("/other", host=2, deadline_ns=80_000_000)]
-    assert graph.read().crossings["/t4"].tightest_request_ns() == 80_000_000
+    assert graph.read().crossings["/t4"].tightest_request_ns == 80_000_000

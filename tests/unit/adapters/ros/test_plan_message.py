@@ -7,29 +7,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.adapters.ros.plan_message import decode_plan, encode_plan
-from arpd.model.plan import MOST_GENERATION, ReaderPlan, TopicPlan
+from arpd.model.plan import MOST_GENERATION, TopicPlan
 from tests.examples import examples
 
 ROW = TopicPlan(rate_hz=math.inf, min_rate_hz=1.5, deadline_ns=10**8, depth=20, weight=2.0, wire_bytes=9.5, packets=3)
-READ = ReaderPlan(depth=7, deadline_ns=0)
 
 
-def text_of(publishers=None, readers=None, generation=3, lease_s=30.0):
-    return encode_plan(generation=generation, lease_s=lease_s, publishers=publishers or {}, readers=readers or {})
+def text_of(publishers=None, generation=3, lease_s=30.0):
+    return encode_plan(generation=generation, lease_s=lease_s, publishers=publishers or {})
 
 
 def test_a_plan_is_read_as_it_was_written():
     """All rows, the generation and the lease arrive, an infinite rate too; the text is JSON for any reader."""
-    text = text_of({"/t": ROW}, {"/r": READ}, MOST_GENERATION)
+    text = text_of({"/t": ROW}, MOST_GENERATION)
     plan = decode_plan(text)
     assert (plan.generation, plan.lease_s) == (MOST_GENERATION, 30.0)
     assert {topic: TopicPlan(**row) for topic, row in plan.publishers.items()} == {"/t": ROW}
-    assert {topic: ReaderPlan(**row) for topic, row in plan.readers.items()} == {"/r": READ}
     assert json.loads(text)["publishers"]["/t"] == [20, 10**8, None, 1.5, 2.0, 9.5, 3]
 
 
 def spoilt(**changes):
-    return json.dumps({**json.loads(text_of({"/t": ROW}, {"/r": READ})), **changes})
+    return json.dumps({**json.loads(text_of({"/t": ROW})), **changes})
 
 
 @examples(60)

@@ -18,7 +18,7 @@ class Node:
     def __init__(self):
         self.texts = []
         self.readers = 1
-        self.publishers_answer = self.readers_answer = PlanAnswer()
+        self.last_answer = PlanAnswer()
 
     def create_publisher(self, _kind, _topic, _qos, **_events):
         return self
@@ -40,9 +40,7 @@ def node():
 
 @pytest.fixture
 def sender(node):
-    return PlanSender(
-        node, publishers_answer=lambda _name: node.publishers_answer, readers_answer=lambda _name: node.readers_answer
-    )
+    return PlanSender(node, answer_of=lambda _name: node.last_answer)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +55,6 @@ def test_an_unconfirmed_plan_is_repeated_after_a_while(node, sender, is_answered
         if len(node.texts) > before:
             sent_s.append(tick / 10)
             if is_answered:
-                node.publishers_answer = node.answer()
+                node.last_answer = node.answer()
     assert sent_s == expected_s
     assert len(set(node.texts)) == 1

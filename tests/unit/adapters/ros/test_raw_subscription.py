@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from arpd.adapters.ros.announcement import from_status, to_status
+from arpd.adapters.ros.announcement import to_status
 from arpd.adapters.ros.listeners import Announcements
 from arpd.adapters.ros.raw_subscription import Pause, RefusedMessages, octets, peek
 from arpd.model.observation import MessageKind, MessageRefusal
@@ -52,17 +52,7 @@ class World:
     def __init__(self):
         self.node, self.now_s = Node(), 0.0
         self.refused = RefusedMessages(clock=lambda: self.now_s)
-        self.heard = Announcements(
-            self.node,
-            "/t",
-            MessageKind.PUBLISHERS,
-            from_status,
-            is_reliable=True,
-            stale_s=3.5,
-            refused=self.refused,
-            clock=lambda: self.now_s,
-            pause=Pause(),
-        )
+        self.heard = Announcements(self.node, refused=self.refused, clock=lambda: self.now_s, pause=Pause())
 
     def see(self, *nodes):
         self.heard.see(frozenset(nodes), lambda _node, _topic: True)

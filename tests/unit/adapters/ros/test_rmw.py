@@ -61,7 +61,6 @@ def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
         direction=Direction.SENSING,
         remote_readers=1,
         requests=(("", 0), ("", 5 * MS), ("", 9 * MS)),
-        offers_ns=(0,),
         writers=frozenset({""}),
     )
-    assert crossing.tightest_request_ns() == 5 * MS
+    assert crossing.tightest_request_ns == 5 * MS
