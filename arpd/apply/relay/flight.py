@@ -11,7 +11,7 @@ from arpd.apply.relay.envelope import WRAP
 _OUT_S = 0.4  # of silence, beyond the usual time of a receipt, while something is on its way
 # Time of the capacity that may be on its way, beyond the fastest receipt of late. More would only wait, and what the
 # socket's buffer does not hold, 50 ms of 20 Mbit/s with Linux' defaults, is lost there.
-_WINDOW_S = 0.05
+_WINDOW_S = 0.03
 _SMALL_WINDOWS = 3.0  # for small messages: what fits the link must not wait for what fills it
 _QUEUED_S = 0.08  # an age that shows a queue on the link; what arrives is then what the link carries
 _STANDING_S = 0.1  # a queue that stays as long as this
@@ -21,7 +21,7 @@ _GROWTH = 1.5  # times the best rate of late: a daemon may believe more than the
 _LEAST_BYTES = 12_000
 _RATE_S, _BEST_S = 0.2, 1.0
 _TRIP_S = 10.0
-_PROMPT_S, _PROMPT_BYTES = 0.02, 8_000  # a receipt for so many bytes follows so soon
+_PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows so soon
 _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
 _HALF = WRAP // 2
