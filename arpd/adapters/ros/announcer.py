@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed publisher raises
 _COUNTERS_S = 1.0
 _EARLY_S = 0.2  # least time between two messages: the daemon takes eight a second of each kind
+_WARN_EVERY_S = 60.0
 _ROLL_S = 15.0  # every publisher's status is sent about so often, for people, and in case one was lost
 _MOST_STATUSES = 32  # in a message: 20 to 32 kB
 # A new generation, or a lease, is in every message of numbers; a phase that is over shows at the end of the swap.
@@ -176,6 +177,14 @@ class Announcer(Generic[P]):
             self._told |= told
 
     def _send_counters(self, states: Mapping[P, PublisherState], answer: PlanAnswer, lease_s: float) -> None:
+        if len(states) > MOST_OF_NODE:
+            left_out = [state.topic for state in states.values()][MOST_OF_NODE:]
+            self._node.get_logger().warning(
+                f"{len(states)} publishers in one node: arpd manages {MOST_OF_NODE}, and not {left_out[0]}, for "
+                "example; make another node for the rest",
+                throttle_duration_sec=_WARN_EVERY_S,
+                skip_first=False,
+            )
         rows = [
             row_of(last.number, last.serial, told=last.state, now=state)
             for publisher, state in states.items()

@@ -25,6 +25,7 @@ _TURN_S = 0.2
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+_SERVER = "ROS_DISCOVERY_SERVER"
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 
 
@@ -49,7 +50,9 @@ def _is_ours(path: Path) -> bool:
 
 
 @contextmanager
-def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
+def ros_node(
+    name: str, link: LinkDomain | None = None, *, context: Any = None, has_services: bool = True
+) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
     Parameters
@@ -57,6 +60,7 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     name : its name
     link : domain that it joins; the host's own domain when None
     context : rclpy context to start for it; None = the process's own, for a link a new one
+    has_services : whether it has those of parameters, which need an executor
 
     Raises
     ------
@@ -74,7 +78,12 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
         with _discovery(link):
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-            node = rclpy.create_node(name, context=context, enable_rosout=link is None)  # nobody reads it on the link
+            node = rclpy.create_node(
+                name,
+                context=context,
+                enable_rosout=link is None,  # nobody reads it on the link
+                start_parameter_services=has_services,
+            )
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
         raise RosUnavailableError(
@@ -111,8 +120,9 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
         return
     peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": peers}
-    before = {name: environment.get(name) for name in (*own, _VARIABLE)}
+    before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
     environment.update(own)
+    environment.pop(_SERVER, None)  # the robot's discovery server is in its own domain, and knows nothing of the link
     send_without_waiting(environment)
     try:
         yield

@@ -159,6 +159,8 @@ def decode_state(data: bytes) -> EndState:
             link_gids=str(document.get("link_gids", "")),
             local_gids=str(document.get("local_gids", "")),
         )
+    except RecursionError as fault:
+        raise ValueError("no state of a relay (it is nested)") from fault
     except (zlib.error, KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as fault:
         raise ValueError(f"no state of a relay ({fault})") from fault
 

@@ -37,6 +37,7 @@ _TICK_S = 0.02  # a record waits so long at most; EventsExecutor has no guard co
 _LOOK_S = 0.5
 _QOS = QoSProfile(depth=1000)  # reliable; calls repeat themselves, so an overflow costs time only
 _OWNER = "services"
+_MOST_RECORDS = 1000  # that wait for a tick; a call whose record is dropped repeats it
 
 
 class CallLink:
@@ -75,7 +76,7 @@ class CallLink:
         self._nodes = nodes
         self._local_name = local_name
         self._clock = clock
-        self._records: deque[bytes] = deque()
+        self._records: deque[bytes] = deque(maxlen=_MOST_RECORDS)
         self._logged = OncePerMinute()
         self._calls = Calls(
             node,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import re
+from pathlib import Path
 from typing import Any
 
 from rclpy.exceptions import NoTypeSupportImportedException
@@ -67,6 +69,8 @@ def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
         raise UnknownTypeError(f"{type_name!r} is no type of ROS 2")
     package, kind, name = match.groups()
     ending = f"_{name.rpartition('_')[2]}"
+    if not _is_generated(package, kind):
+        raise UnknownTypeError(f"{type_name} is not installed here ({package} has no {kind} of ROS)")
     try:
         if kind == folder:
             return getattr(importlib.import_module(f"{package}.{folder}"), name)
@@ -76,3 +80,16 @@ def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
     except (ImportError, AttributeError) as error:
         raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
     raise UnknownTypeError(f"{type_name} is no {folder}")
+
+
+def _is_generated(package: str, folder: str) -> bool:
+    """Return whether rosidl made this folder of a package, without importing either.
+
+    The other end names the package, and importing one runs it. Of rosidl's packages it runs nothing but definitions.
+    """
+    spec = importlib.util.find_spec(package)
+    for place in (spec.submodule_search_locations or ()) if spec is not None else ():
+        made = Path(place, folder, "__init__.py")
+        if made.is_file() and f"from {package}.{folder}._" in made.read_text(encoding="utf-8", errors="replace"):
+            return True
+    return False

@@ -1,5 +1,7 @@
 """Calls across the link by type: what says a failure, what cannot be called, and when a request may leave."""
 
+import sys
+
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
@@ -12,7 +14,7 @@ from test_msgs.srv import BasicTypes, Empty
 
 from arpd.adapters.ros.ends.ghost_service import failed_response
 from arpd.adapters.ros.ends.served_calls import ServedCalls
-from arpd.adapters.ros.ends.types import service_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
 from arpd.apply.relay.call_records import FailureReason, Record, Request
 
 
@@ -95,3 +97,18 @@ def test_no_request_leaves_before_its_server_can_know_the_client():
     pass_time(0.1)
     ask(3)
     assert (pass_time(0.1), pass_time(0.3)) == (2, 3)
+
+
+@pytest.mark.parametrize("kind", ["msg", "srv", "action"])
+def test_a_package_that_rosidl_did_not_make_is_not_imported(tmp_path, monkeypatch, kind):
+    """The other end names types, and no code of another package runs for that."""
+    package = tmp_path / "not_of_ros"
+    (package / kind).mkdir(parents=True)
+    for folder in (package, package / kind):
+        (folder / "__init__.py").write_text("raise SystemExit('it ran')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    load = message_class if kind == "msg" else service_class
+    for name in ("not_of_ros", "antigravity", "nowhere"):
+        with pytest.raises(UnknownTypeError, match="is not installed here"):
+            load(f"{name}/{kind}/Thing")
+    assert not {"not_of_ros", "antigravity"} & sys.modules.keys()

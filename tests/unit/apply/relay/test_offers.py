@@ -113,6 +113,12 @@ def test_a_state_of_another_version_says_so(monkeypatch):
         decode_state(data)
 
 
+def test_a_state_that_is_nested_without_end_is_refused():
+    """Brackets by the hundred thousand are no state, and end nothing."""
+    with pytest.raises(ValueError, match="nested"):
+        decode_state(zlib.compress(b"[" * 100_000))
+
+
 def test_a_state_that_would_fill_the_memory_is_refused():
     """A few bytes that decompress to gigabytes are no state."""
     with pytest.raises(ValueError, match="more than"):
