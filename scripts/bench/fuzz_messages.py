@@ -1,9 +1,8 @@
-"""Fuzz targets for input over ROS: reports, probes, announcements, heartbeats, parameters."""
+"""Fuzz targets for input over ROS: reports, probes, announcements, plans, heartbeats."""
 
 from __future__ import annotations
 
 import math
-import struct
 from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
@@ -110,8 +109,8 @@ def counters() -> Fuzzable:
 
 def plan() -> Fuzzable:
     """Feed the plan of a node: the node refuses it, or makes valid rows of it."""
+    from arpd.adapters.ros.bounds import check_grant, checked_row
     from arpd.adapters.ros.plan_message import decode_plan, encode_plan
-    from arpd.adapters.ros.publisher_settings import checked_row
     from arpd.model.endpoints import WriterQos
     from arpd.model.plan import TopicPlan
 
@@ -120,11 +119,14 @@ def plan() -> Fuzzable:
     def feed(data: bytes) -> None:
         try:
             found = decode_plan(data.decode("utf-8", "replace"))
+            check_grant(generation=found.generation, lease_s=found.lease_s, in_force=2)
             rows = [checked_row(topic, row, own) for topic, row in found.publishers.items()]
         except ValueError as refusal:
             insist(bool(str(refusal)), "a refusal with a reason")
             return
+        insist(found.generation >= 2 and 0.0 <= found.lease_s < math.inf, f"a number and a time: {found}")
         insist(all(row.depth >= 1 and row.rate_hz >= 0 and row.deadline_ns >= 0 for row in rows), f"rows: {rows}")
+        insist(all(0.0 <= term < math.inf for row in rows for term in row.terms), f"finite terms: {rows}")
 
     row = TopicPlan(
         rate_hz=math.inf, min_rate_hz=1.0, deadline_ns=10**9, depth=40, weight=1.5, wire_bytes=9.5, packets=1
@@ -183,48 +185,6 @@ def heartbeat() -> Fuzzable:
         seeds=(b"arpd on robot2\n" + b"1" * 32 + b"\n\nstarted_ns=1700000000000000000",),
         words=("started_ns=", "arpd on "),
     )
-
-
-def parameters() -> Fuzzable:
-    """Feed values of QoS parameters: arpd refuses them with a reason, or makes a valid plan of them."""
-    from dataclasses import replace
-
-    from arpd.adapters.ros.bounds import checked_lease_s
-    from arpd.adapters.ros.publisher_settings import checked
-    from arpd.model.endpoints import WriterQos
-    from arpd.model.plan import TopicPlan
-
-    fields = ("depth", "deadline_ns", "rate_hz", "min_rate_hz", "lease_s")
-    plan = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40)
-
-    def feed(data: bytes) -> None:
-        changes: dict[str, int | float] = {}
-        for start in range(0, len(data) - 8, 9):
-            field = fields[data[start] % len(fields)]
-            (value,) = struct.unpack_from("<q" if field in {"depth", "deadline_ns"} else "<d", data, start + 1)
-            parameter = SimpleNamespace(name=f"arpd./a.publisher.{field}", value=value)
-            try:
-                if field == "lease_s":
-                    insist(0.0 <= checked_lease_s(parameter) < math.inf, "a time")
-                else:
-                    changes[field] = checked(parameter, field, WriterQos(depth=10, deadline_ns=0))
-            except ValueError as refusal:
-                insist(parameter.name in str(refusal), f"a refusal that names the parameter: {refusal}")
-        try:
-            made = replace(plan, **changes)  # type: ignore[arg-type]
-        except ValueError as refusal:
-            insist(bool(str(refusal)), "a refusal with a reason")
-            return
-        insist(made.depth >= 1 and made.rate_hz >= 0 and made.deadline_ns >= 0, f"a plan: {made}")
-
-    def entry(field: int, value: float) -> bytes:
-        return bytes([field]) + struct.pack("<q" if field < 2 else "<d", value)
-
-    seeds = (
-        b"".join(entry(i, v) for i, v in enumerate((10, 10**9, 5.0, 1.0, 3.0))),
-        b"".join(entry(i, v) for i, v in enumerate((2**62, -1, math.nan, math.inf, -0.0))),
-    )
-    return Fuzzable(feed=feed, seeds=seeds)
 
 
 def _pairs(data: bytes) -> list[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scripts.bench.fuzz_files import config, status_file, trace, web_config
 from scripts.bench.fuzz_http import http
-from scripts.bench.fuzz_messages import counters, heartbeat, parameters, plan, probe, publisher, report, wire
+from scripts.bench.fuzz_messages import counters, heartbeat, plan, probe, publisher, report, wire
 from scripts.bench.fuzz_target import Target
 
 TARGETS = {
@@ -20,5 +20,4 @@ TARGETS = {
     "claim": Target(load=heartbeat, most_bytes=1024),
     "http": Target(load=http),
     "web-config": Target(load=web_config),
-    "parameters": Target(load=parameters, most_bytes=256),
 }

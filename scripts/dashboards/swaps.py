@@ -41,7 +41,7 @@ _PLAN_REACHES = bars(
         query("sum(increase(arpd_applies_total{}[$__rate_interval]))", "plans sent"),
         query("sum by (reason) (increase(arpd_apply_failures_total{}[$__rate_interval]))", "failed: {{reason}}"),
     ],
-    shows="Calls that set a node's parameters, and those that failed.",
+    shows="Plans sent to nodes, and those that failed.",
     bad="timeout or unreachable again and again: a node hangs, or its executor does not spin.",
     then="look at that node's log; the other nodes have their plan.",
 )

@@ -1,22 +1,17 @@
-"""Sets the parameters of one publisher or subscription, as its node does when it is asked to."""
+"""Retunes one publisher, as a plan does."""
 
-from rclpy.parameter import Parameter
+from dataclasses import replace
 
-_OWN = ("rate", "min_rate", "weight", "wire_bytes", "packets")
+_FIELDS = {"depth": "depth", "deadline": "deadline_ns", "rate": "rate_hz", "min_rate": "min_rate_hz"}
 
 
 class Setter:
-    """Atomic changes, with short names for the settings."""
+    """Changes of some settings, with short names; the others stay."""
 
-    def __init__(self, node, topic, kind="publisher"):
-        self._node = node
-        self._names = {
-            "depth": f"qos_overrides.{topic}.{kind}.depth",
-            "deadline": f"qos_overrides.{topic}.{kind}.deadline",
-            **{name: f"arpd.{topic}.publisher.{name}" for name in _OWN},
-        }
+    def __init__(self, publisher):
+        self._publisher = publisher
 
     def __call__(self, **values):
-        """Set, and return the result."""
-        parameters = [Parameter(self._names[key], value=value) for key, value in values.items()]
-        return self._node.set_parameters_atomically(parameters)
+        """Set them."""
+        changes = {_FIELDS.get(name, name): value for name, value in values.items()}
+        self._publisher._shared._retune(self._publisher, replace(self._publisher.plan, **changes))

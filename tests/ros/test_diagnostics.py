@@ -153,7 +153,7 @@ def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, eventu
     Diagnostics(node, lambda: daemon.snapshot)
     Monitor(ros.node("monitor"))
     graph = GraphReader(node, current_rmw())
-    eventually("the monitor shows", lambda: (seen := graph.read().crossings.get(DIAGNOSTICS_TOPIC)) and seen.readers)
+    eventually("the monitor shows", lambda: (seen := graph.read().crossings.get(DIAGNOSTICS_TOPIC)) and seen.requests)
     battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
     eventually("the robot's alone shows", lambda: graph.read().crossings[DIAGNOSTICS_TOPIC].writers == {"/battery"})
     battery.destroy()

@@ -6,11 +6,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.plan_listener import plan_qos
+from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.plan_message import encode_plan
 from arpd.model.plan import TopicPlan
 from tests.ros.clock import SkippingClock
@@ -18,7 +17,6 @@ from tests.ros.price import TERMS, PriceSender, costing
 
 pytestmark = pytest.mark.ros
 TOPIC = "/leased"
-DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
 ROW = TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TERMS)
 LEASE_S = 60.0  # longer than a busy machine stops a process
 
@@ -81,17 +79,7 @@ def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(clock, publisher
         return (publisher.plan.depth, publisher.plan.rate_hz) == (10, math.inf)
 
     eventually("the plan ends", has_ended)
-    node = publisher._node
-    eventually("the parameters follow", lambda: node.get_parameter(DEPTH).value == 10)
     eventually("the price ends", lambda: publisher.state(generation=0).paced_rate_hz == math.inf)
-    assert node.get_parameter("arpd.generation").value == 0
+    assert publisher._shared._grant.generation == 0
     send_plan(generation=1, lease_s=LEASE_S)  # another daemon, without knowledge of its predecessor
     send_price(50.0)
-
-
-@pytest.mark.usefixtures("publisher")
-def test_an_impossible_lease_is_refused(node):
-    """An infinite lease is refused with a reason."""
-    (result,) = node.set_parameters([Parameter("arpd.lease", value=math.inf)])
-    assert not result.successful
-    assert "is not a lease" in result.reason

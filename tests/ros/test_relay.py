@@ -46,21 +46,21 @@ def carry(lines):
         yield start
 
 
-def test_it_carries_what_an_unmodified_node_publishes(ros, lines, carry, background, eventually):
+def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, background, eventually):
     """Messages of a plain publisher on /chatter arrive unchanged on /link/chatter."""
-    talker = Numbers(ros.node("plain").create_publisher(String, "/chatter", 1000), "plain")
-    received = listen(ros.node("far"), "/link/chatter")
+    talker = Numbers(elsewhere("plain").create_publisher(String, "/chatter", 1000), "plain")
+    received = listen(elsewhere("far"), "/link/chatter")
     settings = RelaySettings(topics=("/chatter", "/never"), depths={"/chatter": 1000})
-    carry(ros.node("relay"), settings)
+    carry(elsewhere("relay"), settings)
     background(talker.talk)
     eventually("samples arrive", lambda: len(received) > 20)
     assert is_whole(received, "plain")
     eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published yet: /never")
 
 
-def test_a_latched_topic_stays_latched(ros, lines, carry, eventually):
+def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually):
     """A late reader of the relayed topic receives the map published before it joined."""
-    talker = ros.node("map_server").create_publisher(String, "/map", LATCHED)
+    talker = elsewhere("map_server").create_publisher(String, "/map", LATCHED)
     talker.publish(String(data="the map"))
     carry(ros.node("relay"), RelaySettings(topics=("/map",)))
     eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")

@@ -14,13 +14,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+import rclpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from arpd import AdaptivePublisher
 from arpd.adapters.ros.participants import Participants
 from arpd.adapters.ros.relay import Relay
 from arpd.model.settings import RelaySettings
 from tests.ros.domain import DOMAIN
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
@@ -113,19 +116,14 @@ def stack():
 
 
 def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatch, eventually):
-    """While the thread of one shard hangs, its part stands still, although the other threads go on."""
+    """While a write of one shard hangs, its part stands still, although the other threads go on."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     participants = stack.enter_context(closing(Participants(ros.node("slow"), TOPICS)))
-    hang, hangs, go_on = threading.Event(), threading.Event(), threading.Event()
-
-    def work():
-        if hang.is_set():
-            hangs.set()
-            go_on.wait()
-
-    participants.of(TOPICS[-1], is_large=False).create_timer(0.01, work)
+    publisher = AdaptivePublisher(participants.of(TOPICS[-1], is_large=False), String, "/hangs", 10)
+    hangs, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(publisher._flow.lane, "write", lambda _sample: hangs.set() or go_on.wait(PATIENCE_S))
     first, last = participants.parts[0], participants.parts[-1]
-    hang.set()
+    publisher.pass_on(String(data=100_000 * "x"))
     eventually("the shard hangs", hangs.is_set)
     stands, goes_on = last(), first()
     eventually("another thread goes on", lambda: first() > goes_on)
@@ -137,7 +135,10 @@ def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatc
 def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monkeypatch, eventually):
     """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    source, far, heard = ros.node("source"), ros.node("far"), set()
+    elsewhere = rclpy.Context()  # a relay carries what other processes publish
+    rclpy.init(context=elsewhere, domain_id=DOMAIN)
+    stack.callback(rclpy.try_shutdown, context=elsewhere)
+    source, far, heard = rclpy.create_node("source", context=elsewhere), ros.node("far"), set()
     publishers = [source.create_publisher(kind, topic, 10) for kind, topic in ((Image, "/image"), (String, "/chatter"))]
     for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)

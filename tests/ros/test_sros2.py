@@ -163,7 +163,8 @@ def wait_for_plan(node):
     """Return the endpoints of every node, once the driver's publisher has a plan and all nodes are there."""
 
     def is_tuned():
-        return node.has_parameter("arpd.generation") and node.get_parameter("arpd.generation").value
+        shared = getattr(node, "_arpd_NodePublishers", None)
+        return shared is not None and shared._grant.generation
 
     def all_opened():
         found = {name: opened(node, name) for name in NODES}

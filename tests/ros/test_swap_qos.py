@@ -212,8 +212,8 @@ def test_a_volatile_topic_is_never_replayed(ros, eventually):
     assert received == ["0", "1"]
 
 
-def test_overriding_options_work_as_in_rclpy_and_leave_depth_writable(ros, eventually):
-    """Parameters override other policies at the start, and depth stays writable."""
+def test_overriding_options_work_as_in_rclpy(ros, eventually):
+    """Parameters override other policies at the start, too, and a plan changes the depth that they gave."""
     overrides = [
         Parameter(f"qos_overrides.{TOPIC}.publisher.reliability", value="best_effort"),
         Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=40),
@@ -221,10 +221,9 @@ def test_overriding_options_work_as_in_rclpy_and_leave_depth_writable(ros, event
     node = ros.node("talker", parameter_overrides=overrides)
     options = QoSOverridingOptions([QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEPTH])
     publisher = make(node, 10, qos_overriding_options=options)
-    eventually("the first depth is in force", lambda: state(publisher).depth == 40)
+    assert state(publisher).depth == 40
     assert publisher.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
-    (result,) = node.set_parameters([Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=50)])
-    assert result.successful
+    retune(publisher, depth=50)
     eventually("the new depth is in force", lambda: state(publisher).depth == 50)
     watcher = ros.node("watcher")
     wanted = [QoSReliabilityPolicy.BEST_EFFORT]

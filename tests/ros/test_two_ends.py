@@ -8,19 +8,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
+from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.ends.survey import own_participant
 from arpd.adapters.ros.names import plan_topic
-from arpd.adapters.ros.plan_listener import plan_qos
 from arpd.adapters.ros.plan_message import encode_plan
 from arpd.adapters.ros.relay import default_node_name
 from arpd.adapters.ros.world import RosControl
@@ -383,14 +381,10 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
 
     background(shoot)
     eventually("sets arrive", lambda: len(stamps[topics[0]]) > 50)
-    relay = ends.link_side().node("tuner")
-    service = f"/{default_node_name(platform.node())}/set_parameters_atomically"
-    client = relay.create_client(SetParametersAtomically, service)
-    eventually("the relay takes parameters", client.service_is_ready)
-    rate = Parameter("arpd./stereo.publisher.rate", value=2.0).to_parameter_msg()
-    request = client.call_async(SetParametersAtomically.Request(parameters=[rate]))
-    eventually("the rate is set", request.done)
-    assert request.result().result.successful, request.result()
+    relay = ends.link_side().node("planner")
+    plans = relay.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
+    row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
+    plans.publish(String(data=encode_plan(generation=1, lease_s=0.0, publishers={"/stereo": row})))
     first = stamps[topics[0]]
     # Two sets a second are fewer than the camera takes on any machine.
     eventually("the group is thinned", lambda: len(first) > 5 and first[-1] - first[-5] > 8)

@@ -1,36 +1,27 @@
-"""The shared half of one node's AdaptivePublishers: parameters, price and announcement."""
+"""The shared half of one node's AdaptivePublishers: plan, price and announcement."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64MultiArray
-
 from arpd.adapters.ros.announcer import Announcer
 from arpd.adapters.ros.attached import attached
-from arpd.adapters.ros.events import no_subscription_events
+from arpd.adapters.ros.bounds import checked_row
+from arpd.adapters.ros.daemon_messages import DaemonMessages
 from arpd.adapters.ros.grant import Grant
-from arpd.adapters.ros.names import PRICE_TOPIC, parameter_name
-from arpd.adapters.ros.own_parameters import OwnParameters
-from arpd.adapters.ros.plan_listener import PlanListener
-from arpd.adapters.ros.price_message import decode_price
 from arpd.adapters.ros.profile import missing_here, warn_once
-from arpd.adapters.ros.publisher_settings import SETTINGS, checked, checked_row, parameters_of
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.writing_thread import InvalidHandle, WritingThread
 from arpd.apply.endpoint.queue import PacedQueue, Whole
 from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from rclpy.context import Context
     from rclpy.node import Node
@@ -77,8 +68,8 @@ class Paced(Protocol):
 class NodePublishers:
     """Tunes and announces all AdaptivePublishers of one node; the first of them makes it.
 
-    The thread of its participant announces, so that this neither depends on the node's executor nor blocks it. Plans,
-    parameters and the price arrive through the executor. The lease ends there too, so no plan can interfere.
+    The participant's own threads read plans and the price, and announce: nothing depends on the node's executor, and no
+    callback of the application delays a rate.
 
     Attributes
     ----------
@@ -90,25 +81,19 @@ class NodePublishers:
         self._clock = clock
         self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
         self._publishers: dict[str, Paced] = {}
-        self._own = OwnParameters(node)
-        self._parameters: dict[str, tuple[str, str]] = {}  # parameter name → (topic, field of TopicPlan)
         self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
         self._check_s = clock()
-        self._grant = Grant(node, clock=clock)
+        self._grant = Grant(clock=clock)
         # Only Fast DDS has profiles, and only its writers can be swapped.
         self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
         if self._lacks_profile:
             warn_once(node.get_logger(), missing)
-        node.add_on_set_parameters_callback(self._validate)
-        node.add_post_set_parameters_callback(self._apply)
-        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(
-            Float64MultiArray, PRICE_TOPIC, self._on_price, newest, event_callbacks=no_subscription_events()
-        )
-        node.create_timer(_CHECK_S, self._expire_plan, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._lock = threading.RLock()  # guards plan, price and who has them
         self._announcer: Announcer[Paced] = Announcer(node, self._state_of)
-        PlanListener(node, self)
+        self._messages = DaemonMessages(
+            node, self, warn=lambda words: node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
+        )
         self.thread.wake(self)
 
     @classmethod
@@ -117,33 +102,29 @@ class NodePublishers:
         return attached(node, cls, lambda: cls(node))
 
     def adopt(self, publisher: Paced) -> None:
-        """Declare the publisher's parameters, and give it its price and its row of the plan."""
+        """Give a publisher its price and its row of the plan, now and from now on.
+
+        Raises
+        ------
+        ValueError
+            If the node has one on this topic already: a plan has one row for both.
+        """
         topic = publisher.topic_name
         if topic in self._publishers:
             raise ValueError(
                 f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
-                "their parameters would share one name"
+                "a plan has one row for both"
             )
-        for setting, (field, description) in SETTINGS.items():
-            name = parameter_name(topic, setting)
-            self._parameters[name] = (topic, field)
-            self._own.declare(name, getattr(publisher.plan, field), description)
-        self._publishers = {**self._publishers, topic: publisher}
-        # Overrides given at the start (--ros-args -p qos_overrides…) are in force from the beginning.
-        plan = self._plans([self._node.get_parameter(parameter_name(topic, name)) for name in SETTINGS])[topic]
-        if plan != publisher.plan:
-            publisher.retune(plan)
-        self._show_price(publisher)
-        self._give_row(publisher)
+        with self._lock:
+            self._publishers = {**self._publishers, topic: publisher}
+            self._show_price(publisher)
+            self._give_row(publisher)
 
     def release(self, publisher: Paced) -> None:
-        """Forget a publisher and its parameters."""
+        """Forget a publisher."""
         topic = publisher.topic_name
-        self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
-        for setting in SETTINGS:
-            name = parameter_name(topic, setting)
-            if self._parameters.pop(name, None):
-                self._own.undeclare(name)
+        with self._lock:
+            self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
 
     def note_swap(self, publisher: Paced) -> None:
         """Announce a publisher soon, because a swap of it has ended; for any thread."""
@@ -155,13 +136,16 @@ class NodePublishers:
         try:
             if now_s >= self._check_s:
                 self._check_s = now_s + _CHECK_S
-                self._note_silence(now_s)
+                with self._lock:
+                    self._note_silence(now_s)
+                    self._expire_plan()
                 self._warn_of_large()
             if now_s >= self._announcer.due_s:
                 answer, lease_s = self._grant.answer, self._grant.lease.granted_s
                 self._announcer.turn(now_s, self._publishers.values(), answer=answer, lease_s=lease_s)
         except InvalidHandle:
             if not self._has_node:
+                self._messages.destroy()
                 raise
             return now_s + _RETRY_S  # only a publisher was destroyed, between two looks
         except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the announcements
@@ -186,14 +170,12 @@ class NodePublishers:
             generation=grant.generation, lease_s=grant.lease.granted_s, lacks_profile=self._lacks_profile
         )
 
-    def _on_price(self, message: Any) -> None:
-        try:
-            self._price = decode_price(message.data)
-        except ValueError as fault:
-            self._node.get_logger().warning(f"a price is ignored: {fault}", once=True)
-            return
-        self._grant.lease.renew(self._clock())
-        self._show_price(*self._publishers.values())
+    def take_price(self, price: Price) -> None:
+        """Take the price of the link."""
+        with self._lock:
+            self._price = price
+            self._grant.lease.renew(self._clock())
+            self._show_price(*self._publishers.values())
 
     def _note_silence(self, now_s: float) -> None:
         if self._grant.lease.is_silent(now_s, for_s=_SILENT_S):
@@ -233,10 +215,10 @@ class NodePublishers:
         )
         grant.end()
         self._rows = {}
-        for topic, publisher in self._publishers.items():
+        for publisher in self._publishers.values():
             own = publisher.baseline
             plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
-            self._retune(topic, publisher, plan)
+            publisher.retune(plan)
         self._price = None
         self._show_price(*self._publishers.values())
 
@@ -244,29 +226,27 @@ class NodePublishers:
         """Take all rows of a plan for this node's publishers, or none of them; the next announcement has the answer."""
         if not plan.publishers:
             return
-        try:
-            self._grant.check_plan(plan)
-            rows = {
-                topic: (publisher, checked_row(topic, row, publisher.baseline))
-                for topic, publisher in self._publishers.items()
-                if (row := plan.publishers.get(topic)) is not None
-            }
-        except ValueError as refusal:
-            self.refuse_plan(crc, str(refusal))
-            return
-        is_repeated = self._grant.take_plan(plan, crc)
-        self._rows = plan.publishers
-        for topic, (publisher, wanted) in rows.items():
-            if is_repeated or wanted != publisher.plan:  # the daemon repeats a plan when a swap failed, for example
-                self._retune(topic, publisher, wanted)
-        for topic, publisher in self._publishers.items():
-            if topic not in rows:  # made meanwhile, by another thread
-                self._give_row(publisher)
+        with self._lock:
+            try:
+                self._grant.check(plan)
+                rows = [
+                    (publisher, checked_row(topic, row, publisher.baseline))
+                    for topic, publisher in self._publishers.items()
+                    if (row := plan.publishers.get(topic)) is not None
+                ]
+            except ValueError as refusal:
+                self.refuse_plan(crc, str(refusal))
+                return
+            is_repeated = self._grant.take(plan, crc)
+            self._rows = plan.publishers
+            for publisher, wanted in rows:
+                if is_repeated or wanted != publisher.plan:  # the daemon repeats a plan when a swap failed, for example
+                    self._retune(publisher, wanted)
         self._tell_answer()
 
     def refuse_plan(self, crc: int, words: str) -> None:
         """Answer that a plan is refused, and why."""
-        self._grant.refuse_plan(crc, words)
+        self._grant.refuse(crc, words)
         self._tell_answer()
 
     def _tell_answer(self) -> None:
@@ -278,36 +258,11 @@ class NodePublishers:
         topic = publisher.topic_name
         if self._grant.generation and (row := self._rows.get(topic, {})).get("weight"):
             with suppress(ValueError):  # the row of a predecessor with other QoS
-                self._retune(topic, publisher, checked_row(topic, row, publisher.baseline))
+                self._retune(publisher, checked_row(topic, row, publisher.baseline))
 
-    def _retune(self, topic: str, publisher: Paced, plan: TopicPlan) -> None:
+    def _retune(self, publisher: Paced, plan: TopicPlan) -> None:
         publisher.retune(plan)
-        self._own.show(parameters_of(topic, plan))
         self._show_price(publisher)
-
-    def _validate(self, parameters: Sequence[Any]) -> Any:
-        try:
-            self._plans(parameters)
-            self._grant.check(parameters)
-        except ValueError as refusal:
-            return SetParametersResult(successful=False, reason=str(refusal))
-        return SetParametersResult(successful=True)
-
-    def _apply(self, parameters: Sequence[Any]) -> None:
-        self._grant.take(parameters)
-        for topic, plan in self._plans(parameters).items():
-            self._publishers[topic].retune(plan)
-            self._show_price(self._publishers[topic])
-
-    def _plans(self, parameters: Sequence[Any]) -> dict[str, TopicPlan]:
-        """Return the plan of each topic with changed parameters; raise ValueError with a reason for a bad value."""
-        changes: dict[str, dict[str, Any]] = {}
-        for parameter in parameters:
-            if parameter.name in self._parameters:
-                topic, field = self._parameters[parameter.name]
-                if (publisher := self._publishers.get(topic)) is not None:
-                    changes.setdefault(topic, {})[field] = checked(parameter, field, publisher.baseline)
-        return {topic: replace(self._publishers[topic].plan, **fields) for topic, fields in changes.items()}
 
 
 def _started(context: Context, clock: Callable[[], float]) -> WritingThread:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.context import Context
 
 from arpd.adapters.ros.node_publishers import NodePublishers
-from arpd.adapters.ros.runtime import ros_node, spinning_alone
+from arpd.adapters.ros.runtime import ros_node
 from arpd.apply.relay_status import shard_name, shards
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ class Participants:
         self._stack.close()
 
     def _make(self) -> Any:
-        """Return a new node in a participant of its own, which a thread of its own spins."""
-        node = self._stack.enter_context(ros_node(shard_name(self._name, self._count), context=Context()))
+        """Return a new node in a participant of its own, which nobody spins: arpd's threads serve its publishers."""
+        name = shard_name(self._name, self._count)
+        node = self._stack.enter_context(ros_node(name, context=Context(), has_services=False))
         self._take(node)
-        self.parts.append(self._stack.enter_context(spinning_alone(node)))
         return node
 
     def _take(self, node: Any) -> None:

@@ -38,13 +38,6 @@ class PlanAnswer(NamedTuple):
     refusal: str = ""
 
 
-class Setting(NamedTuple):
-    """A value that a plan asks for, under the name of its parameter."""
-
-    name: str
-    value: Any
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NodePlan:
     """All rows that are now asked of one node.

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rclpy.exceptions import NameValidationException
 from std_msgs.msg import String
 
+from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.names import plan_topic
-from arpd.adapters.ros.plan_listener import plan_qos
 from arpd.adapters.ros.plan_message import crc_of, encode_plan
 
 if TYPE_CHECKING:

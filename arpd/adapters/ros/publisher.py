@@ -13,7 +13,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.adapters.ros.node_publishers import NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
-from arpd.adapters.ros.writer import RosWriter, serialized, swap_failure, with_qos, without_ours
+from arpd.adapters.ros.writer import RosWriter, overridden, serialized, swap_failure, with_qos, without_ours
 from arpd.adapters.ros.writing_thread import InvalidHandle
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import (
@@ -47,16 +47,16 @@ _BUSY_S = 0.005  # a thread is at the writer, mostly for less
 class AdaptivePublisher:
     """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
 
-    Until its parameters are set it behaves as a plain publisher: unpaced, with the application's QoS. It works from any
+    Until a daemon plans it, it behaves as a plain publisher: unpaced, with the application's QoS. It works from any
     thread and under any executor. It uses a monotonic clock, with ``use_sim_time`` too.
 
     Parameters
     ----------
-    node : node it lives in; its executor must spin for parameters and the price to work
+    node : node it lives in; nothing of arpd's needs its executor
     msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
     event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
         swap prepares or retires; the counts in the events start again with every swap
-    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named, and stay writable
+    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named
     overflow : which samples are withheld when they come faster than the paced rate
     swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
         old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
@@ -70,7 +70,7 @@ class AdaptivePublisher:
     Raises
     ------
     ValueError
-        If the node already has an AdaptivePublisher on the topic: their parameters would share one name.
+        If the node already has an AdaptivePublisher on the topic, or if an override is out of bounds.
     """
 
     def __init__(
@@ -91,7 +91,8 @@ class AdaptivePublisher:
         self.msg_type = msg_type
         self.topic = topic
         # A copy, so that later changes of the application's profile do not reach the next writer.
-        self.qos_profile = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
+        own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
+        self.qos_profile = overridden(node, node.resolve_topic_name(topic), own)
         self._node = node
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks

@@ -5,16 +5,19 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind, QoSReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
+from arpd.adapters.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
 from arpd.adapters.ros.events import MissedDeadlines, passing_on, status_of
 from arpd.adapters.ros.graph import deadline_ns_of
 from arpd.adapters.ros.rcl import rcl
-from arpd.model.endpoints import SwapResult
+from arpd.model.endpoints import SwapResult, WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +26,6 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from arpd.adapters.ros.graph import Requests
-    from arpd.model.endpoints import WriterQos
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 _FOREVER = Duration(seconds=-1)  # rclpy's default
@@ -155,8 +157,46 @@ def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
     return changed
 
 
+def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
+    """Return a profile with the depth and the deadline that the start of the process gives a publisher.
+
+    A parameter file or ``--ros-args -p`` gives them under ROS 2's standard names (design.ros2.org, "QoS Overrides by
+    Parameters"). They are the application's own QoS from then on; their parameters are read-only, as rclpy's are.
+
+    Parameters
+    ----------
+    topic : fully qualified name
+
+    Raises
+    ------
+    ValueError
+        If one is out of bounds; the message names the parameter.
+    """
+    own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
+    depth = _override(
+        node, topic, "depth", own.depth, lambda value: checked_depth(value, most=max(MOST_DEPTH, own.depth))
+    )
+    deadline_ns = _override(
+        node, topic, "deadline", own.deadline_ns, lambda value: checked_deadline_ns(value, own_ns=own.deadline_ns)
+    )
+    if (depth, deadline_ns) == (own.depth, own.deadline_ns):
+        return profile
+    return with_qos(profile, WriterQos(depth=depth, deadline_ns=deadline_ns))
+
+
+def _override(node: Node, topic: str, policy: str, own: int, check: Callable[[int], int]) -> int:
+    name = f"qos_overrides.{topic}.publisher.{policy}"
+    if not node.has_parameter(name):  # without a default: a later publisher of the topic may have other QoS of its own
+        description = ParameterDescriptor(read_only=True, description=f"{policy} of {topic}")
+        node.declare_parameter(name, Parameter.Type.INTEGER, description)
+    try:
+        return check(node.get_parameter_or(name, Parameter(name, value=own)).value)
+    except ValueError as fault:
+        raise ValueError(f"{name}: {fault}") from fault
+
+
 def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
-    """Return the options without depth and deadline, whose parameters stay writable here."""
+    """Return the options without depth and deadline, which `overridden` declares."""
     if options is None:
         return None
     kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]

@@ -29,7 +29,7 @@ def kill_reader(world):
     victim = world.start("listener", "victim", *TOPICS.values())
     talker = world.talker(readers=2, stops=TOPICS)
     eventually("the victim receives", lambda: all(victim.tell("received").values()))
-    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
     eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
     victim.kill()
     talker.tell("release")

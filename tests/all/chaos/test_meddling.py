@@ -1,4 +1,4 @@
-"""Events during a writer swap, in every state of it: readers join, a person sets parameters, a second daemon plans."""
+"""Events during a writer swap, in every state of it: readers join, newer plans come, a second daemon plans."""
 
 import re
 import time
@@ -23,7 +23,7 @@ def join(world):
     """One subscriber joins while every swap is stopped, another one as they go on."""
     there = Log(world, "there")
     talker = world.talker(stops=TOPICS)
-    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
     eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
     early = Log(world, "early")
     eventually("the early reader matches", lambda: min(talker.tell("matched").values()) == 2)
@@ -73,34 +73,33 @@ def test_who_joins_during_a_swap_harms_nobody(played, where):
     assert (now.last.published, now.last.withheld) == (outcome.sent, 0)
 
 
-def set_by_hand(world):
-    """Set parameters one by one while every swap is stopped."""
+def plan_again(world):
+    """Send one newer plan after the other, as another daemon would, while every swap is stopped."""
     reader = Log(world, "reader")
     talker = world.talker(stops=TOPICS)
-    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline=DEADLINE_NS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
     eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
-    for topic in TOPICS.values():
-        for setting, value in (("depth", 150), ("deadline", 700_000_000), ("depth", 250)):
-            world.param_set("/talker", topic, setting, value)
+    for depth, deadline_ns in ((150, DEADLINE_NS), (150, 700_000_000), (250, 700_000_000)):
+        world.ask("/talker", TOPICS.values(), depth=depth, deadline_ns=deadline_ns)
     talker.tell("release")
-    eventually("what was set last is in force", lambda: world.has_settled(TOPICS.values(), depth=250, swaps=2))
+    eventually("what was asked last is in force", lambda: world.has_settled(TOPICS.values(), depth=250, swaps=2))
     sent = settle(world, talker, reader)
     return SimpleNamespace(now=world.picture(), sent=sent, received=reader.numbers)
 
 
 @every_state
-def test_what_was_set_last_during_a_swap_is_in_force(played, where):
-    """The last value of each parameter is in force, earlier ones cost no swap, and one writer is left."""
-    now = played(set_by_hand).now[TOPICS[where]]
+def test_what_was_asked_last_during_a_swap_is_in_force(played, where):
+    """The last plan is in force, earlier ones cost no swap, and one writer is left."""
+    now = played(plan_again).now[TOPICS[where]]
     assert (now.last.depth, now.last.deadline_ns, now.last.refusal) == (250, 700_000_000, "")
     assert now.writers == [700_000_000]
-    assert ended(now.last) == 2, "the swap that was under way, and one for all that was set"
+    assert ended(now.last) == 2, "the swap that was under way, and one for all that was asked"
 
 
 @every_state
-def test_setting_parameters_during_a_swap_loses_nothing(played, where):
+def test_plans_during_a_swap_lose_nothing(played, where):
     """Every published sample arrives once and in order."""
-    outcome = played(set_by_hand)
+    outcome = played(plan_again)
     last = outcome.now[TOPICS[where]].last
     assert outcome.received[TOPICS[where]] == list(range(outcome.sent))
     assert (last.published, last.withheld) == (outcome.sent, 0)

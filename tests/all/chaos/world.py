@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import os
 import queue
 import signal
@@ -18,15 +20,16 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
+from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.graph import deadline_ns_of
-from arpd.adapters.ros.names import parameter_name
+from arpd.adapters.ros.names import plan_topic
+from arpd.adapters.ros.plan_message import crc_of, encode_plan
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
+from arpd.model.plan import TopicPlan
 from scripts.bench.child import number_of, sample_of
 from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from tests.ros.announced import Announced
@@ -114,12 +117,13 @@ class World:
         self._workdir = workdir
         self._stack = ExitStack()
         self._announcements = defaultdict(list)  # topic → all states announced
-        self._clients = {}
+        self._planners = {}  # node → publisher of its plans
+        self._generations = itertools.count(1)
         self._starts = 0
 
     def __enter__(self):
         self._node = self.node("observer")
-        Announced(self._node, self._on_news)
+        self._heard = Announced(self._node, self._on_news)
         return self
 
     def __exit__(self, *failure):
@@ -237,28 +241,16 @@ class World:
             for topic in tuple(self._announcements)
         }
 
-    def ask(self, node, topics, **settings):
-        """Set ``depth`` and ``deadline`` of all these publishers in one atomic call, as a daemon does."""
-        parameters = [_parameter(topic, setting, value) for topic in topics for setting, value in settings.items()]
-        answer = self._call(
-            SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters
-        ).result.successful
-        assert answer, f"{node} refused {settings}"
-
-    def param_set(self, node, topic, setting, value):
-        """Set one parameter by hand, as `ros2 param set` does."""
-        (result,) = self._call(
-            SetParameters, f"{node}/set_parameters", parameters=[_parameter(topic, setting, value)]
-        ).results
-        assert result.successful, result.reason
-
-    def _call(self, kind, service, **request):
-        if service not in self._clients:
-            self._clients[service] = self._node.create_client(kind, service)
-        eventually(f"{service} is there", self._clients[service].service_is_ready)
-        answer = self._clients[service].call_async(kind.Request(**request))
-        eventually(f"{service} answers", answer.done)
-        return answer.result()
+    def ask(self, node, topics, *, depth, deadline_ns):
+        """Send a node a newer plan of all these publishers, as a daemon does, and wait until it is taken."""
+        row = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=deadline_ns, depth=depth)
+        generation = next(self._generations)
+        text = encode_plan(generation=generation, lease_s=0.0, publishers=dict.fromkeys(topics, row))
+        if node not in self._planners:
+            self._planners[node] = self._node.create_publisher(String, plan_topic(node), plan_qos())
+        self._planners[node].publish(String(data=text))
+        taken = (generation, crc_of(text), "")
+        eventually(f"{node} takes the plan", lambda: self._heard.answers.get(node) == taken)
 
     def _on_news(self, states):
         for state in states:
@@ -303,10 +295,6 @@ class Source:
 
     def is_heard(self, readers):
         return all(publisher.get_subscription_count() >= readers for publisher in self._publishers)
-
-
-def _parameter(topic, setting, value):
-    return Parameter(parameter_name(topic, setting), value=value).to_parameter_msg()
 
 
 def settle(world, talker, *logs, first=0):

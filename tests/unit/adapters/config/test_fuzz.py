@@ -18,7 +18,7 @@ SHIPPED = (Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml").read_text(e
 # Without its comments, which cost time and change nothing.
 LINES = [line for line in SHIPPED.splitlines() if line.strip() and not line.lstrip().startswith("#")]
 QUICK = examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
-ROS_TARGETS = {"report", "probe", "publisher", "wire", "claim", "parameters"}
+ROS_TARGETS = {"report", "probe", "publisher", "wire", "claim"}
 
 
 @pytest.fixture

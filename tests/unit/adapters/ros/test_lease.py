@@ -5,7 +5,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.apply.endpoint.lease import Lease
+from arpd.adapters.ros.grant import Lease
 from arpd.model.settings import OnLost, Settings
 
 
