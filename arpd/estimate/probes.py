@@ -175,7 +175,7 @@ class ProbeLoss:
             del self._sent_before[next(iter(self._sent_before))]
 
     def digest(self, report: PeerReport) -> None:
-        """Note the count of a report; peers of an older version send none."""
+        """Note the count of a report."""
         sent = self._sent_before.get(report.last_probe)
         if sent is None or report.probe_packets is None:
             return

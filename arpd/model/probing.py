@@ -42,8 +42,7 @@ class PeerReport:
     delays_s : one-way delays of the probe packets in that time; offset by an unknown clock difference (s)
     trains : bursts completed in that time
     last_probe : highest number of a probe whose first packet arrived, 0 = none or unknown
-    probe_packets : packets of all earlier probes that arrived since the peer started, modulo 2^32; None = unknown, from
-        a peer of an older version
+    probe_packets : packets of all earlier probes that arrived since the peer started, modulo 2^32; None = unknown
     return_delay_s : one-way delay of the report itself, offset like ``delays_s``; None = unknown (s)
     """
 

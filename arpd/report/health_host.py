@@ -228,7 +228,7 @@ def judge_versions(own: str, daemon: str | Unknown, *, is_far: bool) -> Judgemen
     if is_far:
         return wrong(
             VERSIONS,
-            f"arpd {own} here, {daemon} on the robot; messages are understood one version back only",
+            f"arpd {own} here, {daemon} on the robot; they may not understand each other",
             "install the newer one on the other end: sudo scripts/install.sh, or sudo apt install ./arpd-ros_*.deb",
         )
     return wrong(

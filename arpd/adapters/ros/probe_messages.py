@@ -12,14 +12,13 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.model.probing import PeerReport, Train
 
 _PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
-# Version, number of delays, number of trains, bytes of the name, interval s, rx bytes, rx packets, last probe.
-_REPORT = struct.Struct("<BBBBfIII")
-_PACKETS = struct.Struct("<I")  # packets of the probes before the last one; since version 3
+# Version, number of delays, number of trains, bytes of the name, interval s, rx bytes, rx packets, last probe, packets
+# of all probes before it.
+_REPORT = struct.Struct("<BBBBfIIII")
 _DELAY = struct.Struct("<d")
 _TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
 _PROBE_VERSION = 1
 _REPORT_VERSION = 3
-_REPORT_WITHOUT_PACKETS = 2  # the version before
 _MOST = 32  # delays or trains in one report
 _MOST_NAME = 64  # bytes
 _MOST_INTERVAL_S = 60.0  # no report covers a longer one
@@ -77,18 +76,18 @@ def encode_report(report: PeerReport) -> Any:
         min(report.rx_bytes, 2**32 - 1),
         min(report.rx_packets, 2**32 - 1),
         report.last_probe & 0xFFFFFFFF,
+        (report.probe_packets or 0) & 0xFFFFFFFF,
     )
-    packets = _PACKETS.pack((report.probe_packets or 0) & 0xFFFFFFFF)
     body = b"".join(_DELAY.pack(delay) for delay in delays)
     body += b"".join(
         _TRAIN.pack(min(train.payload_bytes, 2**32 - 1), train.duration_s, train.sent_s, min(train.packets, 65535))
         for train in trains
     )
-    return UInt8MultiArray(data=array("B", head + packets + name + body))
+    return UInt8MultiArray(data=array("B", head + name + body))
 
 
 def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | None = None) -> PeerReport:
-    """Decode a report of this version or the one before from the bytes of its message.
+    """Decode a report from the bytes of its message.
 
     Parameters
     ----------
@@ -100,14 +99,13 @@ def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | 
     ValueError
         If it is malformed, or its values are impossible.
     """
-    if not data or data[0] not in (_REPORT_WITHOUT_PACKETS, _REPORT_VERSION):
-        raise ValueError("not a peer report of a version known here")
-    has_packets = data[0] == _REPORT_VERSION
-    name_at = _REPORT.size + (_PACKETS.size if has_packets else 0)
-    if len(data) < name_at:
+    if not data or data[0] != _REPORT_VERSION:
+        raise ValueError("not a peer report of this version")
+    if len(data) < _REPORT.size:
         raise ValueError("peer report of the wrong length")
-    _, delay_count, train_count, name_size, interval_s, rx_bytes, rx_packets, last_probe = _REPORT.unpack_from(data)
-    delays_at = name_at + name_size
+    _, delay_count, train_count, name_size, interval_s, *counts = _REPORT.unpack_from(data)
+    rx_bytes, rx_packets, last_probe, probe_packets = counts
+    delays_at = _REPORT.size + name_size
     trains_at = delays_at + delay_count * _DELAY.size
     if len(data) != trains_at + train_count * _TRAIN.size:
         raise ValueError("peer report of the wrong length")
@@ -116,7 +114,7 @@ def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | 
         Train(payload_bytes=size, duration_s=duration_s, sent_s=sent_s, packets=packets)
         for size, duration_s, sent_s, packets in _TRAIN.iter_unpack(data[trains_at:])
     )
-    peer = data[name_at:delays_at].decode(errors="replace")
+    peer = data[_REPORT.size : delays_at].decode(errors="replace")
     # Written so that NaN fails too.
     is_possible = (
         0 < interval_s < _MOST_INTERVAL_S
@@ -133,7 +131,7 @@ def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | 
         rx_packets=rx_packets,
         last_probe=last_probe,
         delays_s=delays,
-        probe_packets=_PACKETS.unpack_from(data, _REPORT.size)[0] if has_packets else None,
+        probe_packets=probe_packets,
         return_delay_s=return_delay_s,
         trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
     )
