@@ -1,6 +1,9 @@
 """The relay with two ends: many topics, a third end, and calls after a restart."""
 
+import threading
+import time
 from contextlib import ExitStack
+from statistics import median
 
 import pytest
 
@@ -52,6 +55,24 @@ def test_a_second_far_end_is_ignored_and_named(world, eventually):
     first.kill()
     first.wait()
     eventually("the second one takes over", lambda: "ignored" not in ends.status["robot"])
+
+
+def test_a_call_wakes_both_ends(world, eventually):
+    """The median call across both ends takes less than half of one of their ticks, of 20 ms."""
+    ends = world("services: [/add]").start()
+    server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
+    server.create_service(BasicTypes, "/add", lambda request, response: response)
+    client = planner.create_client(BasicTypes, "/add")
+    eventually("the service crosses", client.service_is_ready)
+
+    def duration_s():
+        began_s, answered = time.monotonic(), threading.Event()
+        client.call_async(BasicTypes.Request()).add_done_callback(lambda _: answered.set())
+        assert answered.wait(30.0)
+        return time.monotonic() - began_s
+
+    duration_s()  # it waits for the client at the other end to match
+    assert median(duration_s() for _ in range(50)) < 0.01
 
 
 def test_a_restarted_far_end_serves_again(world, eventually):

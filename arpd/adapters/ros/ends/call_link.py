@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from arpd.apply.relay.offers import ServiceOffer
 
 log = logging.getLogger(__name__)
-_TICK_S = 0.02  # a record waits so long at most; EventsExecutor has no guard conditions, which could wake it earlier
+_TICK_S = 0.02  # between bursts of requests to a server, and of answers to a client
 _LOOK_S = 0.5
 _QOS = QoSProfile(depth=1000)  # reliable; calls repeat themselves, so an overflow costs time only
 _OWNER = "services"
@@ -76,7 +76,9 @@ class CallLink:
         self._nodes = nodes
         self._local_name = local_name
         self._clock = clock
+        self._node = node
         self._records: deque[bytes] = deque(maxlen=_MOST_RECORDS)
+        self._is_woken = False
         self._logged = OncePerMinute()
         self._calls = Calls(
             node,
@@ -111,9 +113,12 @@ class CallLink:
             self._reader.destroy()
             self._calls.destroy()
 
-    def _tick(self) -> None:
+    def _take(self) -> None:
+        self._is_woken = False
         while self._records:
             self._calls.receive(self._records.popleft())
+
+    def _tick(self) -> None:
         now_s = self._clock()
         if now_s >= self._look_s:
             self._look_s = now_s + _LOOK_S
@@ -122,6 +127,7 @@ class CallLink:
             self._calls.follow(offered, session=session)
             self._nodes.release(_OWNER, {self._local_name(offer.node) for offer in offered.values()})
             self.refused, self.failures = dict(self._calls.refused), dict(self._calls.failures)
+        self._take()
         self._calls.step(now_s)
 
     def _arrive(self, sample: Sample) -> None:
@@ -133,6 +139,10 @@ class CallLink:
             return
         if (record := self._assembly.add(chunk)) is not None:
             self._records.append(record)
+            # EventsExecutor has no guard conditions, but both executors wake for a task.
+            if not self._is_woken and (executor := self._node.executor) is not None:
+                self._is_woken = True
+                executor.create_task(self._take)
 
     def _send(self, record: bytes) -> None:
         if self._lane is None:

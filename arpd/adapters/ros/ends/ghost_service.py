@@ -37,17 +37,24 @@ class GhostService:
     def __init__(self, node: Any, kind: Any, name: str, *, on_request: Callable[[Any, Any], None]) -> None:
         self._node = node
         self._answers: deque[tuple[Any, Any]] = deque()
+        self._sent = 0  # since the last step
         self._service: Any = node.create_service(kind, name, _request, qos_profile=CALLS_QOS)
         self._send: Callable[[Any, Any], None] = self._service.send_response
         self._service.send_response = on_request
 
     def answer(self, response: Any, header: Any) -> None:
-        """Send the response of one request soon (`step`), unless the server is gone."""
+        """Send the response of one request, unless the server is gone; where many just left, after the next `step`."""
         self._answers.append((response, header))
+        self._release()
 
     def step(self) -> None:
         """Send some of the responses that wait."""
-        for _ in range(min(_AT_ONCE, len(self._answers))):
+        self._sent = 0
+        self._release()
+
+    def _release(self) -> None:
+        while self._service is not None and self._answers and self._sent < _AT_ONCE:
+            self._sent += 1
             self._send(*self._answers.popleft())
 
     def destroy(self) -> None:
