@@ -23,7 +23,7 @@ from arpd.adapters.ros.plan_message import encode_plan
 from arpd.adapters.ros.relay import default_node_name
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.relay.envelope import wrap
-from arpd.apply.relay.offers import EndState, encode_state
+from arpd.apply.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
@@ -320,8 +320,35 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
-    words = "it speaks version 9 (arpd 9.9), this end version 2"
+    words = "it speaks version 9 (arpd 9.9), this end version 3"
     eventually("both versions are named", lambda: words in ends.status["robot"])
+
+
+def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
+    """Of two topics of one type the one whose writers have another definition does not enter."""
+    ends = world().start("robot")
+    robot, stranger = ends.side("robot").node("sensor"), ends.link_side().node("stranger")
+    Counter(robot, String, "/chatter", RELIABLE)
+    told = listen(stranger, "/arpd/relay/robot", latched(1), UInt8MultiArray)
+    offered = eventually("the end tells what it offers", lambda: told and decode_state(bytes(told[-1])).topics)
+    same = offered["/chatter"].type_hash
+    assert same.startswith("RIHS01_")
+    writer = WriterOffer(number=0, node="/planner", gid="00" * 16)
+    topics = {
+        name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
+        for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
+    }
+    state = EndState(session="0" * 16, number=1, topics=topics, link_gids=own_participant(stranger).hex())
+    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
+    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    states.publish(wrap(encode_state(state)))
+
+    def is_refused():
+        signs.publish(wrap(b"0" * 16))
+        return "refused /other: std_msgs/msg/String has another definition here" in ends.status["robot"]
+
+    eventually("the other definition is refused", is_refused)
+    assert [robot.count_publishers(name) for name in topics] == [1, 0]
 
 
 def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventually):

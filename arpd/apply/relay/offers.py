@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-VERSION = 2
+VERSION = 3
 _MOST_NUMBER = 2**16 - 1  # of a writer and of a place in a group: their fields in a sample have 16 bits
 _MOST_NS = 2**63 - 1
 _MOST_DEPTH = 5000
@@ -56,6 +56,7 @@ class TopicOffer:
     Parameters
     ----------
     type_name : its type
+    type_hash : of the definition that its writers have (REP 2016), as "RIHS01_..."; empty = they do not tell one
     writers : its writers
     link_name : name under which it crosses the link; all topics of a group have one
     member : its place in the group, 0 without one
@@ -66,6 +67,7 @@ class TopicOffer:
     writers: tuple[WriterOffer, ...]
     link_name: str
     member: int = 0
+    type_hash: str = ""
     planned_depth: int = 0
     planned_deadline_ns: int = 0
 
@@ -177,6 +179,7 @@ def _topic(document: Any) -> TopicOffer:
         writers=tuple(map(_writer, document["writers"])),
         link_name=str(document["link_name"]),
         member=_whole(document["member"], most=_MOST_NUMBER),
+        type_hash=str(document["type_hash"]),
         planned_depth=_whole(document["planned_depth"], most=_MOST_DEPTH),
         planned_deadline_ns=_whole(document["planned_deadline_ns"], most=_MOST_NS),
     )

@@ -317,6 +317,7 @@ class End:
                     writers=writers,
                     link_name=link_name,
                     member=member,
+                    type_hash=surveyed.type_hash,
                     planned_depth=depth,
                     planned_deadline_ns=deadline_ns,
                 )

@@ -7,13 +7,14 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.ends.survey import own_type_hash
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.apply.relay.depths import BULK_BYTES, held_depth
 from arpd.apply.relay.envelope import Assembly, Record, unpack
@@ -39,6 +40,7 @@ _MOST_HELD = 1000
 _HELD_S = 3.0
 _OLD_S = 0.5  # on its way beyond the usual: an outage lay between
 _NEWER_S = 0.3  # what an outage delayed comes within that; the newest sample of each source is delivered
+_HASH = 15  # characters that tell two hashes apart
 _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
 
 
@@ -99,6 +101,7 @@ class Incoming:
         self._members: dict[tuple[str, int], _Topic] = {}
         self._readers: dict[str, RawReader] = {}  # by the name on the link
         self._assemblies: dict[str, Assembly] = {}
+        self._hashes: dict[str, str] = {}  # of this host's definitions, by type
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
         self._logged = OncePerMinute()
@@ -222,6 +225,14 @@ class Incoming:
             self._drop(topic)
             topic = None
         kind = message_class(offer.type_name)
+        here = self._hash_here(offer.type_name, kind) if offer.type_hash else ""
+        if here and here != offer.type_hash:
+            if topic is not None:
+                self._drop(topic)
+            raise UnknownTypeError(
+                f"{offer.type_name} has another definition here ({here[:_HASH]}...) than there "
+                f"({offer.type_hash[:_HASH]}...); build its package from one source on both ends"
+            )
         if topic is None:
             topic = self._topics[name] = _Topic(name, offer)
         topic.offer = offer
@@ -245,6 +256,11 @@ class Incoming:
             ghost.retune(planned)
             topic.gone_s.pop(writer.gid, None)
             topic.by_number[writer.number] = ghost
+
+    def _hash_here(self, type_name: str, kind: Any) -> str:
+        if type_name not in self._hashes:
+            self._hashes[type_name] = own_type_hash(self._nodes.of("", owner=_OWNER), kind)
+        return self._hashes[type_name]
 
     def _retire(self, topic: _Topic, present: set[str], now_s: float) -> None:
         """Remove the ghosts of writers that have been gone for a while."""

@@ -41,6 +41,7 @@ class Surveyed:
         self.writers: Mapping[str, WriterOffer] = {}  # by GUID
         self.known: Mapping[str, WriterOffer] = {}  # with those that left lately, whose samples may still come
         self.type_name = ""  # type that is offered
+        self.type_hash = ""  # its definition, where all its writers tell the same one
         self.counted = -1
         self.read_s = -math.inf
         self._seen_s: dict[str, float] = {}
@@ -65,6 +66,8 @@ class Surveyed:
         if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
             self.type_name = self.types[0] if len(self.types) == 1 else ""
         offered = {gid: info for gid, info in named.items() if info.topic_type == self.type_name}
+        hashes = {type_hash_of(info) for info in offered.values()} - {""}
+        self.type_hash = hashes.pop() if len(hashes) == 1 else ""
         self._seen_s.update(dict.fromkeys(offered, now_s))
         self._seen_s = {gid: at_s for gid, at_s in self._seen_s.items() if now_s - at_s < _REMEMBERED_S}
         known = {gid: writer for gid, writer in self.known.items() if gid in self._seen_s}
@@ -147,12 +150,28 @@ class Survey:
 
 def own_participant(node: Node) -> bytes:
     """Return the first bytes of the GUIDs of a node's process in its domain, by a topic that no other one writes."""
-    publisher = node.create_publisher(Empty, f"~/arpd_{secrets.token_hex(8)}", 1, event_callbacks=no_publisher_events())
+    return participant_of(_own_writer(node, Empty))
+
+
+def own_type_hash(node: Node, kind: Any) -> str:
+    """Return the hash of a message class of this process, as its writers tell it; empty if they tell none."""
+    return type_hash_of(_own_writer(node, kind))
+
+
+def type_hash_of(info: Any) -> str:
+    """Return the hash of an endpoint's type (REP 2016); empty where its middleware tells none."""
+    text = str(info.topic_type_hash)
+    return text if text.startswith("RIHS") else ""
+
+
+def _own_writer(node: Node, kind: Any) -> Any:
+    """Return the graph's description of a writer that lives no longer than this call."""
+    publisher = node.create_publisher(kind, f"~/arpd_{secrets.token_hex(8)}", 1, event_callbacks=no_publisher_events())
     try:
         until_s = time.monotonic() + _OWN_S
         while time.monotonic() < until_s:
             for info in node.get_publishers_info_by_topic(publisher.topic_name):
-                return participant_of(info)
+                return info
             time.sleep(0.01)
     finally:
         node.destroy_publisher(publisher)

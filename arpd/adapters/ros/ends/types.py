@@ -21,7 +21,7 @@ _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultServ
 
 
 class UnknownTypeError(Exception):
-    """A type that is not installed on this host, or whose libraries cannot be loaded."""
+    """A type that is not installed on this host, or differs here, or whose libraries cannot be loaded."""
 
 
 def message_class(type_name: str) -> Any:

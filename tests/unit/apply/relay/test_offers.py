@@ -38,6 +38,7 @@ TOPICS = st.builds(
     writers=st.lists(WRITERS, max_size=3).map(tuple),
     link_name=NAMES,
     member=st.integers(0, 9),
+    type_hash=NAMES,
     planned_depth=st.integers(0, 5000),
     planned_deadline_ns=PERIODS,
 )
@@ -109,7 +110,7 @@ def test_a_state_of_another_version_says_so(monkeypatch):
     monkeypatch.setattr(offers, "VERSION", 9)
     data = encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))
     monkeypatch.undo()
-    with pytest.raises(OtherVersionError, match=r"version 9 \(arpd 9.9\), this end version 2"):
+    with pytest.raises(OtherVersionError, match=rf"version 9 \(arpd 9.9\), this end version {offers.VERSION}"):
         decode_state(data)
 
 
