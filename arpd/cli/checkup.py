@@ -107,13 +107,15 @@ def check_up(asked: Asked, senses: Senses) -> Checkup:
         told = "" if is_far or isinstance(status, Unknown) else text(status, "interface")
         configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
         interface = _interface(senses, names=(told, configured), other=other)
+    heard = _heard(asked, senses, interface)
     pythons, distros = senses.ros(), senses.distros()
     judgements = (
         *health_link.judge_clock(_clocks(status), is_synchronised=senses.is_clock_synchronised(), is_far=is_far),
         *_of_interface(senses, interface, other),
         health_host.judge_buffers(limits := senses.limits()),
         health_host.judge_fragments(limits),
-        _discovery(asked, senses, interface, has_two_ends=relay.link_domain is not None),
+        health_link.judge_discovery(heard, interface=interface, has_two_ends=relay.link_domain is not None),
+        health_link.judge_transports(heard),
         health_host.judge_profile(_lacking(status), line=profile_line()),
         health_host.judge_ros(pythons[0], distro=senses.environment.get("ROS_DISTRO", ""), installed=distros),
         health_host.judge_numpy([one for one in pythons if not isinstance(one, Unknown)], installed=distros),
@@ -194,17 +196,14 @@ def _of_interface(senses: Senses, interface: str, other: str | None) -> Iterator
     )
 
 
-def _discovery(asked: Asked, senses: Senses, interface: str, *, has_two_ends: bool) -> Judgement:
-    heard: HeardDiscovery | Unknown
+def _heard(asked: Asked, senses: Senses, interface: str) -> HeardDiscovery | Unknown:
     if not asked.listen_s:
-        heard = Unknown("--listen 0 asks not to listen")
-    elif not interface:
-        heard = Unknown(_WITHOUT_INTERFACE)
-    elif (domain_id := local_domain(senses.environment)) is None:
-        heard = Unknown("ROS_DOMAIN_ID is no number")
-    else:
-        heard = senses.listen(interface, domain_id, asked.listen_s)
-    return health_link.judge_discovery(heard, interface=interface, has_two_ends=has_two_ends)
+        return Unknown("--listen 0 asks not to listen")
+    if not interface:
+        return Unknown(_WITHOUT_INTERFACE)
+    if (domain_id := local_domain(senses.environment)) is None:
+        return Unknown("ROS_DOMAIN_ID is no number")
+    return senses.listen(interface, domain_id, asked.listen_s)
 
 
 def _clocks(status: dict[str, Any] | Unknown) -> list[PeerClock] | Unknown:

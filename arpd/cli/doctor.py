@@ -32,8 +32,9 @@ def add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser], *,
         description="""\
 Look for what harms a robot on Wi-Fi, on either end of the link, and name the line that mends each: clocks that differ
 between the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost
-for want of memory, discovery of other nodes on the link, AdaptivePublishers without arpd's Fast DDS profile, versions
-of ROS, numpy and arpd that do not fit, units that do not run, faults of the configuration.
+for want of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers
+without arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units that do not run, faults of the
+configuration.
 
 It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
 CEDDP, name the robot with --url (http.host in its configuration opens the port).""",

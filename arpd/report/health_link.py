@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,7 +37,16 @@ _WITHOUT_POWER_SAVE = (
     "| sudo tee /etc/udev/rules.d/81-arpd-no-powersave.rules"
 )
 
-CLOCK, POWER_SAVE, SIGNAL, REGION, MTU, DISCOVERY = "clock", "power save", "signal", "region", "mtu", "discovery"
+_OVER_TCP_TOO = (
+    "echo FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA | sudo tee -a /etc/default/arpd && sudo systemctl restart 'arpd*'"
+)
+_AS_THE_NODES_USER = (
+    "sudo systemctl edit arpd   # and the other services: User= and Group= of your nodes, as processes of different "
+    "users exchange nothing then"
+)
+
+CLOCK, POWER_SAVE, SIGNAL, REGION, MTU = "clock", "power save", "signal", "region", "mtu"
+DISCOVERY, TRANSPORTS = "discovery", "transports"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -211,12 +221,14 @@ class Announcer:
     process : its command, or its number in words; empty = not known
     is_here : whether it runs on this computer
     is_arpds : whether it is a process of arpd's; never known of another computer's
+    transports : over what it tells of its topics, as "UDPv4"; empty = not known
     """
 
     host: str
     process: str
     is_here: bool
     is_arpds: bool
+    transports: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -270,6 +282,35 @@ def judge_discovery(heard: HeardDiscovery | Unknown, *, interface: str, has_two_
             "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST for your nodes",
         )
     return fine(DISCOVERY, found)
+
+
+def judge_transports(heard: HeardDiscovery | Unknown) -> Judgement:
+    """Judge whether all participants can tell each other of their topics.
+
+    They do so over TCP alone with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and over UDP alone without it. The two kinds
+    hear each other's announcements, but never find each other's topics.
+    """
+    if isinstance(heard, Unknown):
+        return unknown(TRANSPORTS, heard)
+    told = [one for one in heard.announcers if one.transports]
+    if not told:
+        return fine(TRANSPORTS, "nobody announces itself, so nobody is cut off")
+    own = [one.transports for one in told if one.is_arpds]
+    ((usual, _number),) = Counter(own or [one.transports for one in told]).most_common(1)
+    apart = [one for one in told if not one.transports & usual]
+    if not apart:
+        return fine(TRANSPORTS, f"all participants share {listed(sorted(usual))}")
+    theirs = frozenset[str]().union(*(one.transports for one in apart))
+    names = sorted({one.process if one.is_here else f"{one.process} of {one.host}" for one in apart})
+    others = "arpd" if own else "the others"
+    found = f"{listed(names)} and {others} never find each other's topics: {listed(sorted(theirs))} there"
+    have_tcp = any(name.startswith("TCP") for name in theirs)
+    if own and have_tcp:
+        mends: tuple[str, ...] = (_OVER_TCP_TOO, _AS_THE_NODES_USER)
+    else:
+        chosen = "unset FASTDDS_BUILTIN_TRANSPORTS" if have_tcp else "export FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA"
+        mends = (f"{chosen}   # before {listed(names)} start",)
+    return wrong(TRANSPORTS, f"{found}, {listed(sorted(usual))} here", *mends)
 
 
 def _not_arpds(there: Sequence[Announcer], *, has_two_ends: bool) -> list[Announcer]:

@@ -12,7 +12,7 @@ interface of each host, as a Pi's Wi-Fi; `middle` is the same in a namespace bet
 plain       rclpy's defaults
 large_data  the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process
 adaptive    AdaptivePublishers in the nodes, `arpd run` and `arpd peer`, all with arpd's Fast DDS profile
-adaptive_tcp  the same with LARGE_DATA for every process
+adaptive_tcp  the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life
 two_ends    plain nodes that stay on their hosts, `arpd run`, `arpd relay`, `arpd relay --far`, `arpd peer`
 other       two_ends with the arpd of another source tree (--tree)
 
@@ -305,7 +305,7 @@ def measured(options: argparse.Namespace, keys: dict[str, Any], workdir: Path, m
             keys["bottleneck"],
             f"robots-{os.getpid()}-{threading.get_native_id()}",
             memory=Path(memory),
-            is_memory_private=keys["side"] in _OVER_TCP,
+            is_memory_private=keys["side"] == "large_data",
             rate_bytes_per_second=course(0.0, seconds)[0],
         )
         try:

@@ -6,6 +6,7 @@ import select
 import socket
 import struct
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +26,8 @@ _GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS
 _FIRST_SUBMESSAGE = 20
 _DATA, _LITTLE_ENDIAN = 0x15, 0x01
 _TO_PARAMETERS = 20 + 4  # from the body of a DATA submessage without inline QoS: two ids, a number, CDR header
-_PROPERTY_LIST, _SENTINEL = 0x59, 0x01
+_PROPERTY_LIST, _METATRAFFIC_LOCATOR, _SENTINEL = 0x59, 0x32, 0x01
+_TRANSPORTS = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}  # kinds of locators (fastdds/rtps/common/Locator.h)
 _HOST, _PROCESS = "fastdds.physical_data.host", "fastdds.physical_data.process"
 _IP_PKTINFO, _IP_MULTICAST_ALL = 8, 49  # linux/in.h
 _PACKET_INFO = struct.Struct("i4s4s")  # interface, its address, destination (ip(7))
@@ -39,6 +41,7 @@ _PROC = Path("/proc")
 class _Participant:
     address: str
     properties: dict[str, str] = field(default_factory=dict)
+    transports: set[str] = field(default_factory=set)
 
 
 class DiscoveryEar:
@@ -64,6 +67,7 @@ class DiscoveryEar:
             return
         known = self._participants.setdefault(participant, _Participant(sender))
         known.properties.update(announced_properties(packet))
+        known.transports.update(announced_transports(packet))
 
     def heard(self, *, domain_id: int, elapsed_s: float) -> HeardDiscovery:
         """Return everything that was heard in a time (s)."""
@@ -84,6 +88,7 @@ class DiscoveryEar:
             process=command_name(command) or f"process {number or 'unknown'}",
             is_here=is_here,
             is_arpds=is_arpd(command),
+            transports=frozenset(one.transports),
         )
 
     def _command(self, number: str) -> tuple[str, ...]:
@@ -119,13 +124,25 @@ def _program(command: tuple[str, ...]) -> str:
 
 def announced_properties(packet: bytes) -> dict[str, str]:
     """Return the properties in an announcement; Fast DDS tells host and process there. Empty if there are none."""
-    try:
-        return dict(_properties(packet))
-    except (struct.error, IndexError, UnicodeDecodeError):
-        return {}
+    found: dict[str, str] = {}
+    with suppress(struct.error, IndexError, UnicodeDecodeError):
+        for order, value in _parameters(packet, _PROPERTY_LIST):
+            found.update(_pairs(value, order))
+    return found
 
 
-def _properties(packet: bytes) -> Iterator[tuple[str, str]]:
+def announced_transports(packet: bytes) -> set[str]:
+    """Return over what the sender of an announcement takes part in discovery of topics; shared memory is not told."""
+    kinds: set[int] = set()
+    with suppress(struct.error, IndexError):
+        kinds.update(
+            struct.unpack_from(f"{order}i", value)[0] for order, value in _parameters(packet, _METATRAFFIC_LOCATOR)
+        )
+    return {_TRANSPORTS[kind] for kind in kinds if kind in _TRANSPORTS}
+
+
+def _parameters(packet: bytes, wanted: int) -> Iterator[tuple[str, bytes]]:
+    """Yield byte order and value of every parameter of one kind (OMG DDSI-RTPS 2.3, 9.4.2.11)."""
     for kind, order, body in _submessages(packet):
         if kind != _DATA:
             continue
@@ -134,8 +151,8 @@ def _properties(packet: bytes) -> Iterator[tuple[str, str]]:
             parameter, length = struct.unpack_from(f"{order}HH", body, offset)
             if parameter == _SENTINEL:
                 break
-            if parameter == _PROPERTY_LIST:
-                yield from _pairs(body[offset + 4 : offset + 4 + length], order)
+            if parameter == wanted:
+                yield order, body[offset + 4 : offset + 4 + length]
             offset += 4 + length
 
 

@@ -44,13 +44,13 @@ class Ends:
         self.config = folder / "arpd.yaml"
         self.config.write_text("http: {host: 10.77.0.1}\n")
 
-    def start(self, host, name, *argv):
+    def start(self, host, name, *argv, environment=()):
         with (self._folder / f"{name}.log").open("w") as log:
-            self._python(host, *argv, stdout=log, stderr=log)
+            self._python(host, *argv, environment=environment, stdout=log, stderr=log)
 
-    def _python(self, host, *argv, **options):
-        without = [f"--unset={name}" for name in PROFILE_VARIABLES]
-        return python(self.link, host, *argv, environment=without, cwd=self._folder, **options)
+    def _python(self, host, *argv, environment=(), **options):
+        set_here = [*(f"--unset={name}" for name in PROFILE_VARIABLES), *environment]
+        return python(self.link, host, *argv, environment=set_here, cwd=self._folder, **options)
 
     def doctor(self, host, *options):
         """Return the checks by name, each with its health and text."""
@@ -101,6 +101,18 @@ def test_with_two_ends_a_node_that_announces_itself_is_found(ends):
     assert ends.doctor("robot", "--listen", "1")["discovery"][0] == "fine"
     ends.start("robot", "node", "-c", NODE)
     eventually("the node is found", lambda: ends.doctor("robot", "--listen", "4")["discovery"][0] == "wrong")
+
+
+def test_a_node_over_tcp_that_arpd_cannot_hear_is_found(ends):
+    """A node with LARGE_DATA and a daemon without it never meet."""
+    ends.start("robot", "run", "-m", "arpd.cli", "run", "--config", str(ends.config))
+    ends.start("robot", "node", "-c", NODE, environment=["FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA"])
+
+    def judged():
+        health, text = ends.doctor("robot", "--listen", "4")["transports"]
+        return health == "wrong" and "TCPv4 there, UDPv4 here" in text
+
+    eventually("the doctor knows that they never meet", judged)
 
 
 def overflow_a_socket():

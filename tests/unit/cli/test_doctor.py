@@ -102,10 +102,10 @@ def test_an_ill_computer_shows_what_to_do(asked):
     shown = lines(found)
     headings = [line.partition(":")[0] for line in shown if not line.startswith("    ")]
     assert headings[:-1] == ["wrong"] * 5 + ["not known"]
-    assert shown[-1] == "5 things to do, 9 checks fine, 1 not known"
+    assert shown[-1] == "5 things to do, 10 checks fine, 1 not known"
     for number in ("1.5 s behind", "1280", "    sudo apt install chrony", "    sudo iw dev wlan3 set power_save off"):
         assert number in "\n".join(shown)
-    assert len(lines(found, is_verbose=True)) == len(shown) + 9
+    assert len(lines(found, is_verbose=True)) == len(shown) + 10
 
 
 @pytest.mark.parametrize(("answer", "code"), [('{"api_version": "v1", "ready": false}', 503), ("something else", 200)])
@@ -148,7 +148,8 @@ def test_the_units_in_use_tell_the_end(asked, units, is_far):
 )
 def test_what_cannot_be_listened_to_is_not_known(asked, options, senses):
     """Nor does anything else fail for it."""
-    assert healths(check_up(asked(**options), senses))["discovery"] is Health.UNKNOWN
+    found = healths(check_up(asked(**options), senses))
+    assert (found["discovery"], found["transports"]) == (Health.UNKNOWN, Health.UNKNOWN)
 
 
 def test_the_command_prints_and_exits(run, tmp_path, monkeypatch):

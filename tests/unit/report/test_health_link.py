@@ -16,6 +16,7 @@ from arpd.report.health_link import (
     judge_discovery,
     judge_mtu,
     judge_radio,
+    judge_transports,
 )
 
 WELL = RadioState(saves_power=False, signal_dbm=-50, region="DE")
@@ -99,8 +100,8 @@ def test_packets_of_arpds_writers_must_fit(mtu, route, health):
 # -- discovery
 
 
-def announcer(process="talker", *, host="laptop", is_here=False, is_arpds=False):
-    return Announcer(host=host, process=process, is_here=is_here, is_arpds=is_arpds)
+def announcer(process="talker", *, host="laptop", is_here=False, is_arpds=False, transports=()):
+    return Announcer(host=host, process=process, is_here=is_here, is_arpds=is_arpds, transports=frozenset(transports))
 
 
 def heard(*announcers):
@@ -128,3 +129,23 @@ NODE = announcer("camera", host="robot", is_here=True)
 def test_with_two_ends_nobody_else_is_on_the_link_and_with_one_only_many_harm(announcers, has_two_ends, health):
     """Nodes that meet across the link must announce themselves there."""
     assert judge_discovery(heard(*announcers), interface="wlan0", has_two_ends=has_two_ends).health is health
+
+
+@pytest.mark.parametrize(
+    ("own", "nodes", "remedy"),
+    [
+        ("UDPv4", ["UDPv4", "UDPv4"], ""),
+        ("TCPv4", ["TCPv4"], ""),
+        ("UDPv4", ["TCPv4", "TCPv4", "TCPv4"], "echo FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA"),
+        ("TCPv4", ["UDPv4"], "export FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA"),
+        ("", ["UDPv4", "UDPv4", "TCPv4"], "unset FASTDDS_BUILTIN_TRANSPORTS"),
+        ("", ["", ""], ""),
+    ],
+)
+def test_participants_that_share_no_transport_are_named(own, nodes, remedy):
+    """What arpd speaks is right for it; without arpd, what most speak."""
+    told = [announcer(transports=[kind] if kind else []) for kind in nodes]
+    services = [replace(OWN, transports=frozenset({own}))] if own else []
+    judged = judge_transports(heard(*told, *services))
+    assert (judged.health is Health.WRONG, "".join(judged.remedies).startswith(remedy)) == (bool(remedy), True)
+    assert bool(judged.remedies) == bool(remedy)

@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.adapters.host.discovery import DiscoveryEar, announced_properties, command_name, is_arpd, listen
+from arpd.adapters.host.discovery import (
+    DiscoveryEar,
+    announced_properties,
+    announced_transports,
+    command_name,
+    is_arpd,
+    listen,
+)
 from arpd.report.health_link import HeardDiscovery
 from tests.waiting import eventually
 
@@ -23,10 +30,11 @@ def padded(text):
     return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
 
 
-def announcement(properties, *, guid=GUID, order="<"):
-    """Return an announcement with properties (OMG DDSI-RTPS 2.3, 8.5.3)."""
+def announcement(properties, *, guid=GUID, kinds=()):
+    """Return an announcement with properties and locators of these kinds (OMG DDSI-RTPS 2.3, 8.5.3)."""
     pairs = struct.pack("<I", len(properties)) + b"".join(map(padded, [w for pair in properties.items() for w in pair]))
     parameters = struct.pack("<HH", 0x15, 4) + b"\x02\x02\0\0"
+    parameters += b"".join(struct.pack("<HHiI16x", 0x32, 24, kind, 7410) for kind in kinds)
     parameters += struct.pack("<HH", 0x59, len(pairs)) + pairs + struct.pack("<HH", 0x01, 0)
     body = bytes(20) + b"\0\x03\0\0" + parameters
     stamp = struct.pack("<BBH", 0x09, 1, 8) + bytes(8)
@@ -43,8 +51,16 @@ TOLD = {
 @given(st.binary(max_size=200), st.integers(0, 300))
 def test_no_packet_raises(tail, cut):
     """Whatever arrives at the port."""
-    announced_properties(b"RTPS" + tail)
-    announced_properties(announcement(TOLD)[:cut] + tail)
+    for read in (announced_properties, announced_transports):
+        read(b"RTPS" + tail)
+        read(announcement(TOLD, kinds=(1, 4))[:cut] + tail)
+
+
+@given(st.sets(st.sampled_from([1, 2, 4, 8, 16])))
+def test_transports_are_those_of_the_locators_for_discovery(kinds):
+    """Shared memory, which serves one computer only, is none of them."""
+    names = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}
+    assert announced_transports(announcement(TOLD, kinds=kinds)) == {names[kind] for kind in kinds if kind in names}
 
 
 @pytest.mark.parametrize(
