@@ -127,6 +127,7 @@ def writer(number, type_name):
         node_name="talker",
         node_namespace="/",
         topic_type=type_name,
+        topic_type_hash="RIHS01_" + "1" * 64,
         qos_profile=QoSProfile(depth=1),
     )
 
