@@ -3,6 +3,7 @@
 import platform
 import time
 from contextlib import ExitStack
+from itertools import count
 
 import pytest
 
@@ -11,6 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
@@ -22,7 +24,7 @@ from arpd.adapters.ros.names import plan_topic
 from arpd.adapters.ros.plan_message import encode_plan
 from arpd.adapters.ros.relay import default_node_name
 from arpd.adapters.ros.world import RosControl
-from arpd.apply.relay.envelope import wrap
+from arpd.apply.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, wrap
 from arpd.apply.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
@@ -322,6 +324,47 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
     words = "it speaks version 9 (arpd 9.9), this end version 3"
     eventually("both versions are named", lambda: words in ends.status["robot"])
+
+
+def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, eventually):
+    """A command that a stalled link holds for longer than its LIFESPAN never runs; without LIFESPAN the newest does."""
+    ends = world().start("robot")
+    robot, stranger = ends.side("robot").node("motor"), ends.link_side().node("stranger")
+    lifespans_ns = {"/short": 200_000_000, "/endless": 0}
+    topics = {
+        name: TopicOffer(
+            type_name="std_msgs/msg/String",
+            writers=(WriterOffer(number=0, node="/planner", gid="00" * 16, lifespan_ns=lifespan_ns),),
+            link_name=name,
+        )
+        for name, lifespan_ns in lifespans_ns.items()
+    }
+    state = EndState(session="0" * 15 + "1", number=1, topics=topics, link_gids=own_participant(stranger).hex())
+    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
+    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    states.publish(wrap(encode_state(state)))
+    writers = {name: stranger.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
+    heard = {name: listen(robot, name) for name in topics}
+    chunks = count(1)
+
+    def send(text, late_s):
+        for writer in writers.values():
+            number = next(chunks)
+            part = pack([Record(0, 0, number, bytes(serialize_message(String(data=text))))])
+            departed_us = int((time.monotonic() - late_s) * 1e6) % WRAP
+            writer.publish(encode_chunk(Chunk(1, number, departed_us, number, 0, len(part), is_kept=False, part=part)))
+
+    def is_heard():
+        signs.publish(wrap(b"0" * 16))
+        send("fresh", 0.0)
+        return all("fresh" in texts for texts in heard.values())
+
+    eventually("both topics cross", is_heard)
+    send("late", 3.0)
+    eventually("the newest is delivered", lambda: "late" in heard["/endless"])
+    send("then", 0.0)
+    eventually("samples go on", lambda: all("then" in texts for texts in heard.values()))
+    assert "late" not in heard["/short"]
 
 
 def test_a_type_with_another_definition_is_refused_by_name(world, eventually):

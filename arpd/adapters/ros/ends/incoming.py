@@ -205,6 +205,8 @@ class Incoming:
                     self.unknown += 1
                 elif chunk.session != self._session or record.writer not in topic.by_number:
                     topic.held.append(_Held(chunk.session, record, self._clock()))
+                elif 0 < topic.by_number[record.writer].offer.lifespan_ns < age_s * 1e9:
+                    self.outdated += 1
                 else:
                     self.outdated += topic.old.pop(record.writer, None) is not None
                     if is_old:
