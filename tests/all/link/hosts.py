@@ -27,5 +27,6 @@ def ip(host, *argv):
 
 def python(link, host, *argv, environment=(), **options):
     """Start this checkout's Python on a host; its output is text, and goes to where Popen's options say."""
-    command = ["env", f"PYTHONPATH={REPO}", *environment, sys.executable, "-u", *argv]
+    # The environment first: env takes no option, as --unset, after a variable.
+    command = ["env", *environment, f"PYTHONPATH={REPO}", sys.executable, "-u", *argv]
     return link.popen(host, command, env=dict(os.environ), text=True, **{"cwd": REPO, **options})
