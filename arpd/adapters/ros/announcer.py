@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import QoSPublisherEventType
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.announcement import to_status
 from arpd.adapters.ros.counters import NUMBERS, encode_counters, row_of
-from arpd.adapters.ros.events import no_publisher_events, status_of
+from arpd.adapters.ros.events import InvalidHandle, no_publisher_events, status_of
 from arpd.adapters.ros.names import COUNTERS_TOPIC, PUBLISHERS_TOPIC
 from arpd.model.endpoints import PublisherState
 from arpd.observe.registry import MOST_OF_NODE, SERIALS, Tag
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
     from arpd.adapters.ros.plan_message import PlanAnswer
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed publisher raises
 _COUNTERS_S = 1.0
 _EARLY_S = 0.2  # least time between two messages: the daemon takes eight a second of each kind
 _WARN_EVERY_S = 60.0

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 EventHandle = rclpy_implementation.EventHandle
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed endpoint raises
+InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or endpoint raises
 
 
 def no_publisher_events() -> PublisherEventCallbacks:

@@ -13,10 +13,11 @@ from arpd.adapters.ros.announcer import Announcer
 from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.bounds import checked_row
 from arpd.adapters.ros.daemon_messages import DaemonMessages
+from arpd.adapters.ros.events import InvalidHandle
 from arpd.adapters.ros.grant import Grant
 from arpd.adapters.ros.profile import missing_here, warn_once
 from arpd.adapters.ros.rmw import current_rmw
-from arpd.adapters.ros.writing_thread import InvalidHandle, WritingThread
+from arpd.adapters.ros.writing_thread import WritingThread
 from arpd.apply.endpoint.queue import PacedQueue, Whole
 from arpd.model.plan import TopicPlan
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
+from arpd.adapters.ros.events import InvalidHandle
 from arpd.adapters.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.adapters.ros.node_publishers import NodePublishers
 from arpd.adapters.ros.rmw import current_rmw, lasting_refusal
 from arpd.adapters.ros.writer import RosWriter, overridden, serialized, swap_failure, with_qos, without_ours
-from arpd.adapters.ros.writing_thread import InvalidHandle
 from arpd.apply.endpoint.flow import Flow
 from arpd.model.endpoints import (
     NO_REFUSAL,

@@ -11,9 +11,7 @@ import time
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
-
-from arpd.adapters.ros.events import no_subscription_events
+from arpd.adapters.ros.events import InvalidHandle, no_subscription_events
 from arpd.observe.rate_limits import RefusalCounts, TokenBucket
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
 
     from arpd.model.observation import MessageKind, MessageRefusal
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed subscription raises
 _MOST_AT_ONCE = 1000
 _CALM_HZ = 200.0  # messages of a hundred nodes and two peers; more is a flood
 _FLOOD_S = 3.0

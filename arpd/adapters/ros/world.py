@@ -11,7 +11,6 @@ from itertools import chain, repeat
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
@@ -20,7 +19,7 @@ from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
 from arpd.adapters.ros.crossing import joined_by
 from arpd.adapters.ros.daemons import Daemons
-from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.events import InvalidHandle, no_publisher_events
 from arpd.adapters.ros.graph import GraphReader
 from arpd.adapters.ros.listeners import Announcements, CounterMessages
 from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
@@ -290,7 +289,6 @@ class RosControl:
 
 _RESTS, _MOST_REST_S = 10.0, 3.0  # times the duration of a turn; and at most, in case something else held it up
 _FAST_TURNS = 30  # at the start the graph changes quickly
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node raises
 
 
 class PeriodicThread:

@@ -8,9 +8,9 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 
+from arpd.adapters.ros.events import InvalidHandle
 from arpd.apply.endpoint.lane import SMALL_BYTES
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-InvalidHandle = rclpy_implementation.InvalidHandle  # raised by a destroyed node, writer or reader
 _WARN_EVERY_S = 5.0
 _IDLE_S = 1.0  # most between two turns, for the watchdog
 _BLOCKED_S = 0.05  # a scheduler takes less

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
+from arpd.adapters.ros.events import InvalidHandle
 from arpd.adapters.ros.rcl import MessageInfo, rcl
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
 log = logging.getLogger(__name__)
-InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed reader raises
 _LEAST_BYTES = 4  # the header of every serialized message
 _NOBODY = bytes(16)
 _MOST_REPEATS = 100
