@@ -57,13 +57,19 @@ def test_a_second_far_end_is_ignored_and_named(world, eventually):
     eventually("the second one takes over", lambda: "ignored" not in ends.status["robot"])
 
 
-def test_a_call_wakes_both_ends(world, eventually):
-    """The median call across both ends takes less than half of one of their ticks, of 20 ms."""
+def called(world, eventually):
+    """Return both ends, and a client on one side whose server is on the other."""
     ends = world("services: [/add]").start()
     server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
     server.create_service(BasicTypes, "/add", lambda request, response: response)
     client = planner.create_client(BasicTypes, "/add")
     eventually("the service crosses", client.service_is_ready)
+    return ends, client
+
+
+def test_a_call_wakes_both_ends(world, eventually):
+    """The median call across both ends takes less than half of one of their ticks, of 20 ms."""
+    _, client = called(world, eventually)
 
     def duration_s():
         began_s, answered = time.monotonic(), threading.Event()
@@ -77,11 +83,7 @@ def test_a_call_wakes_both_ends(world, eventually):
 
 def test_a_restarted_far_end_serves_again(world, eventually):
     """Calls work again after a kill -9 of the far end, although its ghosts stay in the graph for a while."""
-    ends = world("services: [/add]").start()
-    server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
-    server.create_service(BasicTypes, "/add", lambda request, response: response)
-    client = planner.create_client(BasicTypes, "/add")
-    eventually("the service crosses", client.service_is_ready)
+    ends, client = called(world, eventually)
     ends.end("ceddp")
     ends.start("ceddp")
     calls = []
