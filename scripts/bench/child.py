@@ -17,6 +17,8 @@ from scripts.bench.record import REPO
 from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from scripts.netns.namespaces import HostName
     from scripts.netns.simlink import Host, SimLink
 
@@ -107,6 +109,27 @@ def commands() -> queue.SimpleQueue[dict[str, Any] | None]:
 def answer(**fact: Any) -> None:
     """Answer the parent, in the child."""
     print(json.dumps(fact), flush=True)
+
+
+def serve(turn: Callable[[], float], reply: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Live as a child until the parent is gone.
+
+    Parameters
+    ----------
+    turn : does what is due; returns how long the next turn may wait for a command (s)
+    reply : does what a command says; returns the answer
+    """
+    orders = commands()
+    answer(open=True)
+    while True:
+        wait_s = turn()
+        try:
+            order = orders.get(timeout=wait_s)
+        except queue.Empty:
+            continue
+        if order is None:
+            return
+        answer(**reply(order))
 
 
 def footprint(pid: int) -> dict[str, int]:

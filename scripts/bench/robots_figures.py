@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from arpd.adapters.sim.result import percentile
 from scripts.bench.robots_sets import sources_of, topics_of
 
 if TYPE_CHECKING:
@@ -16,12 +17,6 @@ if TYPE_CHECKING:
 GROUPS = ("commands", "small", "paired", "large")
 _MS = 1e-6  # of a nanosecond
 _S = 1e-9
-
-
-def quantile(values: Sequence[float], share: float) -> float | None:
-    """Return a quantile by the nearest rank, None of nothing."""
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else None
 
 
 class Figures:
@@ -62,8 +57,8 @@ class Figures:
             **{key: sum(part[key] for part in parts) for key in ("published", "delivered", "doubled", "out_of_order")},
             "torn": sum(not row[4] for row in self._arrivals[name]),
             "per_second": arrived / seconds,
-            "p50_ms": quantile(latencies, 0.5),
-            "p99_ms": quantile(latencies, 0.99),
+            "p50_ms": percentile(latencies, 0.5),
+            "p99_ms": percentile(latencies, 0.99),
             "max_ms": max(latencies, default=None),
             **{key: max(part[key] for part in parts) for key in ("gap_s", "gap_over_period_s")},
             **({"per_second_by_kind": {kind: many / seconds for kind, many in kinds.items()}} if kinds else {}),
@@ -114,8 +109,8 @@ class Figures:
                 "delivered_percent": min(100.0, 100.0 * sum(each["delivered"] for each in members.values()) / offered),
                 "worst_topic": worst,
                 "worst_delivered_percent": shares[worst],
-                "p50_ms": quantile(latencies, 0.5),
-                "p99_ms": quantile(latencies, 0.99),
+                "p50_ms": percentile(latencies, 0.5),
+                "p99_ms": percentile(latencies, 0.99),
                 "worst_p99_ms": max(p99s.values(), default=None),
                 "max_ms": max(latencies, default=None),
                 "gap_s": max(each["gap_s"] for each in members.values()),

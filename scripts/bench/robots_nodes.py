@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import heapq
 import math
-import queue
 import sys
 import time
 from array import array
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.child import answer, commands
+from scripts.bench.child import serve
 from scripts.bench.node import plain_node, taken
 from scripts.bench.robots_sets import (
     BASE,
@@ -194,7 +193,7 @@ class Process:
                 read.setdefault(topic.name, []).append(k)
         self.listener = Listener(self._node, read, sources)
         self.caller = MapCaller(self._node) if name == CALLER else None
-        self.poll_s = _POLL_S if read else _REST_S
+        self._poll_s = _POLL_S if read else _REST_S
         if robot in CALLED and name == MAP_SERVER:
             _serve_map(self._node)
         # An executor in a process of readers would take their samples.
@@ -219,11 +218,13 @@ class Process:
             create = partial(AdaptivePublisher, node)
         return create(class_of(topic.type_name), topic.name, _qos(topic, _DEPTH))
 
-    def step(self) -> None:
-        """Take what has arrived, and call when it is time."""
+    def turn(self) -> float:
+        """Publish what is due, take what has arrived, call when it is time; return the time until the next turn (s)."""
+        wait_s = self.talker.publish_due()
         self.listener.take()
         if self.caller is not None:
             self.caller.step()
+        return min(wait_s, self._poll_s)
 
     def answer(self, order: dict[str, Any]) -> dict[str, Any]:
         """Do what the parent says, and return the answer."""
@@ -246,18 +247,7 @@ def live(robot: str, name: str, *, is_adaptive: bool) -> None:
     """Publish and read as the parent says, until it is gone."""
     with ExitStack() as stack:
         process = Process(robot, name, is_adaptive=is_adaptive, stack=stack)
-        orders = commands()
-        answer(open=True)
-        while True:
-            wait_s = process.talker.publish_due()
-            process.step()
-            try:
-                order = orders.get(timeout=min(wait_s, process.poll_s))
-            except queue.Empty:
-                continue
-            if order is None:
-                return
-            answer(**process.answer(order))
+        serve(process.turn, process.answer)
 
 
 if __name__ == "__main__":

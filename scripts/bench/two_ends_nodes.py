@@ -6,14 +6,13 @@ The parent speaks to each in lines of JSON (`scripts.bench.child`).
 from __future__ import annotations
 
 import heapq
-import queue
 import struct
 import sys
 import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from scripts.bench.child import answer, commands, number_of, sample_of
+from scripts.bench.child import number_of, sample_of, serve
 from scripts.bench.node import plain_node, taken
 from scripts.bench.reliability_nodes import Arrivals
 
@@ -295,12 +294,14 @@ class Side:
         self._visitors: list[Visitors] = []
         self._are_visiting = False  # only while the writers publish
 
-    def take(self) -> None:
-        """Take what has arrived."""
+    def turn(self) -> float:
+        """Publish what is due, and take what has arrived; return the time until the next turn (s)."""
+        wait_s = self.talker.publish_due()
         self._listener.take()
         if self._are_visiting:
             for each in self._visitors:
                 each.step(time.monotonic())
+        return min(wait_s, _POLL_S)
 
     def answer(self, question: str) -> dict[str, Any]:
         """Do what the parent says, and return the answer."""
@@ -336,18 +337,7 @@ class Side:
 def live(host: str, demand_every_s: float, latched_every_s: float) -> None:
     """Publish this host's streams and read the other's, as the parent says."""
     side = Side(host, demand_every_s, latched_every_s)
-    orders = commands()
-    answer(open=True)
-    while True:
-        wait_s = side.talker.publish_due()
-        side.take()
-        try:
-            order = orders.get(timeout=min(wait_s, _POLL_S))
-        except queue.Empty:
-            continue
-        if order is None:
-            return
-        answer(**side.answer(order["do"]))
+    serve(side.turn, lambda order: side.answer(order["do"]))
 
 
 if __name__ == "__main__":

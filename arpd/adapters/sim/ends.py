@@ -16,7 +16,7 @@ from arpd.apply.endpoint.lane import Lane
 from arpd.apply.relay.envelope import Assembly, Record, pack, unpack
 from arpd.apply.relay.link_end import LinkEnd
 from arpd.apply.relay.signs import SIGN_BYTES
-from arpd.model.endpoints import Direction, PublisherState, WriterQos
+from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.wire import wire_size
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.socket import Carrier
     from arpd.adapters.sim.timeline import Timeline
     from arpd.apply.relay.envelope import Chunk
+    from arpd.model.endpoints import PublisherState
     from arpd.model.price import Price
 
 _LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.adapters.ros.ends.link_topic
@@ -131,17 +132,7 @@ class SimulatedLinkTopic:
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)
         self._price: Price | None = None
         end.add(self._lane)
-        self._state = PublisherState(
-            node=node,
-            topic=topic.name,
-            type_name="sim",
-            direction=topic.direction,
-            payload_bytes=0.0,
-            source_rate_hz=0.0,
-            depth=_DEPTH,
-            baseline_depth=_DEPTH,
-            remote_readers=int(topic.direction is not Direction.LOCAL),
-        )
+        self._state = topic.announced(node=node, name=topic.name, depth=_DEPTH)
 
     def publish(self) -> None:
         """Publish the next sample of the source."""

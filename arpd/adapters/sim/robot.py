@@ -51,6 +51,26 @@ class SimTopic:
     direction: Direction = Direction.SENSING
     prefix: str = ""
 
+    def announced(self, *, node: str, name: str, depth: int) -> PublisherState:
+        """Return what a publisher of the topic announces before its first sample.
+
+        Parameters
+        ----------
+        node, name : of the publisher; its name on the link
+        depth : its own (samples)
+        """
+        return PublisherState(
+            node=node,
+            topic=name,
+            type_name="sim",
+            direction=self.direction,
+            payload_bytes=0.0,
+            source_rate_hz=0.0,
+            depth=depth,
+            baseline_depth=depth,
+            remote_readers=int(self.direction is not Direction.LOCAL),
+        )
+
     def result(self, flow: FlowState, arrivals: Arrivals, *, expected: int) -> TopicResult:
         """Return the result of a run.
 
@@ -179,17 +199,7 @@ class SimulatedPublisher:
         self._price: Price | None = None
         thread.add(self._flow.lane)
         self._alarm = Alarm(timeline, self._service)
-        self._state = PublisherState(
-            node=node,
-            topic=name,
-            type_name="sim",
-            direction=topic.direction,
-            payload_bytes=0.0,
-            source_rate_hz=0.0,
-            depth=RCLPY_DEPTH,
-            baseline_depth=RCLPY_DEPTH,
-            remote_readers=int(topic.direction is not Direction.LOCAL),
-        )
+        self._state = topic.announced(node=node, name=name, depth=RCLPY_DEPTH)
 
     def publish(self) -> None:
         """Publish the next sample of the source, unless it is still inside the call before."""

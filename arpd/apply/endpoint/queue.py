@@ -126,10 +126,8 @@ class PacedQueue:
         self._active: dict[Lane, None] = {}  # with something to send, the longest active first
         self._virtual = 0.0
         self.sent_bytes = 0  # on the link
-        self._debt_s, self._drained_s = (
-            0.0,
-            -math.inf,
-        )  # link time that is still to pass for what has left, and as of when
+        self._debt_s = 0.0  # link time that is still to pass for what has left
+        self._drained_s = -math.inf  # as of when
         self._price: Price | None = None
         self._share = math.inf  # link time a second, may be spent
         self._unplanned_s = -math.inf  # without receipts: when a large sample without a plan may leave

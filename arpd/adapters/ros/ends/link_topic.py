@@ -101,10 +101,6 @@ class LinkTopic:
             self._price = price
             self._settle()
 
-    def service(self, _now_s: float) -> float:
-        """Return when to be served: never, the link's thread does all."""
-        return math.inf
-
     def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
         """Return the settings in force and the counters, for the announcement."""
         flow = replace(self._lane.state(self._clock()), blocked_s=self._thread.held_s)
