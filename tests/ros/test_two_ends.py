@@ -284,7 +284,8 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     still.publish()
     dead, living = ends.link_side().node("dead"), ends.link_side().node("living")
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
-    heard = listen(living, "/other", RELIABLE, UInt8MultiArray)
+    listen(living, "/other", RELIABLE, UInt8MultiArray)
+    heard = listen(living, "/arpd/relay/robot/small", RELIABLE, UInt8MultiArray)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
     wants = frozenset({"/map", "/other"})
@@ -322,7 +323,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
-    words = "it speaks version 9 (arpd 9.9), this end version 3"
+    words = "it speaks version 9 (arpd 9.9), this end version 4"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 

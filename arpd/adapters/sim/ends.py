@@ -13,14 +13,16 @@ from arpd.adapters.sim.socket import Socket
 from arpd.adapters.sim.timeline import Alarm
 from arpd.adapters.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
 from arpd.apply.endpoint.lane import Lane
-from arpd.apply.relay.envelope import Assembly, Record, pack, unpack
+from arpd.apply.relay.envelope import Assembly, Record, key_of, pack, split, unpack
 from arpd.apply.relay.link_end import LinkEnd
 from arpd.apply.relay.signs import SIGN_BYTES
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
-from arpd.model.wire import wire_size
+from arpd.model.wire import HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.adapters.sim.result import TopicResult
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.socket import Carrier
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 _LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.adapters.ros.ends.link_topic
-_HEARTBEAT_S = 0.05
 _DEPTH = 10  # before a plan
 
 
@@ -48,7 +49,9 @@ class SimulatedEnd:
         # Its participant waits for no write: what a full socket does not take is sent again.
         socket = Socket(timeline, there, room_bytes=math.inf)
         self.route = LinkPath(timeline=timeline, there=there, back=back, socket=socket)
-        self._end = LinkEnd(session, timeline.now_s)
+        small = SimulatedWriter(self.route, self, qos=_LINK_QOS, heartbeat_s=QUICK_HEARTBEAT_S)
+        self._end = LinkEnd(session, timeline.now_s, together=small.publish)
+        self._topics: dict[bytes, Callable[[bytes], None]] = {}  # what takes a topic's messages at the other end
         self._alarm = Alarm(timeline, self._run)
         self.other: SimulatedEnd = self
 
@@ -67,9 +70,11 @@ class SimulatedEnd:
         self.other = other
         self._run()
 
-    def add(self, lane: Lane) -> None:
-        """Serve a lane from now on."""
+    def add(self, lane: Lane, deliver: Callable[[bytes], None]) -> None:
+        """Serve a lane from now on, whose small messages the function takes at the other end."""
         self._end.queue.add(lane)
+        if lane.key is not None:
+            self._topics[lane.key] = deliver
 
     def offer(self, lane: Lane, message: bytes) -> None:
         """Let a message wait for its turn, which may be now."""
@@ -81,11 +86,19 @@ class SimulatedEnd:
         self._end.queue.retune(lane, plan, price)
         self._run()
 
-    def arrived(self, sample: bytes) -> Chunk:
+    def arrived(self, sample: bytes, *, is_together: bool = False) -> Chunk:
         """Account for a chunk of the other end."""
-        chunk, _ = self._end.arrived(sample, self.timeline.now_s)
+        chunk, _ = self._end.arrived(sample, self.timeline.now_s, is_together=is_together)
         self._run()
         return chunk
+
+    def on_arrival(self, sample: bytes) -> None:
+        """Do nothing: small messages that leave together have a latency each."""
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Deliver small messages that left together."""
+        for key, message in split(self.other.arrived(sample, is_together=True).part):
+            self._topics[key](message)
 
     def hear(self, sign: bytes) -> None:
         """Take a sign of life of the other end."""
@@ -127,11 +140,11 @@ class SimulatedLinkTopic:
         self._numbers = count()
         self._assembly = Assembly()
         self._counting = Counting(self.arrivals, end.timeline, topic.payload_bytes)
-        self._writer = SimulatedWriter(end.route, self, qos=_LINK_QOS, heartbeat_s=_HEARTBEAT_S)
-        self._lane = Lane(self._writer.publish)
+        self._writer = SimulatedWriter(end.route, self, qos=_LINK_QOS, heartbeat_s=HEARTBEAT_S)
+        self._lane = Lane(self._writer.publish, key=key_of(topic.name))
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)
         self._price: Price | None = None
-        end.add(self._lane)
+        end.add(self._lane, self._deliver)
         self._state = topic.announced(node=node, name=topic.name, depth=_DEPTH)
 
     def publish(self) -> None:
@@ -166,6 +179,9 @@ class SimulatedLinkTopic:
     def on_delivery(self, sample: bytes) -> None:
         """Put a chunk to its message at the other end; the ghost there publishes what is whole."""
         if (message := self._assembly.add(self._end.other.arrived(sample))) is not None:
-            for record in unpack(message):
-                self._counting.on_arrival(record.sample)
-                self._counting.on_delivery(record.sample)
+            self._deliver(message)
+
+    def _deliver(self, message: bytes) -> None:
+        for record in unpack(message):
+            self._counting.on_arrival(record.sample)
+            self._counting.on_delivery(record.sample)

@@ -86,6 +86,7 @@ class Lane:
     weight : without a plan
     patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
         none (s)
+    key : what stands for the topic where small messages of several leave together; None = its messages leave alone
 
     Attributes
     ----------
@@ -103,8 +104,10 @@ class Lane:
         is_kept: bool = False,
         weight: float = 1.0,
         patience_s: float = math.inf,
+        key: bytes | None = None,
     ) -> None:
         self.write = write
+        self.key = key
         self._depth, self._large_depth = depth, large_depth
         self._is_ordered = is_ordered
         self.is_kept = is_kept
@@ -156,6 +159,11 @@ class Lane:
     def is_small(self) -> bool:
         """Whether the next message leaves whole, before all large ones."""
         return self.current is None and len(self._next[1][0].message) <= SMALL_BYTES
+
+    @property
+    def next_bytes(self) -> int:
+        """Size of the message whose turn is next."""
+        return len(self._next[1][0].message)
 
     def is_unbound(self, now_s: float) -> bool:
         """Return whether it waits for no share of the link, because it has waited for a plan in vain."""

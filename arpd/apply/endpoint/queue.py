@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from arpd.apply.endpoint.lane import SMALL_BYTES
 from arpd.model.endpoints import WithheldCause
-from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, HEARTBEAT_S, wire_size
+from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Sequence
 
     from arpd.apply.endpoint.lane import Lane, UnderWay
     from arpd.model.plan import TopicPlan
@@ -28,7 +28,7 @@ class Part(NamedTuple):
 
     sample: bytes
     wire_bytes: float
-    packets: int
+    packets: float
 
 
 class Ready(NamedTuple):
@@ -46,10 +46,15 @@ class Carrier(Protocol):
     most_bytes : largest message
     has_receipts : whether the other end tells what has arrived. Then what one topic leaves of the link others have at
         once, beyond their rates at the price, and topics without a plan have all
+    together_bytes, seat_bytes : what small messages may take that leave together, and each takes beside its own bytes
+    company_s : time that a small message may wait for others (s)
     """
 
     most_bytes: float
     has_receipts: bool
+    together_bytes: int
+    seat_bytes: int
+    company_s: float
 
     def has_room(self, *, is_small: bool) -> bool:
         """Return whether one more part may leave; a small message may where a large one has to wait."""
@@ -72,11 +77,15 @@ class Carrier(Protocol):
         asking_bytes : of the link, that the acknowledgement takes which it asks for
         """
 
+    def join(self, messages: Sequence[tuple[bytes, bytes]], now_s: float, *, asking_bytes: float) -> Part:
+        """Return one part with the keys and messages of several topics, which then count as sent."""
+
 
 class Whole:
     """Samples cross whole, for readers that know nothing of arpd; nobody tells what has arrived."""
 
     most_bytes, has_receipts, relief = math.inf, False, 1.0
+    together_bytes, seat_bytes, company_s = 0, 0, 0.0
 
     def has_room(self, *, is_small: bool) -> bool:  # noqa: ARG002 - as a `Carrier`
         """Return True."""
@@ -95,6 +104,10 @@ class Whole:
         size, packets = wire_size(len(current.message), rate_hz=math.inf)
         return Part(current.message, size + asking_bytes, packets)
 
+    def join(self, messages: Sequence[tuple[bytes, bytes]], now_s: float, *, asking_bytes: float) -> Part:
+        """Raise: plain readers cannot take them apart."""
+        raise NotImplementedError
+
 
 class PacedQueue:
     """Decides which part of which topic's messages leaves next.
@@ -111,17 +124,24 @@ class PacedQueue:
 
     Without a daemon only its carrier bounds it.
 
+    Small messages of several topics leave together in one packet, where there is a writer for that: of a sample of 300
+    bytes its own packet, heartbeat and acknowledgement would be the larger part. Those that come within the time of two
+    packets wait for each other; a message that comes after a pause waits for none.
+
     Parameters
     ----------
     carrier : how messages cross the link
+    coach : lane of the writer of messages that leave together; None = each leaves alone
 
     Notes
     -----
     Not thread-safe. Times are seconds of one monotonic clock.
     """
 
-    def __init__(self, carrier: Carrier) -> None:
+    def __init__(self, carrier: Carrier, coach: Lane | None = None) -> None:
         self._carrier = carrier
+        self._coach = coach
+        self._departs_s = -math.inf  # when the next messages leave together
         self._lanes: list[Lane] = []
         self._active: dict[Lane, None] = {}  # with something to send, the longest active first
         self._virtual = 0.0
@@ -165,6 +185,8 @@ class PacedQueue:
         if lane not in self._active:
             self._active[lane] = None
             lane.start = max(lane.start, self._virtual)
+        if len(message) + self._carrier.seat_bytes > self._carrier.together_bytes:
+            lane.key = None  # for good: a later small one must not overtake it on another writer
 
     def take(self, now_s: float) -> Ready | None:
         """Return what leaves now; it then counts as sent."""
@@ -178,7 +200,10 @@ class PacedQueue:
         self._settle()
         while (chosen := self._choose(now_s)) is not None:
             lane, is_first = chosen
-            if (sample := self._begin(lane, now_s, is_first=is_first)) is not None:
+            if self._rides(lane):
+                if (ready := self._depart(lane, now_s, is_first=is_first)) is not None:
+                    return ready
+            elif (sample := self._begin(lane, now_s, is_first=is_first)) is not None:
                 return Ready(lane, sample)
         return None
 
@@ -211,7 +236,7 @@ class PacedQueue:
             return math.inf
         free = [lane for lane in self._active if lane.claimant is None]
         first_s = min(
-            (lane.due_s(now_s, in_turn=False) for lane in free if lane.is_small or lane.is_unbound(now_s)),
+            (self._due_s(lane, now_s, in_turn=False) for lane in free if lane.is_small or lane.is_unbound(now_s)),
             default=math.inf,
         )
         if not self._carrier.has_room(is_small=False):
@@ -248,14 +273,53 @@ class PacedQueue:
         """Return when a message may leave that waits for a share of the link (s)."""
         if lane.current is not None:
             return now_s
-        due_s = lane.due_s(now_s, in_turn=self._carrier.has_receipts)
+        due_s = self._due_s(lane, now_s, in_turn=self._carrier.has_receipts)
         return due_s if self._carrier.has_receipts or lane.link_share is not None else max(due_s, self._unplanned_s)
 
-    @staticmethod
-    def _comes_first(lane: Lane, now_s: float) -> bool:
+    def _comes_first(self, lane: Lane, now_s: float) -> bool:
         """Return whether the next message leaves now, before those that wait for a share of the link."""
         is_free = lane.claimant is None and (lane.is_small or lane.is_unbound(now_s))
-        return is_free and lane.due_s(now_s, in_turn=False) <= now_s
+        return is_free and self._due_s(lane, now_s, in_turn=False) <= now_s
+
+    def _due_s(self, lane: Lane, now_s: float, *, in_turn: bool) -> float:
+        due_s = lane.due_s(now_s, in_turn=in_turn)
+        return max(due_s, self._departs_s) if self._rides(lane) else due_s
+
+    def _rides(self, lane: Lane) -> bool:
+        """Return whether its next message leaves together with others."""
+        return self._coach is not None and lane.key is not None and lane.current is None
+
+    def _depart(self, first: Lane, now_s: float, *, is_first: bool) -> Ready | None:
+        """Return the message of a lane and what leaves together with it; None where all that waited had expired."""
+        assert self._coach is not None
+        others = [lane for lane in self._active if lane is not first and self._rides(lane)]
+        boarding = {first: is_first, **{lane: True for lane in others if self._comes_first(lane, now_s)}}
+        if self._free_s(now_s) <= now_s + _SOON_S:
+            in_turn = [lane for lane in others if lane not in boarding and self._turn_s(lane, now_s) <= now_s]
+            boarding |= dict.fromkeys(sorted(in_turn, key=lambda lane: lane.start), False)
+        aboard: dict[Lane, bytes] = {}
+        room = self._carrier.together_bytes
+        self._departs_s = now_s + self._carrier.company_s
+        for lane in boarding:
+            if lane.next_bytes + self._carrier.seat_bytes > room:
+                self._departs_s = now_s
+            elif (current := lane.begin(now_s)) is None:
+                del self._active[lane]
+            else:
+                aboard[lane] = current.message
+                room -= len(current.message) + self._carrier.seat_bytes
+        if not aboard:
+            return None
+        asking_bytes = self._asking_bytes(self._coach, now_s, QUICK_HEARTBEAT_S)
+        messages = [(lane.key or b"", message) for lane, message in aboard.items()]
+        part = self._carrier.join(messages, now_s, asking_bytes=asking_bytes)
+        self.sent_bytes += int(part.wire_bytes)
+        shared = (part.wire_bytes - sum(map(len, aboard.values()))) / len(aboard)
+        for lane, message in aboard.items():
+            share = Part(message, len(message) + shared, part.packets / len(aboard))
+            self._count(lane, share, now_s, is_first=boarding[lane])
+            self._end(lane, now_s)
+        return Ready(self._coach, part.sample)
 
     def _begin(self, lane: Lane, now_s: float, *, is_first: bool) -> bytes | None:
         """Return the next part of a lane's message; None where all that waited had expired."""
@@ -268,12 +332,24 @@ class PacedQueue:
 
     def _send(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> bytes:
         """Cut the next part of a message, and count what it takes of the link."""
-        asking_bytes = 0
-        if now_s - lane.asked_s >= HEARTBEAT_S:
-            lane.asked_s = now_s
-            asking_bytes = HEARTBEAT_BYTES + ACKNACK_BYTES
+        asking_bytes = self._asking_bytes(lane, now_s, HEARTBEAT_S)
         part = self._carrier.cut(lane, current, now_s, is_whole=is_first, asking_bytes=asking_bytes)
         self.sent_bytes += int(part.wire_bytes)
+        self._count(lane, part, now_s, is_first=is_first)
+        if current.offset >= len(current.message):
+            self._end(lane, now_s)
+        return part.sample
+
+    @staticmethod
+    def _asking_bytes(lane: Lane, now_s: float, every_s: float) -> int:
+        """Return what the acknowledgement takes for which a writer asks now."""
+        if now_s - lane.asked_s < every_s:
+            return 0
+        lane.asked_s = now_s
+        return HEARTBEAT_BYTES + ACKNACK_BYTES
+
+    def _count(self, lane: Lane, part: Part, now_s: float, *, is_first: bool) -> None:
+        """Let a part take its share of the link."""
         price = self._price
         if not is_first:
             self._virtual = max(self._virtual, min(each.start for each in self._active))
@@ -284,12 +360,12 @@ class PacedQueue:
                 self._unplanned_s = now_s + cost_s / max(_LEAST_SHARE, price.spare_share)
             debt_s = self._drain(now_s) + cost_s
             self._debt_s = max(self._debt_s, min(debt_s, _MOST_SMALL_DEBT_S)) if is_first else debt_s
-        if current.offset >= len(current.message):
-            lane.ended(now_s)
-            del self._active[lane]
-            if len(lane):
-                self._active[lane] = None  # behind the others
-        return part.sample
+
+    def _end(self, lane: Lane, now_s: float) -> None:
+        lane.ended(now_s)
+        del self._active[lane]
+        if len(lane):
+            self._active[lane] = None  # behind the others
 
     def _drain(self, now_s: float) -> float:
         """Let the link time since the last call pass; return what is still to pass, below 0 for what it might have."""

@@ -6,16 +6,27 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.apply.endpoint.queue import Part
-from arpd.apply.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, encode_chunk
+from arpd.apply.relay.envelope import (
+    CHUNK_HEADER_BYTES,
+    MOST_MESSAGE_BYTES,
+    PASSENGER_BYTES,
+    WRAP,
+    Chunk,
+    encode_chunk,
+    join,
+)
 from arpd.model.wire import FRAGMENT_BYTES, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from arpd.apply.endpoint.lane import Lane, UnderWay
     from arpd.apply.relay.flight import Flight
 
 _CHUNK_S = 0.0025  # of the link; samples of one packet wait behind one chunk
 _LEAST_PACKETS, _MOST_PACKETS = 2, 16
 _UNKNOWN_PACKETS = 4
+_COMPANY_PACKETS, _COMPANY_S = 2.0, 0.005  # small messages wait for others: so many packets' time, at most so long
 
 
 class Chunks:
@@ -29,11 +40,14 @@ class Chunks:
 
     most_bytes: float = MOST_MESSAGE_BYTES
     has_receipts = True
+    seat_bytes = PASSENGER_BYTES
+    together_bytes = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 
     def __init__(self, session: int, flight: Flight) -> None:
         self._session = session
         self._flight = flight
-        self._chunk_bytes = self._bytes_of(_UNKNOWN_PACKETS)
+        self.company_s = 0.0
+        self.adapt(None)
         self.has_room, self.is_out = flight.has_room, flight.is_out
 
     @property
@@ -46,6 +60,7 @@ class Chunks:
         self._flight.capacity = capacity
         packets = _UNKNOWN_PACKETS if capacity is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         self._chunk_bytes = self._bytes_of(packets)
+        self.company_s = min(_COMPANY_S, _COMPANY_PACKETS * FRAGMENT_BYTES / (capacity or math.inf))
 
     def cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_whole: bool, asking_bytes: float) -> Part:
         """Return the next chunk of a message, or one with all of it."""
@@ -60,6 +75,16 @@ class Chunks:
         current.offset += len(part)
         departed_us = int(now_s * 1e6) % WRAP
         chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
+        return Part(encode_chunk(chunk), size, packets)
+
+    def join(self, messages: Sequence[tuple[bytes, bytes]], now_s: float, *, asking_bytes: float) -> Part:
+        """Return one chunk with the keys and messages of several topics."""
+        part = join(messages)
+        size, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
+        size += asking_bytes
+        number = self._flight.send(int(size), now_s)
+        departed_us = int(now_s * 1e6) % WRAP
+        chunk = Chunk(self._session, number, departed_us, number, 0, len(part), is_kept=False, part=part)
         return Part(encode_chunk(chunk), size, packets)
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,9 +14,12 @@ _MESSAGE = struct.Struct("<4sIII")
 _CDR = b"\x00\x01\x00\x00"
 _CHUNK = struct.Struct("<IIIIIIB")
 _RECORD = struct.Struct("<HHIQ")
+_PASSENGER = struct.Struct("<6sH")
 _ORDER = {0: ">", 1: "<"}
 #: What a chunk adds to the part of the message in it (bytes).
 CHUNK_HEADER_BYTES = _MESSAGE.size + _CHUNK.size
+#: What a message takes that leaves together with others, beside its own bytes.
+PASSENGER_BYTES = _PASSENGER.size
 MOST_MESSAGE_BYTES = 2**26
 WRAP = 2**32  # of the numbers and times in a chunk
 
@@ -82,6 +86,37 @@ def unpack(message: bytes) -> list[Record]:
     except struct.error as fault:
         raise ValueError("no samples of a relay") from fault
     return records
+
+
+def key_of(link_name: str) -> bytes:
+    """Return what stands for a topic among messages that leave together."""
+    return hashlib.blake2s(link_name.encode(), digest_size=6).digest()
+
+
+def join(messages: Iterable[tuple[bytes, bytes]]) -> bytes:
+    """Return one message with these keys of topics and messages."""
+    return b"".join(part for key, message in messages for part in (_PASSENGER.pack(key, len(message)), message))
+
+
+def split(joined: bytes) -> list[tuple[bytes, bytes]]:
+    """Return the keys and messages of which `join` made one.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are none that `join` returns.
+    """
+    found, at = [], 0
+    try:
+        while at < len(joined):
+            key, length = _PASSENGER.unpack_from(joined, at)
+            at += _PASSENGER.size + length
+            found.append((key, joined[at - length : at]))
+    except struct.error as fault:
+        raise ValueError("no messages that left together") from fault
+    if at > len(joined):
+        raise ValueError("the last of the messages that left together is cut off")
+    return found
 
 
 def wrap(data: bytes) -> bytes:

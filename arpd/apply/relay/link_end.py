@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from arpd.apply.endpoint.lane import Lane
 from arpd.apply.endpoint.queue import PacedQueue
 from arpd.apply.relay.chunks import Chunks
 from arpd.apply.relay.envelope import WRAP, decode_chunk
@@ -14,6 +15,8 @@ from arpd.apply.relay.signs import SIGN_BYTES, Sign, decode_sign, encode_sign
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.apply.relay.envelope import Chunk
 
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
@@ -26,6 +29,7 @@ class LinkEnd:
     ----------
     session : of this process, 32 bit
     now_s : when it begins (s)
+    together : writes small messages that leave together; None = each leaves alone
 
     Attributes
     ----------
@@ -33,11 +37,11 @@ class LinkEnd:
     held_s : time in which something waited for receipts: the link takes no more (s)
     """
 
-    def __init__(self, session: int, now_s: float) -> None:
+    def __init__(self, session: int, now_s: float, *, together: Callable[[bytes], None] | None = None) -> None:
         self._session = session
         self._flight = Flight()
         self._received = Received()
-        self.queue = PacedQueue(Chunks(session, self._flight))
+        self.queue = PacedQueue(Chunks(session, self._flight), None if together is None else Lane(together))
         self._sign_s = self._probe_s = now_s
         self._partner = 0  # session of the other end
         self._received_bytes = 0.0  # on the link
@@ -82,8 +86,12 @@ class LinkEnd:
         self._flight.restart()
         return True
 
-    def arrived(self, sample: bytes, now_s: float) -> tuple[Chunk, float]:
+    def arrived(self, sample: bytes, now_s: float, *, is_together: bool = False) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; return it, and its age (s).
+
+        Parameters
+        ----------
+        is_together : whether it holds small messages, whose writer asks seldom for an acknowledgement
 
         Raises
         ------
@@ -91,7 +99,7 @@ class LinkEnd:
             If the sample holds no chunk.
         """
         chunk, size = decode_chunk(sample), len(sample)
-        self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset else 0.0)[0]
+        self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset or is_together else 0.0)[0]
         return chunk, self._received.note(chunk.session, chunk.number, chunk.departed_us, size, now_s)
 
     def hear(self, data: bytes, now_s: float) -> int:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-VERSION = 3
+VERSION = 4
 _MOST_NUMBER = 2**16 - 1  # of a writer and of a place in a group: their fields in a sample have 16 bits
 _MOST_NS = 2**63 - 1
 _MOST_DEPTH = 5000

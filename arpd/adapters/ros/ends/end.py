@@ -47,6 +47,7 @@ _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message 
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+_SMALL = QoSProfile(depth=1000)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
@@ -98,16 +99,16 @@ class End:
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
         self._told = EndState(session=f"{session:016x}", number=0)
-        self._begun_s = clock()
-        self._look_s = self._begun_s
+        self._begun_s = self._look_s = clock()
         role, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
-        self._states, signs = (
+        self._states, small, signs = (
             link_node.create_publisher(
                 UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
             )
-            for ending, qos in (("", _LATCHED), ("/alive", _ALIVE))
+            for ending, qos in (("", _LATCHED), ("/small", _SMALL), ("/alive", _ALIVE))
         )
-        self.link = LinkThread(session, sign=rcl().outlet(signs.handle).publish, clock=clock)
+        sign, together = (rcl().outlet(publisher.handle).publish for publisher in (signs, small))
+        self.link = LinkThread(session, sign=sign, together=together, clock=clock)
         # Two threads, so that what comes from the link does not wait for the nodes here.
         self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
@@ -152,6 +153,7 @@ class End:
         self._summaries = None if is_far else Summaries(link_node, self.link, self.incoming, self.outgoing, self._calls)
         self._readers = [
             self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, lambda sample: self._arrived.append(sample.data)),
+            self._listen(link_node, f"/arpd/relay/{other}/small", _SMALL, self.incoming.deliver_together),
             self._listen(link_node, f"/arpd/relay/{other}/alive", _SIGNS, self._hear_sign),
         ]
         self._status = ""

@@ -17,7 +17,7 @@ from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import own_type_hash
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.apply.relay.depths import BULK_BYTES, held_depth
-from arpd.apply.relay.envelope import Assembly, Record, unpack
+from arpd.apply.relay.envelope import Assembly, Chunk, Record, key_of, split, unpack
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.observe.rate_limits import OncePerMinute
@@ -99,6 +99,7 @@ class Incoming:
         self._session = 0
         self._topics: dict[str, _Topic] = {}
         self._members: dict[tuple[str, int], _Topic] = {}
+        self._by_key: dict[bytes, str] = {}  # names on the link, by what stands for them
         self._readers: dict[str, RawReader] = {}  # by the name on the link
         self._assemblies: dict[str, Assembly] = {}
         self._hashes: dict[str, str] = {}  # of this host's definitions, by type
@@ -130,6 +131,7 @@ class Incoming:
                     self._follow(name, offer)
                 except (UnknownTypeError, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
+            self._by_key = {key_of(topic.offer.link_name): topic.offer.link_name for topic in self._topics.values()}
             self._members = {(topic.offer.link_name, topic.offer.member): topic for topic in self._topics.values()}
             for name, topic in list(self._topics.items()):
                 present = {writer.gid for writer in offers[name].writers} if name in offers else set()
@@ -166,6 +168,17 @@ class Incoming:
             self._assemblies.pop(name, None)
         self.wants = frozenset(wants)
 
+    def deliver_together(self, sample: Sample) -> None:
+        """Write small samples of several topics that left together."""
+        try:
+            chunk, age_s = self._link.arrived(sample.data, is_together=True)
+            records = [(key, unpack(message)) for key, message in split(chunk.part)]
+        except ValueError as fault:
+            self._ignore("small samples", fault)
+            return
+        for key, found in records:
+            self._take(self._by_key.get(key, ""), found, chunk, age_s)
+
     def close(self) -> None:
         """Destroy everything."""
         for reader in self._readers.values():
@@ -194,9 +207,15 @@ class Incoming:
             message = self._assemblies.setdefault(link_name, Assembly()).add(chunk)
             records = [] if message is None else unpack(message)
         except ValueError as fault:
-            if self._logged.take(link_name, self._clock()):
-                log.warning("ignored a sample of %s: %s (logged once a minute)", link_name, fault)
-            return
+            self._ignore(link_name, fault)
+        else:
+            self._take(link_name, records, chunk, age_s)
+
+    def _ignore(self, what: str, fault: ValueError) -> None:
+        if self._logged.take(what, self._clock()):
+            log.warning("ignored a sample of %s: %s (logged once a minute)", what, fault)
+
+    def _take(self, link_name: str, records: list[Record], chunk: Chunk, age_s: float) -> None:
         is_old = age_s > _OLD_S and not chunk.is_kept
         with self._lock:
             for record in records:

@@ -25,13 +25,19 @@ class LinkThread(WritingThread):
     ----------
     session : of this process, 32 bit
     sign : writes one sign of life, best effort
+    together : writes small messages that leave together, reliably
     clock : monotonic clock (s)
     """
 
     def __init__(
-        self, session: int, *, sign: Callable[[bytes], None], clock: Callable[[], float] = time.monotonic
+        self,
+        session: int,
+        *,
+        sign: Callable[[bytes], None],
+        together: Callable[[bytes], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._end = LinkEnd(session, clock())
+        self._end = LinkEnd(session, clock(), together=together)
         super().__init__(self._end.queue, name="arpd-link", clock=clock)
         self._sign = sign
         self._own: deque[Callable[[], None]] = deque()
@@ -53,10 +59,10 @@ class LinkThread(WritingThread):
             if self._end.follow(partner):
                 self._wake(0.0)
 
-    def arrived(self, sample: bytes) -> tuple[Chunk, float]:
+    def arrived(self, sample: bytes, *, is_together: bool = False) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; `LinkEnd.arrived` says more."""
         with self._changed:
-            arrived = self._end.arrived(sample, self._clock())
+            arrived = self._end.arrived(sample, self._clock(), is_together=is_together)
             self._wake(self._end.sign_s)
         return arrived
 

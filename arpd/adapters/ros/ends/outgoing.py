@@ -13,7 +13,7 @@ from arpd.adapters.ros.ends.topic_readers import TopicReaders
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.graph import participant_of
 from arpd.apply.endpoint.lane import Lane
-from arpd.apply.relay.envelope import Record, pack
+from arpd.apply.relay.envelope import Record, key_of, pack
 from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 
@@ -231,7 +231,8 @@ class Outgoing:
                 return Lane(write, depth=most, large_depth=most, is_ordered=True, is_kept=True)
             if is_latched:
                 return Lane(write, depth=depth or _HISTORY, large_depth=depth or 1, is_kept=True)
-            return Lane(write)
+            # A set of a group leaves alone: it is seldom small.
+            return Lane(write, key=None if self.names.is_group(link_name) else key_of(link_name))
 
         publisher = LinkTopic(
             self._link_node, link_name, thread=self._link, make_lane=lane, depth=depth or DEFAULT_RELAY_DEPTH

@@ -12,7 +12,7 @@ import pytest
 from arpd.apply.endpoint.lane import SMALL_BYTES, Lane
 from arpd.apply.endpoint.queue import PacedQueue
 from arpd.apply.relay.chunks import Chunks
-from arpd.apply.relay.envelope import Assembly, decode_chunk
+from arpd.apply.relay.envelope import Assembly, decode_chunk, split
 from arpd.apply.relay.flight import Flight, Receipt, Received
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
@@ -41,7 +41,7 @@ class Link:
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
         self.flight, self.received = Flight(), Received()
-        self.queue = PacedQueue(Chunks(7, self.flight))
+        self.queue = PacedQueue(Chunks(7, self.flight), Lane(self.write_together))
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
 
@@ -94,6 +94,10 @@ class Link:
         self.sent_s[name] += took_s
         self.free_s = max(self.free_s, self.now_s) + took_s
         self.after(self.free_s - self.now_s + 0.002, partial(self.arrive, name, assembly, sample))
+
+    def write_together(self, sample):
+        for key, message in split(decode_chunk(sample).part):
+            self.arrived[key].append(message)
 
     def arrive(self, name, assembly, sample):
         chunk = decode_chunk(sample)
@@ -289,3 +293,44 @@ def test_a_topic_that_is_removed_sends_no_more():
     link.queue.remove(gone)
     assert link.take()[0] is stays
     assert gone.withheld == {"closed": 2}
+
+
+def loads(link):
+    """Return the topics of each packet that leaves now, and how many others leave alone."""
+    ready = list(iter(lambda: link.queue.take(link.now_s), None))
+    together = [split(decode_chunk(sample).part) for lane, sample in ready if lane not in link.lanes.values()]
+    return [[key for key, _ in load] for load in together], len(ready) - len(together)
+
+
+def test_small_messages_that_come_together_leave_in_one_packet():
+    """The first leaves at once; those that come while it takes the link leave together, and who has no key alone."""
+    link = Link()
+    for name in "abcd":
+        link.lane(name, ROW, price_of(1.0), key=None if name == "d" else name.encode() * 6)
+    link.offer("a", bytes(100))
+    assert loads(link) == ([[b"a" * 6]], 0)
+    for name in "bcd":
+        link.offer(name, bytes(100))
+    assert loads(link) == ([], 1)
+    link.now_s = link.queue.due_s(link.now_s)
+    assert loads(link) == ([[b"b" * 6, b"c" * 6]], 0)
+
+
+def test_no_more_leaves_together_than_one_packet_holds():
+    """What finds no room leaves in the next packet, at once."""
+    link = Link()
+    for name in "abc":
+        link.lane(name, key=name.encode() * 6)
+        link.offer(name, bytes(500))
+    assert loads(link) == ([[b"a" * 6, b"b" * 6], [b"c" * 6]], 0)
+
+
+def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
+    """Its small messages would overtake the large one on another writer."""
+    link = Link()
+    link.lane("scan", key=b"scan  ")
+    for size in (100, 5000, 100):
+        link.offer("scan", bytes(size))
+        assert (loads(link) == ([], 1)) == (size == 5000 or link.lanes["scan"].key is None)
+        link.now_s += 0.1
+    assert link.lanes["scan"].key is None

@@ -15,7 +15,9 @@ from arpd.apply.relay.envelope import (
     Record,
     decode_chunk,
     encode_chunk,
+    join,
     pack,
+    split,
     stamp_of,
     unpack,
     wrap,
@@ -154,3 +156,13 @@ def test_chunks_are_messages_of_ros():
 
     assert bytes(rclpy.deserialize_message(wrap(b"abc"), UInt8MultiArray).data) == b"abc"
     assert bytes(rclpy.deserialize_message(encode_chunk(CHUNK), UInt8MultiArray).data).endswith(b"abc")
+
+
+@given(st.lists(st.tuples(st.binary(min_size=6, max_size=6), st.binary(max_size=300))))
+def test_what_was_joined_splits_again(messages):
+    """Each message comes out with its key, and what is cut off is refused."""
+    joined = join(messages)
+    assert split(joined) == messages
+    if messages:
+        with pytest.raises(ValueError, match="left together"):
+            split(joined[:-1])
