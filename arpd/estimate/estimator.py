@@ -57,7 +57,6 @@ class Estimator:
         self._schedule = ProbeSchedule()
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
         self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
-        self._fell_at_s = -math.inf
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
@@ -72,11 +71,11 @@ class Estimator:
         self._bursts = Bursts()
         self._empty_looks = 0  # at the queue of this host's interface, since the last update
         self._pinged: list[float] = []
-        self._queue_delay_s = 0.0
-        self._alarm_s = 0.0  # queue by the bytes, before a ping confirms it
+        self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
         self._queues = QueuePast(parameters.BUSY_AFTER_S)
-        self._learns_from_s = self._queued_here_s = -math.inf
+        self._fell_at_s = self._learns_from_s = self._queued_here_s = -math.inf
         self._idle = IdleLink()
+        self._radio: float | None = None  # bit rate (bytes/s)
 
     @property
     def has_evidence(self) -> bool:
@@ -100,7 +99,8 @@ class Estimator:
         """Digest one observation and return the estimate."""
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
-        capacity, local = self._belief.capacity, self._local
+        self._radio = observation.radio_bytes_per_second
+        capacity, local = self._capacity, self._local
         self._bursts.update(() if observation.relay else observation.publishers, now_s, capacity=capacity)
         moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
         self._idle.note(observation, moved=moved - self._bursts.train_rate(now_s), capacity=capacity)
@@ -129,7 +129,7 @@ class Estimator:
         self._empty_looks = 0
         if self._state is LinkState.OUTAGE and not was_out:
             self._belief.events_by_kind[EstimatorEvent.OUTAGE] += 1
-        return self._estimate(observation, cross_traffic)
+        return self._estimate(now_s, cross_traffic)
 
     def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
         """Return whether a backlog here, a late ping, or a probe that is due is worth an update, besides reports.
@@ -137,7 +137,7 @@ class Estimator:
         The backlog is that before the link interface, None where the kernel does not tell it (bytes).
         """
         # What leaves between two looks at waiting bytes is a reading of the capacity.
-        worth_bytes = min(self._bursts.backlog_bytes, parameters.WORTH_S * self._belief.capacity)
+        worth_bytes = min(self._bursts.backlog_bytes, parameters.WORTH_S * self._capacity)
         if (
             self._state not in {LinkState.STEADY, LinkState.APP_LIMITED}
             or self._queue_delay_s > self._queue_low_s
@@ -153,21 +153,20 @@ class Estimator:
         """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable."""
         if self._settings.capacity_bytes_per_second is not None:
             return ()
-        requests = tuple(
-            self._schedule.wanted(
-                now_s,
-                capacity_bytes_per_second=self._belief.capacity,
-                is_measured=self._belief.kind is CapacityKind.PEER,
-                is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
-                is_free=self._queue_delay_s < self._queue_low_s,
-                is_urgent=now_s - self._fell_at_s < parameters.URGENT_S,
-                surprise_bytes_per_second=self._surprise(now_s),
-                needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
-                copies=self._copies,
-                is_idle=self._idle.is_idle,
-                is_resting=self._idle.is_resting,
-            )
+        wanted = self._schedule.wanted(
+            now_s,
+            capacity_bytes_per_second=self._capacity,
+            is_measured=self._belief.kind is CapacityKind.PEER,
+            is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
+            is_free=self._queue_delay_s < self._queue_low_s,
+            is_urgent=now_s - self._fell_at_s < parameters.URGENT_S,
+            surprise_bytes_per_second=self._surprise(now_s),
+            needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
+            copies=self._copies,
+            is_idle=self._idle.is_idle,
+            is_resting=self._idle.is_resting,
         )
+        requests = tuple(wanted)
         for request in requests:
             self._cross_traffic.note_probe(request, now_s, peers=self._copies)
             if request.packets > 1:
@@ -195,11 +194,11 @@ class Estimator:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._bursts.backlog_bytes, capacity=self._belief.capacity)
+        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._bursts.backlog_bytes, capacity=self._capacity)
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
-        pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._belief.capacity)
+        pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._capacity)
         self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
         self._queues.note(now_s, self._queue_delay_s)
 
@@ -224,7 +223,6 @@ class Estimator:
     # -- the capacity
 
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
-        """Weigh what the counters and the newest reports say of the capacity."""
         believed = self._capacities
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
@@ -288,7 +286,6 @@ class Estimator:
             believed.ping(delivered, was_idle=True, weight=self._look_weight, overhead=overhead)
 
     def _state_capacity(self, now_s: float, why: str) -> None:
-        """State what is believed now, if that is news."""
         capacity = self._capacities.stated(self._belief.capacity)
         if self._belief.kind is not CapacityKind.PEER:
             if self._trains.count >= _ENOUGH_TRAINS:
@@ -307,7 +304,6 @@ class Estimator:
 
     @property
     def _look_weight(self) -> float:
-        """Weight of the looks at an empty queue since the last update."""
         return (1 + self._empty_looks) * parameters.LOOK_WEIGHT
 
     @property
@@ -325,11 +321,10 @@ class Estimator:
         return rate * packet_rate / received * self._overhead_s if received > 0 else 0.0
 
     def _judge(self, now_s: float) -> LinkState:
-        """Return the state while a peer reports."""
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
             is_draining = now_s - self._fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
-        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._belief.capacity
+        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
     def _judge_alone(self, observation: Observation) -> LinkState:
@@ -353,6 +348,15 @@ class Estimator:
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
 
     @property
+    def _capacity(self) -> float:
+        """Capacity in force, which the configuration or the radio may set; no division by a silent radio (bytes/s)."""
+        return max(1.0, self._stated()[0])
+
+    def _stated(self) -> tuple[float, CapacityKind, str, float]:
+        since_s, pinned = max(self._trains.newest_s, self._started_at_s), self._settings.capacity_bytes_per_second
+        return self._belief.stated(self._last_s, since_s=since_s, pinned=pinned, radio=self._radio)
+
+    @property
     def _outage_s(self) -> float:
         """Silence that is an outage: longer than one lost report explains (s)."""
         return max(parameters.OUTAGE_S, 1.6 * self._schedule.quiet_s)
@@ -360,8 +364,6 @@ class Estimator:
     @property
     def _queue_low_s(self) -> float:
         return parameters.QUEUE_LOW_S + self._bursts.largest_s
-
-    # -- results
 
     @property
     def _overhead_s(self) -> float:
@@ -373,11 +375,8 @@ class Estimator:
         last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
         return last[0] if last and abs(last[0] / self._belief.capacity - 1) > parameters.SURPRISE else None
 
-    def _estimate(self, observation: Observation, cross_traffic: float) -> LinkEstimate:
-        now_s = observation.now_s
-        since_s = max(self._trains.newest_s, self._started_at_s)
-        pinned, radio = self._settings.capacity_bytes_per_second, observation.radio_bytes_per_second
-        capacity, kind, evidence, age_s = self._belief.stated(now_s, since_s=since_s, pinned=pinned, radio=radio)
+    def _estimate(self, now_s: float, cross_traffic: float) -> LinkEstimate:
+        capacity, kind, evidence, age_s = self._stated()
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
@@ -389,6 +388,7 @@ class Estimator:
             cautious_ratio=self._capacities.cautious_ratio(capacity) if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             is_resting=self._idle.is_resting,
+            look_s=self._schedule.ping_s,
             age_s=age_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,

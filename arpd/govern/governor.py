@@ -126,7 +126,7 @@ class Governor:
         ):
             cause = "memory"
             self._follow_memory(look)
-        elif look.lasting.topics and state is LinkState.OUTAGE and self.plan.generation > 0:
+        elif look.lasting.topics and state is LinkState.OUTAGE:
             # A plan for a lost link would be a guess, and topics beyond it are only silent.
             self._drift, self._demand = Drift(), Steady()
         elif look.lasting.topics:

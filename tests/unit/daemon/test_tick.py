@@ -11,7 +11,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.observation import MemoryState
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
-from tests.sample_link import LINK, observation
+from tests.sample_link import INTERFACE, LINK, observation
 from tests.sample_publishers import publisher
 from tests.unit.daemon.world import QuietWorld
 
@@ -38,6 +38,7 @@ class World(QuietWorld):
                 self._pending.remove((at_s, change))
         return observation(
             now_s,
+            counters=INTERFACE,
             publishers=(self.writer,),
             memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
             other_daemons=(self.active_daemon,) if self.active_daemon else (),

@@ -255,6 +255,19 @@ def test_an_outage_or_a_queue_stops_the_trains(trouble):
 # -- pinned
 
 
+@pytest.mark.parametrize("how", ["pinned", "radio"])
+def test_a_large_message_may_stand_as_long_as_the_capacity_in_force_takes(how):
+    """What the configuration pins, or the radio allows, counts, and not the capacity that was assumed at first."""
+    slow = 125_000.0
+    link = Link(capacity_bytes_per_second=slow) if how == "pinned" else Link()
+    large = publisher("/node", "/camera", payload_bytes=60_000, published_rate_hz=1.0)
+    radio = None if how == "pinned" else slow / parameters.RADIO_SHARE
+    for _ in range(20):
+        estimate = link.tick(silent=True, peers=0, radio=radio, publishers=(large,))
+    assert estimate.capacity_bytes_per_second == pytest.approx(slow)
+    assert estimate.queue_allowance_s > 0.2
+
+
 def test_a_pinned_capacity_is_believed_and_nothing_is_probed():
     """Neither trains nor a radio change a pinned capacity; it is certain, does not age, and no probe is sent."""
     link = Link(capacity_bytes_per_second=3e6)

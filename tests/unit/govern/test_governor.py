@@ -342,6 +342,13 @@ def test_deadlines_follow_the_lasting_budget_and_depths_the_ceiling():
     assert {row.depth for row in (*before.values(), *after.values())} == {16}
 
 
+def test_a_daemon_that_starts_in_an_outage_plans_when_the_link_is_there():
+    """A first plan for a lost link would spend the budget of swaps on QoS that nothing can use."""
+    run = Run()
+    assert changes(run.ticks(30.0, state=LinkState.OUTAGE)) == []
+    assert run.until_changed(1e6)[1] == "start"
+
+
 def test_an_outage_makes_no_plan_and_clears_what_was_building_up():
     """No plan is made for a lost link, and a change before the outage does not count after it."""
     run = Run().planned()
