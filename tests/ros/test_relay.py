@@ -1,5 +1,6 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
+import threading
 import time
 from contextlib import ExitStack, closing
 from types import SimpleNamespace
@@ -10,13 +11,13 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
+from arpd.adapters.ros.ends.participants import Participants
+from arpd.adapters.ros.ends.prefix import Prefixed
 from arpd.adapters.ros.ends.survey import Surveyed
-from arpd.adapters.ros.participants import Participants
-from arpd.adapters.ros.relay import Relay
+from arpd.adapters.ros.ends.types import UnknownTypeError
 from arpd.model.settings import Overflow, RelaySettings
 from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import is_whole, numbers
@@ -30,7 +31,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 @pytest.fixture
 def lines():
     """Status lines of the relay, oldest first."""
-    return []
+    return [""]
 
 
 @pytest.fixture
@@ -39,11 +40,21 @@ def carry(lines):
     with ExitStack() as stack:
 
         def start(node, settings):
-            participants = stack.enter_context(closing(Participants(node, settings.topics)))
-            note = lambda status: lines.append(status.line)  # noqa: E731 - shorter than a function
-            stack.enter_context(closing(Relay(node, settings, participants=participants, on_change=note)))
+            participants = stack.enter_context(closing(Participants(node)))
+            relay = Prefixed(node, settings, participants=participants, on_change=lines.append)
+            stack.enter_context(closing(relay))
+            stopping = threading.Event()
+            looks = threading.Thread(target=look, args=(relay, stopping), daemon=True)
+            stack.callback(looks.join)
+            stack.callback(stopping.set)
+            looks.start()
 
         yield start
+
+
+def look(relay, stopping):
+    while not stopping.wait(0.5):
+        relay.look()
 
 
 def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, background, eventually):
@@ -55,7 +66,7 @@ def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, b
     background(talker.talk)
     eventually("samples arrive", lambda: len(received) > 20)
     assert is_whole(received, "plain")
-    eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published yet: /never")
+    eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published: /never")
 
 
 def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually):
@@ -74,11 +85,11 @@ def elsewhere(ros):
     """Make a node in its own participant, as in its own process: within one participant a topic has one type."""
     with ExitStack() as stack:
 
-        def node(name, executor=SingleThreadedExecutor, **options):
+        def node(name, **options):
             context = rclpy.Context()
             rclpy.init(context=context, domain_id=DOMAIN)
             stack.callback(rclpy.try_shutdown, context=context)
-            return type(ros)(context, stack).node(name, executor(context=context), **options)
+            return type(ros)(context, stack).node(name, SingleThreadedExecutor(context=context), **options)
 
         yield node
 
@@ -105,12 +116,11 @@ def listen(node, topic):
 SETTINGS = RelaySettings(topics=("/chatter",), overflow={"/chatter": Overflow.QUEUE}, depths={"/chatter": 1000})
 
 
-@pytest.mark.parametrize("executor", [SingleThreadedExecutor, EventsExecutor])
-def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, background, eventually, executor):
+def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, background, eventually):
     """A best-effort publisher that joins is carried too, and the first one's messages are not lost or doubled."""
     reliable = Numbers(elsewhere("first").create_publisher(String, "/chatter", 1000), "first")
     received = listen(elsewhere("far"), "/link/chatter")
-    carry(elsewhere("relay", executor), SETTINGS)
+    carry(elsewhere("relay"), SETTINGS)
     background(reliable.talk)
     eventually("the first one is heard", lambda: len(numbers(received, "first")) > 20)
     weak = Numbers(elsewhere("second").create_publisher(String, "/chatter", BEST_EFFORT), "second")
@@ -152,3 +162,53 @@ def test_a_topic_that_returns_with_another_type_is_carried_with_it(elsewhere, li
     background(second.talk)
     received = listen(elsewhere("far"), "/link/chatter")
     eventually("the other type arrives", lambda: len(received) > 5)
+
+
+def test_circles_are_refused_and_named(elsewhere, lines, carry, background, eventually):
+    """A topic is carried no more once a node publishes it that reads what is republished; the others go on."""
+    background(Numbers(elsewhere("plain").create_publisher(String, "/chatter", 10), "plain").talk)
+    elsewhere("other").create_publisher(String, "/other", 10)
+    carry(elsewhere("relay"), RelaySettings(topics=("/chatter", "/other")))
+    received = listen(elsewhere("far"), "/link/chatter")
+    eventually("it is carried", lambda: received and lines[-1] == "relaying 2 of 2 topics")
+    back = elsewhere("back")
+    publisher = back.create_publisher(String, "/chatter", 10)
+    back.create_subscription(String, "/link/chatter", publisher.publish, 10)
+    loop = "/back reads /link/chatter and publishes it, so messages would loop"
+    eventually("the circle is named", lambda: lines[-1] == f"relaying 1 of 2 topics; refused /chatter: {loop}")
+    eventually("nothing is republished", lambda: back.count_publishers("/link/chatter") == 0)
+
+
+def test_an_output_that_is_an_input_is_refused(elsewhere, lines, carry, eventually):
+    """A remapping rule by which a topic would be republished under a name that is carried makes a circle."""
+    for topic in ("/chatter", "/other"):
+        elsewhere("talker").create_publisher(String, topic, 10)
+    relay = elsewhere("relay", cli_args=["--ros-args", "-r", "/link/chatter:=/other"])
+    carry(relay, RelaySettings(topics=("/chatter", "/other")))
+    words = "relaying 1 of 2 topics; refused /chatter: its output /other is carried too"
+    eventually("the rule is named", lambda: lines[-1].startswith(words))
+
+
+def test_types_that_are_mixed_or_not_installed_are_named(elsewhere, lines, carry, monkeypatch, caplog, eventually):
+    """Of two types at once none is carried, and none that is missing; a stray one beside one that flows is ignored."""
+
+    def found(type_name):
+        if type_name != "std_msgs/msg/String":
+            raise UnknownTypeError(f"{type_name} is not installed here")
+        return String
+
+    monkeypatch.setattr("arpd.adapters.ros.ends.prefix.message_class", found)
+    first, second = elsewhere("first"), elsewhere("second")
+    first.create_publisher(Empty, "/missing", 10)
+    first.create_publisher(String, "/mixed", 10)
+    second.create_publisher(Empty, "/mixed", 10)
+    first.create_publisher(String, "/chatter", 10)
+    node = elsewhere("relay")
+    topics = "/mixed", "/chatter", "/missing"
+    eventually("all are seen", lambda: [node.count_publishers(topic) for topic in topics] == [2, 1, 1])
+    carry(node, RelaySettings(topics=topics))
+    words = "refused /missing: std_msgs/msg/Empty is not installed here; also /mixed"
+    eventually("both are named", lambda: lines[-1] == f"relaying 1 of 3 topics; {words}")
+    assert "cannot relay /mixed: it has more than one type: std_msgs/msg/Empty, std_msgs/msg/String;" in caplog.text
+    second.create_publisher(Empty, "/chatter", 10)
+    eventually("the stray is named", lambda: lines[-1].endswith("; ignored on /chatter: std_msgs/msg/Empty"))

@@ -82,6 +82,7 @@ class NodePublishers:
         self._clock = clock
         self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
         self._publishers: dict[str, Paced] = {}
+        self._warned: set[str] = set()  # topics that make others wait
         self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
         self._check_s = clock()
@@ -183,15 +184,16 @@ class NodePublishers:
             self._show_price(*self._publishers.values())
 
     def _warn_of_large(self) -> None:
-        """Say once which topic makes the others of its participant wait."""
+        """Say once of each topic that it makes the others of its participant wait."""
         if self.thread.topics < 2:
             return
         for topic, publisher in self._publishers.items():
-            if publisher.payload_bytes >= _LARGE_BYTES:
+            if publisher.payload_bytes >= _LARGE_BYTES and topic not in self._warned:
+                self._warned.add(topic)
                 self._node.get_logger().warning(
                     f"{topic} has samples of {publisher.payload_bytes / 1e6:.1f} MB: while one is written to a slow "
-                    "link, the other topics of this process wait inside Fast DDS; publish it from a process of its own",
-                    once=True,
+                    "link, the other topics of this participant wait inside Fast DDS; publish it from a process of its "
+                    "own, or carry it by an arpd relay of its own"
                 )
 
     def _show_price(self, *publishers: Paced) -> None:

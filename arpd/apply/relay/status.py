@@ -1,4 +1,4 @@
-"""Status line of one end of the relay."""
+"""Status lines of the relay."""
 
 from __future__ import annotations
 
@@ -59,6 +59,21 @@ def status_line(
         line += f"; ignored another {there}'s end on {', '.join(second_ends)}: one robot has one"
     line += _named("refused", refused) + _named(f"the {there}'s end refuses", state.refused)
     return line + _named("two types of", differ)
+
+
+def prefix_line(*, topics: int, silent: Collection[str], refused: Mapping[str, str], ignored: Mapping[str, str]) -> str:
+    """Return the same for a relay with one end.
+
+    Parameters
+    ----------
+    topics : number of those that it shall carry
+    silent : those without a publisher
+    refused, ignored : those that it cannot carry, and the reason; those of which writers are ignored, and their types
+    """
+    line = f"relaying {topics - len(silent) - len(refused)} of {topics} topics"
+    if silent:
+        line += f"; not published: {', '.join(silent)}"
+    return line + _named("refused", refused) + _named("ignored on", ignored)
 
 
 def _named(what: str, reasons: Mapping[str, str]) -> str:

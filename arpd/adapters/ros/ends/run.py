@@ -9,6 +9,11 @@ import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+from std_msgs.msg import Empty
+
+from arpd.adapters.ros.ends.end import End
+from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
+from arpd.adapters.ros.node_publishers import NodePublishers
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.runtime import (
     PROFILE_VARIABLES,
@@ -58,9 +63,6 @@ def run_end(
     prepare_environment(TWO_ENDED_PROFILE)
     return_large_blocks()
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
-        from arpd.adapters.ros.ends.end import End  # noqa: PLC0415 - ROS is checked in ros_node
-        from arpd.adapters.ros.node_publishers import NodePublishers  # noqa: PLC0415
-
         check_middleware(current_rmw())
         check_deaf_to_itself(node)
         link_executor = best_executor(link_node.context, hears_itself=False)
@@ -119,10 +121,6 @@ def check_deaf_to_itself(node: Node) -> None:
     RosUnavailableError
         If endpoints of one participant match each other.
     """
-    from std_msgs.msg import Empty  # noqa: PLC0415 - ROS is checked in ros_node
-
-    from arpd.adapters.ros.events import no_publisher_events, no_subscription_events  # noqa: PLC0415
-
     publisher = node.create_publisher(Empty, "~/check", 1, event_callbacks=no_publisher_events())
     subscription = node.create_subscription(
         Empty, "~/check", lambda _sample: None, 1, event_callbacks=no_subscription_events()
