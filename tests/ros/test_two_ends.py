@@ -1,6 +1,7 @@
 """The relay with two ends: real processes, a domain on each side and one between them, on this host."""
 
 import platform
+import threading
 import time
 from contextlib import ExitStack
 from itertools import count
@@ -11,6 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
@@ -162,6 +164,34 @@ def test_the_far_side_looks_as_the_robot(ends, eventually):
     eventually("both sides look the same", lambda: shown(far) == shown(sensor))
     nodes = {("sensor", "/left"), ("other", "/")}
     eventually("the nodes show", lambda: nodes <= set(far.get_node_names_and_namespaces()))
+
+
+def test_a_ghost_lives_while_its_original_asserts_its_liveliness(ends, background, eventually):
+    """A reader on the far side notices when a node there still exists but asserts no more, and when it does again."""
+    profile = QoSProfile(
+        depth=10,
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=1),
+    )
+    writer = ends.side("robot").node("motor").create_publisher(String, "/motor", profile)
+    asserts, alive = threading.Event(), []
+    asserts.set()
+
+    def live(stopping):
+        while not stopping.wait(0.2):
+            if asserts.is_set():
+                writer.assert_liveliness()
+
+    background(live)
+    callbacks = SubscriptionEventCallbacks(liveliness=lambda event: alive.append(event.alive_count))
+    far = ends.side("ceddp").node("planner")
+    far.create_subscription(String, "/motor", lambda _message: None, profile, event_callbacks=callbacks)
+    eventually("the ghost lives", lambda: alive and alive[-1] == 1)
+    asserts.clear()
+    eventually("the ghost lives no more", lambda: alive[-1] == 0)
+    assert far.count_publishers("/motor") == 1
+    asserts.set()
+    eventually("the ghost lives again", lambda: alive[-1] == 1)
 
 
 def test_every_latched_writer_keeps_its_own_history(ends, eventually):

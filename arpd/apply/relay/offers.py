@@ -35,7 +35,7 @@ class WriterOffer:
     gid : its DDS GUID, in hexadecimal digits
     is_reliable, is_latched : its reliability and durability
     deadline_ns, lifespan_ns, lease_ns : its periods, 0 = infinite (ns)
-    is_manual : whether it asserts its liveliness by topic
+    is_manual, is_alive : whether it asserts its liveliness by topic, and has done so within its lease
     """
 
     number: int
@@ -47,6 +47,7 @@ class WriterOffer:
     lifespan_ns: int = 0
     lease_ns: int = 0
     is_manual: bool = False
+    is_alive: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -196,6 +197,7 @@ def _writer(document: Any) -> WriterOffer:
         lifespan_ns=_whole(document["lifespan_ns"], most=_MOST_NS),
         lease_ns=_whole(document["lease_ns"], most=_MOST_NS),
         is_manual=document["is_manual"] is True,
+        is_alive=document["is_alive"] is True,
     )
 
 

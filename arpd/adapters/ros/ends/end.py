@@ -204,7 +204,7 @@ class End:
             self._offers = self._survey_offers()
             self._others = self._nodes_of_others()
             self._follow(now_s)
-        self.incoming.step()
+        self.incoming.step(is_reachable=self._partner.is_reachable(now_s))
         self.outgoing.step(self._offers)
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
@@ -312,11 +312,10 @@ class End:
             name = self._robot_name(local)
             if name is not None and surveyed.writers and self._may_leave(name):
                 link_name, member = self.outgoing.names.of(name)
-                writers = tuple(sorted(surveyed.writers.values(), key=lambda writer: writer.number))
                 depth, deadline_ns = self._plans.get(link_name, (0, 0))
                 offers[name] = TopicOffer(
                     type_name=surveyed.type_name,
-                    writers=writers,
+                    writers=self.outgoing.living(name, surveyed.writers.values()),
                     link_name=link_name,
                     member=member,
                     type_hash=surveyed.type_hash,

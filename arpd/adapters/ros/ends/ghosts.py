@@ -203,8 +203,15 @@ class GhostWriter:
             wanted = replace(wanted, deadline_ns=self._swap.qos.deadline_ns)
         self._swap.request(wanted)
 
-    def step(self) -> None:
-        """Move a swap on, and write the samples that wait for it or for readers."""
+    def step(self, *, is_reachable: bool = True) -> None:
+        """Move a swap on, and write the samples that wait for it or for readers; live as the original does.
+
+        Parameters
+        ----------
+        is_reachable : whether the original's end is: what it said of the original does not hold any longer otherwise
+        """
+        if self.offer.is_alive and is_reachable:
+            self._swap.current.publisher.assert_liveliness()
         if self._swap.is_busy:
             self._swap.step(self._clock())
         self._release(_PER_STEP)

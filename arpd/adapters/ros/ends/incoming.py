@@ -138,14 +138,14 @@ class Incoming:
                 self._retire(topic, present, now_s)
                 self._write_held(topic, now_s)
 
-    def step(self) -> None:
+    def step(self, *, is_reachable: bool) -> None:
         """Look for readers, and open or close what they need."""
         now_s = self._clock()
         wants, links = set(), set()
         with self._lock:
             for topic in list(self._topics.values()):
                 for ghost in topic.ghosts.values():
-                    ghost.step()
+                    ghost.step(is_reachable=is_reachable)
                 if any(ghost.matched() for ghost in topic.ghosts.values()):
                     topic.read_s = now_s
                 if now_s - topic.read_s < _LINGER_S:
@@ -274,6 +274,7 @@ class Incoming:
                     planned=planned,
                     clock=self._clock,
                 )
+            ghost.offer = writer  # it may be alive now
             ghost.retune(planned)
             topic.gone_s.pop(writer.gid, None)
             topic.by_number[writer.number] = ghost

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from arpd.apply.relay.sets import Sets
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rclpy.node import Node
 
@@ -125,6 +125,15 @@ class Outgoing:
     def incomplete(self) -> int:
         """Count the samples of groups whose set was never complete."""
         return self._incomplete + sum(each.sets.dropped for each in self._carried.values() if each.sets is not None)
+
+    def living(self, topic: str, writers: Iterable[WriterOffer]) -> tuple[WriterOffer, ...]:
+        """Return the writers of a topic by their numbers, each with whether it is alive."""
+        carried = self._carried.get(self.names.of(topic)[0])
+        readers = None if carried is None else carried.readers.get(topic)
+        return tuple(
+            replace(writer, is_alive=readers is not None and readers.are_alive(writer)) if writer.is_manual else writer
+            for writer in sorted(writers, key=lambda writer: writer.number)
+        )
 
     def follow(self, wants: frozenset[str], offers: Mapping[str, TopicOffer]) -> None:
         """Carry the wanted topics, and no other."""

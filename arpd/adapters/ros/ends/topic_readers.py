@@ -7,10 +7,13 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rclpy.qos import QoSProfile
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSSubscriptionEventType
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
 from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import expected_bytes
+from arpd.adapters.ros.events import InvalidHandle, status_of
 from arpd.adapters.ros.graph import policies_of
 from arpd.apply.relay.depths import MOST_BYTES, held_depth
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
@@ -26,7 +29,15 @@ if TYPE_CHECKING:
 _MOST_HELD = 1000
 _HELD_S = 3.0
 
-WriterClass = tuple[bool, bool]  # whether writers are reliable, and latched
+_LIVELINESS = QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
+
+
+class WriterClass(NamedTuple):
+    """Writers that one reader hears."""
+
+    is_reliable: bool
+    is_latched: bool
+    lease_ns: int  # of those that assert their liveliness by topic; 0 = the others
 
 
 class _Held(NamedTuple):
@@ -40,8 +51,9 @@ class _Held(NamedTuple):
 class TopicReaders:
     """Reads one topic, each sample with its writer.
 
-    Each class of writers (reliable or not, latched or not) has a reader of its own, of which the samples of that class
-    count only. So a reliable writer stays reliable when a best-effort one joins, and no reader is ever replaced.
+    Each class of writers (reliable or not, latched or not, asserting their liveliness by topic or not) has a reader of
+    its own, of which the samples of that class count only. So a reliable writer stays reliable when a best-effort one
+    joins, and no reader is ever replaced.
 
     Parameters
     ----------
@@ -52,7 +64,6 @@ class TopicReaders:
     thread : takes the samples
     deliver : called with every sample and its writer, in the thread, one at a time
     depth : most samples that wait for the thread; None = a second of them
-    keeps_history : whether late writers of latched samples are read with their history
     """
 
     def __init__(
@@ -65,12 +76,11 @@ class TopicReaders:
         thread: ReadingThread,
         deliver: Callable[[WriterOffer, Sample], None],
         depth: int | None = None,
-        keeps_history: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node, self._topic, self._msg_type = node, topic, msg_type
         self._survey, self._thread, self._deliver_one = survey, thread, deliver
-        self._depth, self._keeps_history, self._clock = depth, keeps_history, clock
+        self._depth, self._clock = depth, clock
         self._readers: dict[WriterClass, RawReader] = {}
         self._held: deque[_Held] = deque(maxlen=_MOST_HELD)
         self._lock = threading.Lock()
@@ -80,7 +90,7 @@ class TopicReaders:
 
     def follow(self, writers: Iterable[WriterOffer]) -> None:
         """Read every class of these writers, and deliver what waited for their names."""
-        for each in {self._class_of(writer) for writer in writers} - self._readers.keys():
+        for each in {_class_of(writer) for writer in writers} - self._readers.keys():
             self._read(each)
         with self._lock:
             self._deliver_held()
@@ -90,12 +100,15 @@ class TopicReaders:
         while self._readers:
             self._readers.popitem()[1].destroy()
 
-    def _class_of(self, writer: WriterOffer) -> WriterClass:
-        return writer.is_reliable, writer.is_latched and self._keeps_history
+    def are_alive(self, writer: WriterOffer) -> bool:
+        """Return whether a writer like this one asserts its liveliness within its lease; DDS does not say which."""
+        try:
+            status = status_of(self._readers[_class_of(writer)], _LIVELINESS)
+        except (KeyError, InvalidHandle):  # it is not read, or begins again
+            return False
+        return status is not None and status.alive_count > 0
 
     def _read(self, writers: WriterClass) -> None:
-        is_reliable, is_latched = writers
-
         def deliver(sample: Sample) -> None:
             with self._lock:
                 # Behind those that are held, perhaps of the same writer.
@@ -103,12 +116,18 @@ class TopicReaders:
                     self._held.append(_Held(writers, sample, self._clock()))
                     self._deliver_held()
 
+        liveliness = QoSLivelinessPolicy.MANUAL_BY_TOPIC if writers.lease_ns else QoSLivelinessPolicy.AUTOMATIC
         depth = held_depth(self._depth or DEFAULT_RELAY_DEPTH, sample_bytes=expected_bytes(self._msg_type))
         self._readers[writers] = RawReader(
             self._node,
             self._msg_type,
             self._topic,
-            QoSProfile(depth=depth, **policies_of(is_reliable=is_reliable, is_latched=is_latched)),
+            QoSProfile(
+                depth=depth,
+                liveliness=liveliness,
+                liveliness_lease_duration=Duration(nanoseconds=writers.lease_ns),
+                **policies_of(is_reliable=writers.is_reliable, is_latched=writers.is_latched),
+            ),
             deliver=deliver,
             thread=self._thread,
             most_bytes=None if self._depth else MOST_BYTES,
@@ -123,7 +142,7 @@ class TopicReaders:
         writer = surveyed.known.get(gid) if surveyed is not None else None
         if writer is None:
             return False
-        if self._class_of(writer) == writers:
+        if _class_of(writer) == writers:
             self._deliver_one(writer, sample)
         return True
 
@@ -137,3 +156,7 @@ class TopicReaders:
                 unknown.add(held.sample.writer)
                 if now_s - held.at_s < _HELD_S:
                     self._held.append(held)
+
+
+def _class_of(writer: WriterOffer) -> WriterClass:
+    return WriterClass(writer.is_reliable, writer.is_latched, writer.lease_ns if writer.is_manual else 0)

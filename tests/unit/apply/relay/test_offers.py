@@ -31,6 +31,7 @@ WRITERS = st.builds(
     lifespan_ns=PERIODS,
     lease_ns=PERIODS,
     is_manual=st.booleans(),
+    is_alive=st.booleans(),
 )
 TOPICS = st.builds(
     TopicOffer,
