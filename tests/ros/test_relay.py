@@ -189,7 +189,7 @@ def test_an_output_that_is_an_input_is_refused(elsewhere, lines, carry, eventual
     eventually("the rule is named", lambda: lines[-1].startswith(words))
 
 
-def test_types_that_are_mixed_or_not_installed_are_named(elsewhere, lines, carry, monkeypatch, caplog, eventually):
+def test_mixed_and_missing_types_are_named(elsewhere, lines, carry, monkeypatch, caplog, eventually):  # noqa: PLR0917 - fixtures
     """Of two types at once none is carried, and none that is missing; a stray one beside one that flows is ignored."""
 
     def found(type_name):

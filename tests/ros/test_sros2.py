@@ -169,7 +169,7 @@ def wait_for_plan(node):
     def all_opened():
         found = {name: opened(node, name) for name in NODES}
         is_carried = ("publish", f"/link{TOPIC}") in found["arpd_relay_robot"]
-        return is_carried and all(("reply", f"/{name}/list_parameters") in found[name] for name in NODES) and found
+        return is_carried and all(("reply", f"/{name}/get_type_description") in found[name] for name in NODES) and found
 
     eventually("a plan reaches the driver", is_tuned)
     return eventually("every process has opened its endpoints", all_opened)
