@@ -11,9 +11,10 @@ pytest.importorskip("test_msgs", reason="test_msgs is not installed")
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from test_msgs.srv import Empty
@@ -81,6 +82,7 @@ class Ghost:
     def __init__(self, node, **offer):
         self.writer = GhostWriter(node, String, TOPIC, WriterOffer(number=0, node="", gid="", **offer), depth=10)
         self.node, self.written, self.is_writing, self.most_held = node, 0, False, 0
+        self.is_reachable = True
         self.lock = threading.Lock()  # as that of `Incoming`
 
     def write(self, stopping):
@@ -97,7 +99,7 @@ class Ghost:
             with self.lock:
                 if time.monotonic() >= self.writer.due_s:
                     self.writer.swap()
-                self.writer.step()
+                self.writer.step(is_reachable=self.is_reachable)
 
     def plan(self, **planned):
         with self.lock:
@@ -217,3 +219,19 @@ def test_a_latched_ghost_is_never_swapped(ghost):
     assert ghost.writer.due_s == math.inf
     ghost.plan(depth=0, deadline_ns=0)
     assert ghost.qos == WriterQos(depth=10, deadline_ns=0)
+
+
+def test_a_ghost_whose_end_is_unreachable_is_not_alive(ros, ghost, eventually):
+    """Nobody knows whether an original still lives whose end is silent, so its ghost asserts nothing."""
+    far, alive = ros.node("far"), []
+    profile = QoSProfile(
+        depth=10,
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=1),
+    )
+    callbacks = SubscriptionEventCallbacks(liveliness=lambda event: alive.append(event.alive_count))
+    far.create_subscription(String, TOPIC, lambda _message: None, profile, event_callbacks=callbacks)
+    writer = ghost(is_manual=True, is_alive=True, lease_ns=1000 * MS)
+    eventually("the ghost lives", lambda: alive and alive[-1] == 1)
+    writer.is_reachable = False
+    eventually("the ghost lives no more", lambda: alive[-1] == 0)
