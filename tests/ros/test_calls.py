@@ -25,19 +25,44 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes, Empty
 
 from arpd.adapters.ros.ends import calls as calls_module
-from arpd.adapters.ros.ends import served_calls
-from arpd.adapters.ros.ends.calls import Calls
-from arpd.adapters.ros.ends.ghost_service import GhostService
+from arpd.adapters.ros.ends.calls import Calls, GhostService
+from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
 from arpd.adapters.ros.runtime import prepare_environment, spinning
-from arpd.apply.relay.call_records import FailureReason, Request
+from arpd.apply.relay.calls import FailureReason, Request
+from arpd.apply.relay.offers import ServiceOffer
+from arpd.apply.relay.selection import far_name, robot_name
 from tests.ros.domain import DOMAIN
-from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.ros
 
 STATE_S = 0.1
 ROBOT, CEDDP = DOMAIN, DOMAIN + 1
+
+
+class Wire:
+    """The link from one end, which loses, doubles and reorders records."""
+
+    def __init__(self, end):
+        self._end = end
+        self._random = random.Random(1)
+        self._held = []
+        self.loss = 0.0
+        self.deliver = None
+
+    def open(self, deliver):
+        self.deliver = deliver
+
+    def send(self, record, _source):
+        for _ in range(1 + (self._random.random() < self.loss)):
+            if self._random.random() >= self.loss:
+                self._held.insert(self._random.randrange(len(self._held) + 1), record)
+        if self._random.random() >= self.loss:
+            while self._held:
+                self._end.other.wire.deliver(self._end.session, self._held.pop(0))
+
+    def close(self):
+        """Do nothing."""
 
 
 class End:
@@ -46,78 +71,50 @@ class End:
     def __init__(self, name, domain, executor, *, allows=lambda _name: True, timeout_s=120.0, namespace=""):
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.session = f"{name}-{random.randrange(10**9)}"
-        self.inbox = []
-        self.offered = {}
+        self.session = random.randrange(1, 2**32)
         self.other = None
-        self.loss = 0.0
-        self.turns = self.looks = 0
         self.ahead_s = 0.0  # of the monotonic clock
-        self._random = random.Random(1)
-        self._nodes = {}
+        self.wire = Wire(self)
+        self.node = rclpy.create_node(
+            f"arpd_{name}", context=self.context, start_parameter_services=False, enable_rosout=False
+        )
+        self._nodes = GhostNodes(self.node)
+        self._stack = ExitStack()
         self._executor = executor(context=self.context)
-        self._stopping = threading.Event()
-        self.node = self.ghost_node(f"/arpd_{name}", enable_rosout=False)
+        self._executor.add_node(self.node)
         self.calls = Calls(
             self.node,
-            send=self.send,
-            ghost_node=self.ghost_node,
+            self._nodes,
+            self.wire,
+            session=self.session,
             allows=lambda name: not name.endswith("/get_type_description") and allows(name),
             timeout_s=timeout_s,
-            session=self.session,
-            namespace=namespace,
+            local_name=lambda name: far_name(name, namespace),
+            robot_name=lambda name: robot_name(name, namespace),
             clock=self.now_s,
         )
-        self._thread = threading.Thread(target=self._work, daemon=True)
 
     def now_s(self):
         return time.monotonic() + self.ahead_s
 
-    def start(self, other):
-        self.other = other
-        self._thread.start()
+    @property
+    def under_way(self):
+        """Calls from this side, and calls to this side."""
+        return len(self.calls._caller), len(self.calls._served.callee)
+
+    def start(self):
+        self._stack.enter_context(spinning(self._executor))
+
+    def tell(self):
+        self.other.calls.offered = self.calls.offers, self.session
 
     def stop(self):
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout=10)
-        self.calls.destroy()
-        for node in self._nodes.values():
-            node.destroy_node()
-        self._executor.shutdown()
-        rclpy.try_shutdown(context=self.context)
-
-    def ghost_node(self, name, **options):
-        if name not in self._nodes:
-            namespace, _, base = name.rpartition("/")
-            node = rclpy.create_node(
-                base, namespace=namespace or "/", context=self.context, start_parameter_services=False, **options
-            )
-            self._executor.add_node(node)
-            self._nodes[name] = node
-        return self._nodes[name]
-
-    def send(self, data):
-        """Write to the link, which loses, doubles and reorders."""
-        for _ in range(1 + (self._random.random() < self.loss)):
-            if self._random.random() >= self.loss:
-                inbox = self.other.inbox
-                inbox.insert(self._random.randrange(len(inbox) + 1) if self.loss else len(inbox), data)
-
-    def _work(self):
-        next_state_s = 0.0
-        while not self._stopping.is_set():
-            now_s = self.now_s()
-            if now_s >= next_state_s:
-                next_state_s = now_s + STATE_S
-                self.looks += 1
-                self.offered = self.calls.offers()
-                self.calls.follow(self.other.offered, session=self.other.session)
-            while self.inbox:
-                self.calls.receive(self.inbox.pop(0))
-            self.calls.step(now_s)
-            self._executor.spin_once(timeout_sec=0.02)
-            self.turns += 1
+        if self.context.ok():
+            self._stack.close()
+            self.calls.close()
+            self._nodes.close()
+            self.node.destroy_node()
+            rclpy.try_shutdown(context=self.context)
 
 
 class Side:
@@ -154,34 +151,51 @@ class World:
     def relay(self, executor=EventsExecutor, *, namespace="", **options):
         self.robot = End("robot", ROBOT, executor, **options)
         self.ceddp = End("ceddp", CEDDP, executor, namespace=namespace, **options)
-        for end, other in ((self.robot, self.ceddp), (self.ceddp, self.robot)):
+        self.robot.other, self.ceddp.other = self.ceddp, self.robot
+        for end in (self.robot, self.ceddp):
             self._stack.callback(end.stop)
-            end.start(other)
+            end.start()
+        stopping = threading.Event()
+        telling = threading.Thread(target=self._tell, args=(stopping,))
+        telling.start()
+        self._stack.callback(telling.join)
+        self._stack.callback(stopping.set)
+
+    def _tell(self, stopping):
+        while not stopping.wait(STATE_S):
+            self.robot.tell()
+            self.ceddp.tell()
 
     def other_ceddp_nodes(self):
         return Side(CEDDP, self._stack)
 
     def restart_robot(self):
-        self.robot.stop()
-        self.robot = End("robot", ROBOT, EventsExecutor)
-        self._stack.callback(self.robot.stop)
-        self.robot.start(self.ceddp)
-        self.ceddp.other = self.robot
+        old, new = self.robot, End("robot", ROBOT, EventsExecutor)
+        old.stop()
+        new.other, self.ceddp.other = self.ceddp, new
+        self.robot = new
+        self._stack.callback(new.stop)
+        new.start()
 
     def lose(self, share):
-        self.robot.loss = self.ceddp.loss = share
+        self.robot.wire.loss = self.ceddp.wire.loss = share
 
-    def pass_time(self, seconds):
-        """Let both ends' clocks jump ahead."""
+    def pass_time(self, seconds, eventually):
+        """Let both ends' clocks jump ahead, and the ends see it."""
+        before_s = time.monotonic()
         for end in (self.robot, self.ceddp):
             end.ahead_s += seconds
+        eventually(
+            "both have looked twice",
+            lambda: all(end.calls._look_s > before_s + seconds + 3 * STATE_S for end in (self.robot, self.ceddp)),
+        )
 
 
 @pytest.fixture
 def world(monkeypatch):
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(served_calls, "_READY_S", PATIENCE_S)  # discovery takes longer on a busy machine
+    monkeypatch.setattr(calls_module, "_LOOK_S", STATE_S)
     prepare_environment()
     with ExitStack() as stack:
         yield World(stack)
@@ -201,10 +215,11 @@ class Doubler:
         return response
 
 
-def silent_server(node, kind, name):
+def silent_server(node, type_name, name):
     """Serve a service that never answers; returns the requests and the server."""
     requests = []
-    return requests, GhostService(node, kind, name, on_request=lambda request, _header: requests.append(request))
+    offer = ServiceOffer(type_name=type_name, node="")
+    return requests, GhostService(node, offer, name, lambda request, _header: requests.append(request))
 
 
 def finished(eventually, future):
@@ -228,9 +243,9 @@ def test_a_service_is_called_across_a_bad_link(world, eventually, executor):
         assert answers == [2 * (first + number) for number in range(8)]
     assert sorted(doubler.runs) == list(range(24))
     world.lose(0.0)
-    eventually("no call is left", lambda: world.ceddp.calls.under_way == world.robot.calls.under_way[::-1] == (0, 0))
+    eventually("no call is left", lambda: world.ceddp.under_way == world.robot.under_way[::-1] == (0, 0))
     assert not world.ceddp.calls.failures
-    assert not world.ceddp.offered  # its own ghost is no service of its side
+    assert not world.ceddp.calls.offers  # its own ghost is no service of its side
 
 
 def serves(node, name, service):
@@ -243,8 +258,8 @@ def serves(node, name, service):
 
 
 def test_a_call_under_way_delays_no_other(world, eventually):
-    """While a call waits for its answer, other calls go on."""
-    requests, _ = silent_server(world.robot_nodes.node("slow"), BasicTypes, "/slow")
+    """While a call waits, other calls go on; both ends forget it when it has waited too long, or its server is gone."""
+    requests, server = silent_server(world.robot_nodes.node("slow"), "test_msgs/srv/BasicTypes", "/slow")
     Doubler(world.robot_nodes.node("calculator"))
     world.relay()
     slow, fast = world.ceddp_nodes.client(BasicTypes, "/slow"), world.ceddp_nodes.client(BasicTypes, "/double")
@@ -253,6 +268,14 @@ def test_a_call_under_way_delays_no_other(world, eventually):
     eventually("the call reaches its server", lambda: requests)
     assert finished(eventually, fast.call_async(BasicTypes.Request(int32_value=4))).int32_value == 8
     assert not waiting.done()
+    world.pass_time(130.0, eventually)
+    eventually("both ends forget it", lambda: world.ceddp.under_way == world.robot.under_way == (0, 0))
+    assert not any(client.futures for client in world.robot.calls._served._clients.values())
+    slow.call_async(BasicTypes.Request())
+    eventually("the call reaches its server", lambda: len(requests) == 2)
+    server.destroy()
+    eventually("both ends forget it", lambda: world.ceddp.under_way == world.robot.under_way == (0, 0))
+    assert world.ceddp.calls.failures == {"timeout": 1, "no_server": 1}
 
 
 def test_names_on_the_ceddp_have_the_namespace(world, eventually):
@@ -272,7 +295,7 @@ def test_names_on_the_ceddp_have_the_namespace(world, eventually):
     here, there = world.ceddp_nodes.node("looker"), world.robot_nodes.node("looker")
     eventually("the ghost has its name", lambda: serves(here, "/spot/calculator", "/spot/double"))
     eventually("the ghost has its name", lambda: serves(there, "/planner", "/plan"))
-    assert set(world.ceddp.offered) == {"/plan"}
+    assert set(world.ceddp.calls.offers) == {"/plan"}
 
 
 def test_only_allowed_services_cross(world, eventually):
@@ -282,17 +305,19 @@ def test_only_allowed_services_cross(world, eventually):
     world.relay(allows=lambda name: name == "/double")
     client = world.ceddp_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
-    assert set(world.robot.offered) == {"/double"}
+    assert set(world.robot.calls.offers) == {"/double"}
     answers = forged_call(world, "/secret")
     eventually("the forged call ends", lambda: answers)
     assert answers[0].reason is FailureReason.NO_SERVER
     assert not secret.runs
+    world.robot.wire.deliver(world.ceddp.session, b"no record")
+    eventually("what is no record is counted", lambda: world.robot.calls.malformed == 1)
 
 
 def forged_call(world, service, type_name="test_msgs/srv/BasicTypes", body=b""):
     """Call from the CEDDP what its own end would not call; returns the outcomes."""
     outcomes = []
-    request = Request(service=service, type_name=type_name, body=body or serialize_message(BasicTypes.Request()))
+    request = Request(service, type_name, body or serialize_message(BasicTypes.Request()))
     caller = world.ceddp.calls._caller
     caller.call(request, timeout_s=10.0, now_s=time.monotonic(), on_end=outcomes.append)
     return outcomes
@@ -323,11 +348,9 @@ def test_an_action_is_cancelled_across_the_link(world, eventually):
     client = action_client(world, eventually)
     handle = finished(eventually, client.send_goal_async(Fibonacci.Goal(order=1000)))
     result = handle.get_result_async()
-    eventually("the robot's end has the call", lambda: world.robot.calls.under_way == (0, 1))
-    assert world.ceddp.calls.under_way == (1, 0)
-    world.pass_time(70.0)
-    turns = world.ceddp.turns
-    eventually("the end has looked at it", lambda: world.ceddp.turns > turns + 10)
+    eventually("the robot's end has the call", lambda: world.robot.under_way == (0, 1))
+    assert world.ceddp.under_way == (1, 0)
+    world.pass_time(70.0, eventually)
     assert not result.done()
     cancelled = finished(eventually, handle.cancel_goal_async())
     assert cancelled.return_code == CancelGoal.Response.ERROR_NONE
@@ -378,7 +401,7 @@ def action_client(world, eventually):
 
 def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
     """A call that was under way with an end that restarted fails and does not run again; the next one is answered."""
-    requests, _ = silent_server(world.robot_nodes.node("camera"), SetCameraInfo, "/set_camera_info")
+    requests, _ = silent_server(world.robot_nodes.node("camera"), "sensor_msgs/srv/SetCameraInfo", "/set_camera_info")
     doubler = Doubler(world.robot_nodes.node("calculator"))
     world.relay()
     client = world.ceddp_nodes.client(SetCameraInfo, "/set_camera_info")
@@ -394,7 +417,7 @@ def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
     assert world.ceddp.calls.failures == {"restarted": 1}
 
 
-def test_a_service_that_both_sides_serve_is_refused(world, eventually, caplog):
+def test_a_service_that_both_sides_serve_is_refused(world, eventually):
     """The server on the own side answers; without it, calls cross the link."""
     far = Doubler(world.robot_nodes.node("far"))
     near = Doubler(world.other_ceddp_nodes().node("near"))
@@ -403,9 +426,6 @@ def test_a_service_that_both_sides_serve_is_refused(world, eventually, caplog):
     client = world.ceddp_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
     finished(eventually, client.call_async(BasicTypes.Request(int32_value=1)))
-    looks = world.robot.looks
-    eventually("the ends have looked again", lambda: world.robot.looks > looks + 5)
-    assert sum("/double" in line for line in caplog.messages) == 2  # once for each end
     near.node.destroy_service(near.service)
     eventually("it is refused no more", lambda: not world.ceddp.calls.refused)
     eventually("the service crosses", client.service_is_ready)

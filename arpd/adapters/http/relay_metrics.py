@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.adapters.http.families import counter_of, gauge, gauge_of
-from arpd.apply.relay.call_records import FailureReason
+from arpd.apply.relay.calls import FailureReason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

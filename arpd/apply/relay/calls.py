@@ -1,45 +1,119 @@
-"""Calls of services across the link: each runs at most once, though records are lost, doubled or reordered.
+"""Calls of services across the link, whose records may be lost, doubled or reordered: pure.
 
-A call is known by the session of the end that makes it and a number that only grows. The caller repeats its request
-until the call ends; the callee remembers every number that it has seen, so a late copy of a request never runs again.
-A request names the session of the process that it is meant for: one that was started meanwhile does not run it.
+A call is known by the session of the end that makes it, its caller, and a number that only grows. Once a second the
+caller says which of its calls wait. The other end, the callee, then sends their outcomes again, asks for the requests
+that it lacks, and gives up all other calls. It keeps the last outcomes, so that a late copy of a request does not run.
+Each record names the session of the process that it is meant for: another one ignores it.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import math
+import struct
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from arpd.apply.relay.call_records import (
-    Answer,
-    CallFailure,
-    FailureReason,
-    Record,
-    Request,
-    Signal,
-    encode_record,
-)
+from arpd.apply.endpoint.lane import SMALL_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from arpd.apply.relay.call_records import Outcome
+    from collections.abc import Callable, Iterable
 
 REPEAT_S = 1.0
-KEEP_S = 60.0  # an outcome that the caller has not confirmed
+MOST_CALLS = 1000  # that wait, that run, and whose outcomes are kept
+MOST_BYTES = 64_000_000  # of the requests that wait, and of the outcomes that are kept
+_MOST_MESSAGE = 250  # characters
+_HEADER = struct.Struct(">BIQ")  # kind, session that it is meant for, number
+_NUMBER_BYTES = 8
+
+#: Writes a record to the link. One that still waits there is replaced by the next one with the same source.
+Send: TypeAlias = "Callable[[bytes, int], None]"
 
 
-@dataclass(slots=True)
-class _Open:
+class Kind(IntEnum):
+    """Kind of a record: the caller sends the first two, the callee the others.
+
+    WAITING has the numbers of all calls that wait, and as its own the number of the next one. MISSING asks for a
+    request.
+    """
+
+    REQUEST = 1
+    WAITING = 2
+    MISSING = 3
+    ANSWER = 4
+    FAILURE = 5
+
+
+class Record(NamedTuple):
+    """Part of a call that crosses the link: its kind, the session that it is meant for, its call, and the rest."""
+
+    kind: Kind
+    to: int
+    number: int
+    body: bytes = b""
+
+
+class Request(NamedTuple):
+    """A request: its service, its type, ``example_interfaces/srv/AddTwoInts``, and the serialized message."""
+
+    service: str
+    type_name: str
+    body: bytes
+
+
+class FailureReason(StrEnum):
+    """Reason why a call has no answer."""
+
+    TIMEOUT = "timeout"
+    UNREACHABLE = "unreachable"
+    RESTARTED = "restarted"
+    NO_SERVER = "no_server"
+    TYPE = "type"
+    BUSY = "busy"
+
+
+class CallFailure(NamedTuple):
+    """A call without an answer: the reason, and the same in words."""
+
+    reason: FailureReason
+    message: str
+
+
+Outcome: TypeAlias = bytes | CallFailure  # the serialized response
+
+
+class CallId(NamedTuple):
+    """A call at the end that runs it: the session of its caller, and its number there."""
+
+    caller: int
+    number: int
+
+
+def encode_record(record: Record) -> bytes:
+    """Return the record as bytes."""
+    return _HEADER.pack(*record[:3]) + record.body
+
+
+def decode_record(data: bytes) -> Record:
+    """Return the record from its bytes.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no record.
+    """
+    if len(data) < _HEADER.size:
+        raise ValueError(f"a record of {len(data)} bytes; it has {_HEADER.size} at least")
+    kind, to, number = _HEADER.unpack_from(data)
+    return Record(Kind(kind), to, number, data[_HEADER.size :])
+
+
+class _Waiting(NamedTuple):
     """A call that waits for its outcome."""
 
-    request: Request
+    service: str
+    record: bytes
     on_end: Callable[[Outcome], None]
-    timeout_s: float | None
-    until_s: float | None
-    sent_s: float
-    is_received: bool = False
+    until_s: float
 
 
 class Caller:
@@ -47,239 +121,210 @@ class Caller:
 
     Parameters
     ----------
-    session : of this process
     send : writes one record to the link
     """
 
-    def __init__(self, *, session: str, send: Callable[[bytes], None]) -> None:
-        self._session = session
-        self._send_bytes = send
-        self._callee: str | None = None
-        self._open: dict[int, _Open] = {}
+    def __init__(self, *, send: Send) -> None:
+        self._send = send
+        self._callee = 0
+        self._is_reachable = False
+        self._waiting: dict[int, _Waiting] = {}
         self._next = 1
+        self._tell_s = math.inf  # when to say which calls wait
 
     def __len__(self) -> int:
-        """Return how many calls are under way."""
-        return len(self._open)
+        """Return how many calls wait."""
+        return len(self._waiting)
 
-    def follow(self, callee: str | None) -> None:
-        """Make calls to this session of the other end from now on; calls that are under way with another one fail.
+    def follow(self, callee: int | None) -> None:
+        """Make calls to this session of the other end from now on; calls that wait for another one fail.
 
         Parameters
         ----------
         callee : None = the other end is unreachable
         """
-        if callee == self._callee:
-            return
-        self._callee = callee
         if callee is None:
-            failure = CallFailure(reason=FailureReason.UNREACHABLE, message="the other end became unreachable")
-        else:
-            failure = CallFailure(
-                reason=FailureReason.RESTARTED, message="the other end restarted; the call may have run"
-            )
-        for number in [*self._open]:
-            self._end(number, failure)
+            self._give_up(self._waiting, FailureReason.UNREACHABLE, "the other end became unreachable")
+        elif callee != self._callee:
+            self._give_up(self._waiting, FailureReason.RESTARTED, "the other end restarted; the call may have run")
+            self._callee = callee
+        self._is_reachable = callee is not None
 
-    def call(
-        self, request: Request, *, timeout_s: float | None, now_s: float, on_end: Callable[[Outcome], None]
-    ) -> None:
+    def call(self, request: Request, *, timeout_s: float, now_s: float, on_end: Callable[[Outcome], None]) -> None:
         """Begin a call.
 
         Parameters
         ----------
-        timeout_s : time after which it fails, None = never (s)
+        timeout_s : time after which it fails (s)
         now_s : monotonic time (s)
         on_end : called once with the outcome, perhaps before this returns
         """
-        if self._callee is None:
-            on_end(CallFailure(reason=FailureReason.UNREACHABLE, message="the other end is unreachable"))
+        if not self._is_reachable:
+            on_end(CallFailure(FailureReason.UNREACHABLE, "the other end is unreachable"))
             return
-        number, self._next = self._next, self._next + 1
-        until_s = None if timeout_s is None else now_s + timeout_s
-        self._open[number] = _Open(request, on_end, timeout_s, until_s, now_s)
-        try:
-            self._send(number, self._callee, request)
-        except ValueError as error:
-            self._end(number, CallFailure(reason=FailureReason.TYPE, message=f"the request is too large: {error}"))
-
-    def fail(self, service: str, failure: CallFailure) -> None:
-        """End all calls of one service with this failure."""
-        for number in [number for number, call in self._open.items() if call.request.service == service]:
-            self._end(number, failure)
-
-    def receive(self, record: Record) -> None:
-        """Take a record of the other end; records of other callers are ignored."""
-        if record.caller != self._session:
+        body = f"{request.service}\0{request.type_name}\0".encode() + request.body
+        record = encode_record(Record(Kind.REQUEST, self._callee, self._next, body))
+        size = sum(len(call.record) for call in self._waiting.values()) + len(record)
+        if len(self._waiting) >= MOST_CALLS or size > MOST_BYTES:
+            words = f"more than {MOST_CALLS} calls, or {MOST_BYTES} bytes of their requests, would wait"
+            on_end(CallFailure(FailureReason.BUSY, words))
             return
-        call = self._open.get(record.number)
-        match record.content:
-            case Answer() | CallFailure() as outcome:
-                if call is not None:
-                    self._end(record.number, outcome)
-                else:
-                    self._send(record.number, record.callee, Signal.DONE)
-            case Signal.RUNNING if call is not None:
-                call.is_received = True
+        self._waiting[self._next] = _Waiting(request.service, record, on_end, now_s + timeout_s)
+        self._send(record, self._next)
+        self._next += 1
+        self._tell_s = min(self._tell_s, now_s + REPEAT_S)
+
+    def fail(self, service: str, message: str) -> None:
+        """End all calls of a service that the other end does not serve any more."""
+        numbers = [number for number, call in self._waiting.items() if call.service == service]
+        self._give_up(numbers, FailureReason.NO_SERVER, message)
+
+    def receive(self, sender: int, record: Record) -> None:
+        """Take a record of the other end.
+
+        Raises
+        ------
+        ValueError
+            If a failure has no reason that this end knows.
+        """
+        if sender != self._callee or record.number not in self._waiting:
+            return
+        if record.kind is Kind.MISSING:
+            self._send(self._waiting[record.number].record, record.number)
+        elif record.kind is Kind.ANSWER:
+            call = self._waiting.pop(record.number)
+            if len(record.body) > SMALL_BYTES:
+                self._tell()  # the other end has no room for many
+            call.on_end(record.body)
+        elif record.kind is Kind.FAILURE:
+            reason, _, message = record.body.decode().partition("\0")
+            failure = CallFailure(FailureReason(reason), message)
+            self._waiting.pop(record.number).on_end(failure)
 
     def step(self, now_s: float) -> None:
-        """Repeat requests, and end the calls whose time is over; call it several times a second."""
-        for number, call in [*self._open.items()]:
-            if number not in self._open:
-                continue  # ended by the end of another one
-            if call.until_s is not None and now_s >= call.until_s:
-                message = f"no answer within {call.timeout_s:g} s"
-                self._end(number, CallFailure(reason=FailureReason.TIMEOUT, message=message))
-            elif now_s - call.sent_s >= REPEAT_S and self._callee is not None:
-                call.sent_s = now_s
-                self._send(number, self._callee, Signal.ASK if call.is_received else call.request)
+        """Say which calls wait, and end those whose time is over; call it several times a second."""
+        late = [number for number, call in self._waiting.items() if now_s >= call.until_s]
+        self._give_up(late, FailureReason.TIMEOUT, "no answer in time")
+        if now_s >= self._tell_s and self._is_reachable:
+            self._tell()
+            self._tell_s = now_s + REPEAT_S if self._waiting else math.inf
 
-    def _end(self, number: int, outcome: Outcome) -> None:
-        call = self._open.pop(number)
-        if self._callee is not None:
-            self._send(number, self._callee, Signal.DONE)
-        call.on_end(outcome)
+    def _give_up(self, numbers: Iterable[int], reason: FailureReason, message: str) -> None:
+        ended = [(number, self._waiting.pop(number)) for number in [*numbers]]
+        for number, call in ended:
+            self._tell(number)  # takes the place of its request where that has not left yet
+            call.on_end(CallFailure(reason, message))
 
-    def _send(self, number: int, callee: str, content: Request | Signal) -> None:
-        oldest = next(iter(self._open), self._next)  # in the order of their numbers
-        record = Record(caller=self._session, callee=callee, number=number, oldest=oldest, content=content)
-        self._send_bytes(encode_record(record))
-
-
-class _Numbers:
-    """A set of numbers with few gaps: all below the first start, and ranges above."""
-
-    def __init__(self) -> None:
-        self._starts: list[int] = [0]
-        self._ends: list[int] = [1]  # beyond the last of each range
-
-    def __contains__(self, number: int) -> bool:
-        return number < self._ends[bisect_right(self._starts, number) - 1]
-
-    def add(self, number: int) -> None:
-        """Add one number."""
-        if number in self:
-            return
-        at = bisect_right(self._starts, number)
-        self._starts.insert(at, number)
-        self._ends.insert(at, number + 1)
-        if at + 1 < len(self._starts) and self._starts[at + 1] == number + 1:
-            del self._starts[at + 1], self._ends[at]
-        if self._ends[at - 1] == number:
-            del self._starts[at], self._ends[at - 1]
-
-    def add_below(self, number: int) -> None:
-        """Add all numbers below this one."""
-        at = bisect_right(self._starts, number)
-        end = max(number, self._ends[at - 1])
-        self._starts[:at], self._ends[:at] = [0], [end]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CallId:
-    """A call at the end that runs it: the session of its caller, and its number there."""
-
-    caller: str
-    number: int
-
-
-@dataclass(slots=True)
-class _Seen:
-    """A call that runs, or its outcome and the time until which it is kept."""
-
-    outcome: Outcome | None = None
-    until_s: float = 0.0
+    def _tell(self, source: int = 0) -> None:
+        numbers = struct.pack(f">{len(self._waiting)}Q", *self._waiting)
+        self._send(encode_record(Record(Kind.WAITING, self._callee, self._next, numbers)), source)
 
 
 class Callee:
-    """Runs the calls of the other end, each at most once, and answers repeated requests with the same outcome.
+    """Runs the calls of the other end, each at most once, and keeps the last outcomes.
 
     Parameters
     ----------
-    session : of this process
     send : writes one record to the link
     run : called once per call; `finish` ends it, at once or later
+    stop : called when nobody waits for the outcome of a call that runs
     """
 
-    def __init__(self, *, session: str, send: Callable[[bytes], None], run: Callable[[CallId, Request], None]) -> None:
-        self._session = session
-        self._send_bytes = send
-        self._run = run
-        self._caller: str | None = None
-        self._calls: dict[int, _Seen] = {}
-        self._numbers: dict[str, _Numbers] = {}  # by session; kept, so that a late request of an old one never runs
+    def __init__(self, *, send: Send, run: Callable[[CallId, Request], None], stop: Callable[[CallId], None]) -> None:
+        self._send = send
+        self._run, self._stop = run, stop
+        self._caller = 0
+        # None while a call runs, then the record of its outcome, empty where nobody waits; the last used last
+        self._calls: dict[CallId, bytes | None] = {}
 
-    def is_running(self, call: CallId) -> bool:
-        """Return whether the caller waits for the outcome of this call."""
-        seen = self._calls.get(call.number) if call.caller == self._caller else None
-        return seen is not None and seen.outcome is None
+    def __len__(self) -> int:
+        """Return how many calls run."""
+        return sum(record is None for record in self._calls.values())
 
-    def follow(self, caller: str | None) -> None:
+    def follow(self, caller: int | None) -> None:
         """Run calls of this session of the other end from now on; None = unreachable, which changes nothing."""
         if caller is not None and caller != self._caller:
             self._caller = caller
-            self._calls.clear()
-            self._numbers.setdefault(caller, _Numbers())
+            for call in self._calls:
+                if call.caller != caller:
+                    self._close(call)
 
-    def receive(self, record: Record) -> None:
-        """Take a record of the other end; it repeats what came before `follow` knew its session."""
-        if not isinstance(record.content, Request | Signal) or record.content is Signal.RUNNING:
-            return
-        if record.callee != self._session:
-            if record.content is not Signal.DONE:
-                message = "the other end restarted; the call may have run"
-                self._send(record, CallFailure(reason=FailureReason.RESTARTED, message=message))
-            return
-        if record.caller != self._caller:
-            return
-        self._settle(record)
-        if record.content is not Signal.DONE:
-            self._serve(record, record.content)
+    def receive(self, sender: int, record: Record) -> None:
+        """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
 
-    def finish(self, call: CallId, outcome: Outcome, now_s: float) -> None:
+        Raises
+        ------
+        ValueError
+            If it is no request or no numbers of calls.
+        """
+        if sender != self._caller:
+            return
+        if record.kind is Kind.REQUEST:
+            service, type_name, body = record.body.split(b"\0", 2)
+            request = Request(service.decode(), type_name.decode(), body)
+            self._serve(CallId(sender, record.number), request)
+        elif record.kind is Kind.WAITING:
+            count, odd = divmod(len(record.body), _NUMBER_BYTES)
+            if odd or count > MOST_CALLS:
+                raise ValueError(f"{len(record.body)} bytes of numbers of calls")
+            self._settle(record.number, {*struct.unpack(f">{count}Q", record.body)})
+
+    def finish(self, call: CallId, outcome: Outcome) -> None:
         """End a call with its outcome; one that the caller has given up is ignored."""
-        if not self.is_running(call):
+        if self._calls.get(call, b"") is not None:
             return
-        record = Record(caller=call.caller, callee=self._session, number=call.number, content=outcome)
-        try:
-            data = encode_record(record)
-        except ValueError as error:
-            outcome = CallFailure(reason=FailureReason.TYPE, message=f"the answer is too large: {error}")
-            data = encode_record(Record(caller=call.caller, callee=self._session, number=call.number, content=outcome))
-        self._calls[call.number] = _Seen(outcome, now_s + KEEP_S)
-        self._send_bytes(data)
+        record = _outcome_record(call, outcome)
+        if sum(len(kept) for kept in self._calls.values() if kept) + len(record) > MOST_BYTES:
+            failure = CallFailure(FailureReason.BUSY, f"more than {MOST_BYTES} bytes of answers would wait")
+            record = _outcome_record(call, failure)
+        self._calls[call] = record
+        self._repeat(call)
+        over = [each for each, kept in self._calls.items() if kept is not None]
+        for each in over[:-MOST_CALLS]:
+            del self._calls[each]
 
-    def step(self, now_s: float) -> None:
-        """Forget outcomes that the caller has not confirmed for a long time."""
-        for number, seen in [*self._calls.items()]:
-            if seen.outcome is not None and now_s >= seen.until_s:
-                del self._calls[number]
+    def _serve(self, call: CallId, request: Request) -> None:
+        if call in self._calls:
+            self._repeat(call)
+            return
+        is_free = len(self) < MOST_CALLS
+        self._calls[call] = None
+        if is_free:
+            self._run(call, request)
+        else:
+            self.finish(call, CallFailure(FailureReason.BUSY, f"{MOST_CALLS} calls run"))
 
-    def _settle(self, record: Record) -> None:
-        """Forget the calls of which the caller needs nothing more."""
-        numbers = self._numbers[record.caller]
-        numbers.add_below(record.oldest)
-        for number in [number for number in self._calls if number < record.oldest]:
-            del self._calls[number]
-        if record.content is Signal.DONE:
-            numbers.add(record.number)
-            self._calls.pop(record.number, None)
+    def _settle(self, following: int, waiting: set[int]) -> None:
+        """Give up what the caller has given up, and send what it lacks."""
+        for call in self._calls:
+            if call.caller == self._caller and call.number < following and call.number not in waiting:
+                self._close(call)
+        for call in (CallId(self._caller, number) for number in sorted(waiting)):
+            if call in self._calls:
+                self._repeat(call)
+            else:
+                self._ask(call)
 
-    def _serve(self, record: Record, content: Request | Signal) -> None:
-        numbers, seen = self._numbers[record.caller], self._calls.get(record.number)
-        if seen is not None:
-            if seen.outcome is not None:
-                self._send(record, seen.outcome)
-            elif content is not Signal.ASK:
-                self._send(record, Signal.RUNNING)
-        elif record.number in numbers:
-            message = f"the call ran, and its answer was lost for {KEEP_S:g} s"
-            self._send(record, CallFailure(reason=FailureReason.TIMEOUT, message=message))
-        elif isinstance(content, Request):
-            numbers.add(record.number)
-            self._calls[record.number] = _Seen()
-            self._run(CallId(caller=record.caller, number=record.number), content)
+    def _repeat(self, call: CallId) -> None:
+        if record := self._calls[call]:
+            del self._calls[call]
+            self._calls[call] = record
+            self._send(record, -call.number)
 
-    def _send(self, record: Record, content: Outcome | Signal) -> None:
-        answer = Record(caller=record.caller, callee=record.callee, number=record.number, content=content)
-        self._send_bytes(encode_record(answer))
+    def _close(self, call: CallId) -> None:
+        """Forget the outcome of a call, but not that it ran."""
+        record, self._calls[call] = self._calls[call], b""
+        if record is None:
+            self._stop(call)
+        elif len(record) > SMALL_BYTES:
+            self._ask(call)  # takes the place of the answer where that has not left yet
+
+    def _ask(self, call: CallId) -> None:
+        self._send(encode_record(Record(Kind.MISSING, *call)), -call.number)
+
+
+def _outcome_record(call: CallId, outcome: Outcome) -> bytes:
+    if isinstance(outcome, CallFailure):
+        body = f"{outcome.reason}\0{outcome.message[:_MOST_MESSAGE]}".encode(errors="replace")
+        return encode_record(Record(Kind.FAILURE, call.caller, call.number, body))
+    return encode_record(Record(Kind.ANSWER, call.caller, call.number, outcome))

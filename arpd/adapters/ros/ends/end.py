@@ -17,6 +17,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd import __version__
 from arpd.adapters.ros.ends.announced import AnnouncedParticipants
 from arpd.adapters.ros.ends.call_link import CallLink
+from arpd.adapters.ros.ends.calls import Calls
 from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import Incoming
 from arpd.adapters.ros.ends.link_thread import LinkThread
@@ -133,20 +134,17 @@ class End:
             settings=settings,
             clock=clock,
         )
-        self._calls = CallLink(
+        topics = {"own": f"/arpd/relay/{role}/calls", "other": f"/arpd/relay/{other}/calls"}
+        may_call = settings.services or settings.actions
+        self._calls = Calls(
             node,
-            link_node,
-            nodes=self._nodes,
-            thread=self.incoming_thread,
-            link=self.link,
-            own=f"/arpd/relay/{role}/calls",
-            other=f"/arpd/relay/{other}/calls",
-            is_used=bool(settings.services or settings.actions),
+            self._nodes,
+            CallLink(link_node, self.link, self.incoming_thread, **topics) if may_call else None,
+            session=session,
             allows=self._selection.may_call,
             timeout_s=settings.call_timeout_s,
-            session=self._told.session,
-            namespace=settings.namespace if is_far else "",
             local_name=self.local_name,
+            robot_name=self._robot_name,
             clock=clock,
         )
         # For the daemon on the robot.
@@ -237,7 +235,7 @@ class End:
         if state is None or not self._partner.is_reachable(now_s):
             self._calls.offered = {}, None  # calls fail at once; topics bridge an outage
         else:
-            self._calls.offered = state.services, state.session
+            self._calls.offered = state.services, int(state.session, 16) & 0xFFFFFFFF
         if state is None:
             if self._partner_session:
                 self._partner_session = ""

@@ -1,191 +1,187 @@
-"""Calls of the other end that servers on this side answer."""
+"""Services that nodes on this side serve, and the calls of the other end that they answer."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import InvalidServiceNameException, NameValidationException
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.adapters.ros.ends.ghost_service import CALLS_QOS
+from arpd.adapters.ros.ends.survey import namesakes
 from arpd.adapters.ros.ends.types import UnknownTypeError, service_class
-from arpd.apply.relay.call_records import Answer, CallFailure, FailureReason
-from arpd.apply.relay.calls import Callee
+from arpd.adapters.ros.graph import known_node_of, participant_of
+from arpd.apply.relay.calls import Callee, CallFailure, FailureReason
+from arpd.apply.relay.offers import ServiceOffer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
-    from arpd.apply.relay.call_records import Record, Request
-    from arpd.apply.relay.calls import CallId
+    from arpd.apply.relay.calls import CallId, Request, Send
 
-_AT_ONCE = 5  # requests to one server in one step: its own history has ten places, and the link delivers in bursts
-_READY_S = 3.0  # for a new client to match its server
-_SETTLED_S = 0.3  # for its server to match it: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
-_GONE_S = 1.0  # without its server; it may seem to be gone for a moment when a second one leaves
+# As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
+CALLS_QOS = QoSProfile(depth=100)
+#: Requests to one server, or responses to the clients of one, in one step: their own histories have ten places, and the
+#: link delivers in bursts.
+AT_ONCE = 5
+_EVERY_LOOK = 10  # every tenth look at a service reads its servers, even when their number is unchanged
+_SETTLED_S = 0.3  # for a server to match a client: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Servers of a service when they were last read: their number, ghosts included, and the first that is no ghost."""
+
+    servers: int
+    offer: ServiceOffer | None
 
 
 @dataclass(slots=True)
 class _Client:
     """A client of a local server, kept for all calls of its service."""
 
-    service: str  # its name on the link
     client: Any
-    made_s: float
     matched_s: float = math.inf  # when it began to see its server
+    waiting: dict[CallId, Any] = field(default_factory=dict)  # requests that have not left
+    futures: dict[CallId, Any] = field(default_factory=dict)
     sent: int = 0  # in this step
-
-    def look(self, now_s: float) -> bool:
-        """Note since when it sees its server, and return whether it does."""
-        self.matched_s = min(self.matched_s, now_s) if self.client.service_is_ready() else math.inf
-        return now_s >= self.matched_s
-
-
-@dataclass(slots=True)
-class _Running:
-    """A call whose request waits for its client to match, or whose response has not come."""
-
-    client: _Client
-    service: str
-    message: Any
-    future: Any = None
-    seen_s: float = 0.0  # when its server was last there
 
 
 class ServedCalls:
     """Passes each call of the other end to the local server, and its response back.
 
+    Servers of this process, ghosts above all, do not count. A call whose server is gone ends with its offer: the other
+    end gives it up.
+
     Parameters
     ----------
     node : node of the clients
     send : writes one record to the link
-    session : of this process
-    offered : returns the local name and the type of a service, by its name on the link; None if it is not offered
+    local_name : returns the name here of a service, by its name on the link
     clock : monotonic clock (s)
+
+    Attributes
+    ----------
+    callee : of these calls
     """
 
-    def __init__(
-        self,
-        node: Any,
-        *,
-        send: Callable[[bytes], None],
-        session: str,
-        offered: Callable[[str], tuple[str, str] | None],
-        clock: Callable[[], float],
-    ) -> None:
+    def __init__(self, node: Any, *, send: Send, local_name: Callable[[str], str], clock: Callable[[], float]) -> None:
         self._node = node
-        self._offered = offered
+        self._local_name = local_name
         self._clock = clock
-        self._callee = Callee(session=session, send=send, run=self._run)
-        self._clients: dict[tuple[str, str], _Client] = {}  # by local name and type
-        self._running: dict[CallId, _Running] = {}
+        self._looks = 0
+        self._found: dict[str, _Found] = {}  # by name on the link
+        self._clients: dict[tuple[str, str], _Client] = {}  # by name on the link, and type
+        self.callee = Callee(send=send, run=self._run, stop=self._stop)
 
-    def __len__(self) -> int:
-        """Return how many calls are under way."""
-        return len(self._running)
+    def look(self, names: Mapping[str, str]) -> dict[str, ServiceOffer]:
+        """Return which of these services other processes serve; most looks at one only count its servers.
 
-    def follow(self, session: str | None) -> None:
-        """Run calls of this session of the other end from now on."""
-        self._callee.follow(session)
+        Parameters
+        ----------
+        names : local names by the names on the link
+        """
+        self._looks += 1
+        self._found = {name: self._find(name, local, at) for at, (name, local) in enumerate(sorted(names.items()))}
+        return {name: found.offer for name, found in self._found.items() if found.offer is not None}
 
-    def receive(self, record: Record) -> None:
-        """Take a record of the other end."""
-        self._callee.receive(record)
+    def is_served(self, name: str) -> bool:
+        """Return whether the last look found a server, also one whose node is not known yet."""
+        found = self._found.get(name)
+        return found is not None and (found.offer is not None or found.servers < 0)
 
     def step(self, now_s: float) -> None:
-        """Send requests whose client is ready now, and end the calls whose server or caller is gone."""
-        self._callee.step(now_s)
-        for client in self._clients.values():
-            client.sent = 0
-            client.look(now_s)  # a server that restarts must know this client first
-        for call, running in [*self._running.items()]:
-            if not self._callee.is_running(call):
-                self._forget(call)
-            elif running.future is None:
-                self._try(call, running, now_s)
-            elif now_s >= running.client.matched_s:
-                running.seen_s = now_s
-            elif now_s - running.seen_s >= _GONE_S:
-                self._fail(
-                    call, FailureReason.NO_SERVER, f"the server of {running.service} is gone; the call may have run"
-                )
-        self._drop_idle_clients()
+        """Send requests whose client is ready now, and remove clients of services that are gone or have another type.
 
-    def _drop_idle_clients(self) -> None:
-        """Remove clients of services that are gone or have another type: a participant has one type per name."""
-        used = {id(running.client) for running in self._running.values()}
-        for key, client in [*self._clients.items()]:
-            if self._offered(client.service) != key and id(client) not in used:
-                self._node.destroy_client(self._clients.pop(key).client)
+        A participant has one type per name.
+        """
+        for (name, type_name), client in [*self._clients.items()]:
+            client.sent = 0
+            self._release(client, now_s)
+            if self._type_of(name) != type_name and not client.waiting and not client.futures:
+                self._node.destroy_client(self._clients.pop((name, type_name)).client)
 
     def destroy(self) -> None:
         """Remove the clients."""
-        for client in self._clients.values():
-            self._node.destroy_client(client.client)
-        self._clients.clear()
-        self._running.clear()
+        while self._clients:
+            self._node.destroy_client(self._clients.popitem()[1].client)
+
+    def _find(self, name: str, local: str, at: int) -> _Found:
+        known = self._found.get(name)
+        with self._node.handle:  # Node.count_services would check the name again
+            servers = int(self._node.handle.get_count_services(local))
+        if known is not None and known.servers == servers and (self._looks + at) % _EVERY_LOOK:
+            return known
+        # A server is the reader of the DDS topic that carries the requests.
+        readers = self._node.get_subscriptions_info_by_topic(f"rq{local}Request", no_mangle=True) if servers else []
+        ours = namesakes(self._node) if readers else ()
+        offers = [
+            ServiceOffer(type_name=_ros_type(reader.topic_type), node=known_node_of(reader))
+            for reader in readers
+            if participant_of(reader) not in ours
+        ]
+        named = [offer for offer in offers if offer.node]
+        if offers and not named:
+            servers = -1  # the next look reads them again
+        return _Found(servers, min(named, key=lambda offer: offer.node, default=None))
+
+    def _type_of(self, name: str) -> str | None:
+        found = self._found.get(name)
+        return None if found is None or found.offer is None else found.offer.type_name
 
     def _run(self, call: CallId, request: Request) -> None:
-        name, type_name = self._offered(request.service) or ("", "")
-        if not name:
-            self._fail(call, FailureReason.NO_SERVER, f"{request.service} is not offered")
-            return
-        if type_name != request.type_name:
-            self._fail(call, FailureReason.TYPE, f"{request.service} is a {type_name} here, not a {request.type_name}")
-            return
-        try:
-            kind = service_class(type_name)
-            message = deserialize_message(request.body, kind.Request)
-            client = self._client(request.service, name, type_name, kind)
-        except UnknownTypeError as error:
-            self._fail(call, FailureReason.TYPE, str(error))
-        except (InvalidServiceNameException, NameValidationException, RuntimeError, ValueError) as error:
-            self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
+        name, type_name = request.service, self._type_of(request.service)
+        if type_name is None:
+            self._fail(call, FailureReason.NO_SERVER, f"{name} is not offered")
+        elif type_name != request.type_name:
+            self._fail(call, FailureReason.TYPE, f"{name} is a {type_name} here, not a {request.type_name}")
         else:
-            running = self._running[call] = _Running(client, name, message)
-            self._try(call, running, self._clock())
+            try:
+                kind = service_class(type_name)
+                message = deserialize_message(request.body, kind.Request)
+                if (name, type_name) not in self._clients:
+                    made = self._node.create_client(kind, self._local_name(name), qos_profile=CALLS_QOS)
+                    self._clients[name, type_name] = _Client(made)
+            except UnknownTypeError as error:
+                self._fail(call, FailureReason.TYPE, str(error))
+            except (InvalidServiceNameException, NameValidationException, RuntimeError, ValueError) as error:
+                self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
+            else:
+                client = self._clients[name, type_name]
+                client.waiting[call] = message
+                self._release(client, self._clock())
 
-    def _client(self, service: str, name: str, type_name: str, kind: Any) -> _Client:
-        client = self._clients.get((name, type_name))
-        if client is None:
-            made = self._node.create_client(kind, name, qos_profile=CALLS_QOS)
-            client = self._clients[name, type_name] = _Client(service, made, self._clock())
-        return client
-
-    def _try(self, call: CallId, running: _Running, now_s: float) -> None:
-        """Send the request; fail without a server, unless the client is so new that it may not have matched yet."""
-        client = running.client
-        if client.sent >= _AT_ONCE:
-            return
-        if client.look(now_s):
-            if now_s - client.matched_s < _SETTLED_S:
-                return
+    def _release(self, client: _Client, now_s: float) -> None:
+        """Send requests, once the server must know the client, also after its restart."""
+        client.matched_s = min(client.matched_s, now_s) if client.client.service_is_ready() else math.inf
+        while client.waiting and client.sent < AT_ONCE and now_s - client.matched_s >= _SETTLED_S:
             client.sent += 1
-            running.seen_s = now_s
-            running.future = client.client.call_async(running.message)
-            running.message = None
-            running.future.add_done_callback(partial(self._finish, call))
-        elif now_s - client.made_s >= _READY_S:
-            self._fail(call, FailureReason.NO_SERVER, f"no server of {running.service}")
+            call, message = next(iter(client.waiting.items()))
+            del client.waiting[call]
+            future = client.futures[call] = client.client.call_async(message)
+            future.add_done_callback(partial(self._finish, client, call))
 
-    def _finish(self, call: CallId, future: Any) -> None:
-        if (running := self._running.get(call)) is None or running.future is not future:
+    def _finish(self, client: _Client, call: CallId, future: Any) -> None:
+        if client.futures.pop(call, None) is None:
             return
-        del self._running[call]
         try:
-            body = bytes(serialize_message(future.result()))
+            self.callee.finish(call, bytes(serialize_message(future.result())))
         except RuntimeError as error:
             self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
-        else:
-            self._callee.finish(call, Answer(body=body), self._clock())
 
     def _fail(self, call: CallId, reason: FailureReason, message: str) -> None:
-        self._callee.finish(call, CallFailure(reason=reason, message=f"the other end says: {message}"), self._clock())
-        self._forget(call)
+        self.callee.finish(call, CallFailure(reason, f"the other end says: {message}"))
 
-    def _forget(self, call: CallId) -> None:
-        running = self._running.pop(call, None)
-        if running is not None and running.future is not None:
-            running.client.client.remove_pending_request(running.future)
+    def _stop(self, call: CallId) -> None:
+        for client in self._clients.values():
+            client.waiting.pop(call, None)
+            if (future := client.futures.pop(call, None)) is not None:
+                client.client.remove_pending_request(future)
+
+
+def _ros_type(dds_type: str) -> str:
+    """Return ``example_interfaces/srv/AddTwoInts`` for ``example_interfaces::srv::dds_::AddTwoInts_Request_``."""
+    return dds_type.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")

@@ -20,7 +20,7 @@ from arpd.apply.relay.summary import encode_summary, topics_of
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from arpd.adapters.ros.ends.call_link import CallLink
+    from arpd.adapters.ros.ends.calls import Calls
     from arpd.adapters.ros.ends.incoming import Incoming
     from arpd.adapters.ros.ends.link_thread import LinkThread
     from arpd.adapters.ros.ends.outgoing import Outgoing
@@ -32,9 +32,7 @@ _NOBODY = EndState(session="", number=0)
 class Summaries:
     """Sends one summary a second, and one whenever the status line changes; nobody across the link reads them."""
 
-    def __init__(
-        self, link_node: Node, link: LinkThread, incoming: Incoming, outgoing: Outgoing, calls: CallLink
-    ) -> None:
+    def __init__(self, link_node: Node, link: LinkThread, incoming: Incoming, outgoing: Outgoing, calls: Calls) -> None:
         self._link = link
         self._incoming = incoming
         self._outgoing = outgoing

@@ -12,10 +12,10 @@ from action_msgs.srv import CancelGoal
 from rclpy.serialization import serialize_message
 from test_msgs.srv import BasicTypes, Empty
 
-from arpd.adapters.ros.ends.ghost_service import failed_response
+from arpd.adapters.ros.ends.calls import failed_response
 from arpd.adapters.ros.ends.served_calls import ServedCalls
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
-from arpd.apply.relay.call_records import FailureReason, Record, Request
+from arpd.apply.relay.calls import CallFailure, FailureReason, Kind, Record
 
 
 @pytest.mark.parametrize(
@@ -35,13 +35,13 @@ from arpd.apply.relay.call_records import FailureReason, Record, Request
 )
 def test_a_failure_is_said_where_the_type_can(type_name, reason, fields):
     """Types with a field for it say that the call failed."""
-    response = failed_response(service_class(type_name), type_name, reason=reason, message="why")
+    response = failed_response(service_class(type_name), type_name, CallFailure(reason, "why"))
     assert {name: getattr(response, name) for name in fields} == fields
 
 
 def test_a_type_that_cannot_say_it_gets_no_response():
     """A response with invented values would be worse than none."""
-    assert failed_response(BasicTypes, "test_msgs/srv/BasicTypes", reason=FailureReason.TIMEOUT, message="why") is None
+    assert failed_response(BasicTypes, "test_msgs/srv/BasicTypes", CallFailure(FailureReason.TIMEOUT, "why")) is None
 
 
 class LateServer:
@@ -64,22 +64,16 @@ class LateServer:
         """Never call it: nothing answers."""
 
 
-def test_no_request_leaves_before_its_server_can_know_the_client():
+def test_no_request_leaves_before_its_server_can_know_the_client(monkeypatch):
     """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
     node, now_s = LateServer(), 100.0
-    served = ServedCalls(
-        node,
-        send=lambda _data: None,
-        session="robot",
-        offered=lambda name: (name, "test_msgs/srv/Empty"),
-        clock=lambda: now_s,
-    )
-    served.follow("ceddp")
-    body = bytes(serialize_message(Empty.Request()))
+    served = ServedCalls(node, send=lambda _data, _source: None, local_name=str, clock=lambda: now_s)
+    monkeypatch.setattr(served, "_type_of", lambda _name: "test_msgs/srv/Empty")
+    served.callee.follow(1)
+    body = b"/empty\0test_msgs/srv/Empty\0" + bytes(serialize_message(Empty.Request()))
 
     def ask(number):
-        request = Request(service="/empty", type_name="test_msgs/srv/Empty", body=body)
-        served.receive(Record(caller="ceddp", callee="robot", number=number, oldest=1, content=request))
+        served.callee.receive(1, Record(Kind.REQUEST, 2, number, body))
 
     def pass_time(seconds):
         nonlocal now_s
