@@ -1,1 +1,0 @@
-"""Writes the Grafana dashboards of etc/grafana/dashboards."""
