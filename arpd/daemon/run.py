@@ -61,7 +61,6 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
         from arpd.adapters.http.service import serving  # noqa: PLC0415
         from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
-        from arpd.adapters.ros.runtime import spinning_alone  # noqa: PLC0415
         from arpd.adapters.ros.world import RosControl  # noqa: PLC0415
 
         link, resting, garbage = settings.link.interface, threading.Event(), Garbage()
@@ -75,7 +74,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         daemon = Daemon(
             world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
         )
-        Diagnostics(own_node, lambda: daemon.snapshot)
+        diagnostics = Diagnostics(own_node, lambda: daemon.snapshot)
         web = RetryingServer(
             lambda: serving(
                 settings.http,
@@ -93,12 +92,12 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
             fault=lambda: web.fault,
             is_cut_off=addresses.are_outdated,
             resting=resting,
-            tidy=garbage.collect_if_due,
+            after_tick=(diagnostics.look, garbage.collect_if_due),
+            parts=(lambda: world.thread.finished_s,),
         )
         signals.is_looping = True
         garbage.take_over()
-        with web.up(), spinning_alone(node, hears_itself=link_domain is None) as turned_s:
-            supervisor.watch(turned_s)
+        with web.up():
             supervisor.run()
             if not signals.stop:
                 raise addresses.error()
@@ -113,9 +112,9 @@ def _own_domain(node: Any, link_domain: LinkDomain | None) -> Iterator[Any]:
     if link_domain is None:
         yield node
         return
-    from arpd.adapters.ros.runtime import ros_node, spinning_alone  # noqa: PLC0415 - after the configuration
+    from arpd.adapters.ros.runtime import ros_node  # noqa: PLC0415 - after the configuration
 
-    with ros_node("arpd") as own_node, spinning_alone(own_node):
+    with ros_node("arpd") as own_node:
         yield own_node
 
 

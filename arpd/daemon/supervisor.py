@@ -14,7 +14,7 @@ from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.daemon.tick import TICK_S, Daemon
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from arpd.model.settings import Settings
 
@@ -86,7 +86,8 @@ class Supervisor:
     fault : describes a fault outside the daemon, empty when there is none
     is_cut_off : whether a new process would reach hosts that this one does not
     resting : set while no tick runs, so that other threads can avoid delaying one
-    tidy : called after every tick
+    after_tick : called after every tick, also one that failed
+    parts : as in `Watchdog`
     """
 
     def __init__(
@@ -99,7 +100,8 @@ class Supervisor:
         fault: Callable[[], str] = lambda: "",
         is_cut_off: Callable[[], bool] = lambda: False,
         resting: threading.Event | None = None,
-        tidy: Callable[[], None] = lambda: None,
+        after_tick: Sequence[Callable[[], None]] = (),
+        parts: Sequence[Callable[[], float]] = (),
     ) -> None:
         self._daemon = daemon
         self._signals = signals
@@ -109,18 +111,13 @@ class Supervisor:
         self._is_cut_off = is_cut_off
         self._resting = resting or threading.Event()
         self._resting.set()
-        self._tidy = tidy
-        self._parts: list[Callable[[], float]] = []
-        self._heartbeat = Watchdog(notifier, parts=self._parts)
+        self._after_tick = after_tick
+        self._heartbeat = Watchdog(notifier, parts=parts)
         self._reading: Future[Settings] | None = None
         self._is_ready = False
         self._status = ""
         self._failure = ""
         self._said_turns = 0  # whole turns when the status was last made
-
-    def watch(self, finished_s: Callable[[], float]) -> None:
-        """Feed the watchdog only while another thread finishes its rounds, too; the function tells when it last did."""
-        self._parts.append(finished_s)
 
     def run(self) -> None:
         """Tick when a report wakes the loop or a period has passed."""
@@ -137,7 +134,8 @@ class Supervisor:
                 self._note_failure(error)
             else:
                 self._note_success()
-            self._tidy()
+            for call in self._after_tick:
+                call()
             self._resting.set()
             next_s = now_s + self._daemon.pause_s
             self._signals.wakeup.wait(max(0.0, next_s - time.monotonic()))

@@ -1,16 +1,13 @@
-"""Rate limits on messages from the network, and counts of refused ones."""
+"""Rate limits on messages from the network, and on lines in the log."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable
-
-    from arpd.model.observation import MessageKind, MessageRefusal
 
 _LOG_AGAIN_S = 60.0
 _MOST_LOGGED = 32  # things in that time: invented names must not fill the log
@@ -80,21 +77,3 @@ class OncePerMinute:
                 return False
         self._logged_s[what] = now_s
         return True
-
-
-class RefusalCounts:
-    """Counts refusals, and picks those that are worth a line in the log."""
-
-    def __init__(self) -> None:
-        self._counts: Counter[tuple[MessageKind, MessageRefusal]] = Counter()
-        self._logged = OncePerMinute()
-
-    @property
-    def counts(self) -> dict[tuple[MessageKind, MessageRefusal], int]:
-        """Refusals so far."""
-        return dict(self._counts)
-
-    def note(self, kind: MessageKind, reason: MessageRefusal, source: str, now_s: float) -> bool:
-        """Count a refusal; return whether to log it: once a minute per source and reason, for 32 of them at most."""
-        self._counts[kind, reason] += 1
-        return self._logged.take((kind, reason, source), now_s)

@@ -101,33 +101,26 @@ def _measure(cell: Cell, trains: int) -> dict[str, Any]:
 
 def send() -> None:
     """Send the trains of each order through the daemon's adapter, and answer with the peer's readings."""
-    from rclpy.executors import SingleThreadedExecutor
-
-    from arpd.adapters.ros.runtime import ros_node, spinning
+    from arpd.adapters.ros.runtime import ros_node
     from arpd.adapters.ros.world import RosControl
     from arpd.model.settings import GraphSettings
 
     orders = commands()
     with ros_node("adapt_trains") as node:
         world = RosControl(node, interface="link0", graph=GraphSettings(), on_report=lambda: None)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        with spinning(executor):
-            number = 0
-            while (command := orders.get()) is not None:
-                spans_s, trains = [], []
-                for _ in range(command["trains"] + 1):
-                    number += 1
-                    request = ProbeRequest(
-                        packets=command["packets"], packet_bytes=command["packet_bytes"], number=number
-                    )
-                    started_s = time.monotonic()
-                    world.probe(request)
-                    spans_s.append(time.monotonic() - started_s)
-                    time.sleep(EVERY_S)
-                    reports = world.observe(time.monotonic()).reports
-                    trains += [(train.payload_bytes, train.duration_s) for report in reports for train in report.trains]
-                answer(spans_s=spans_s, trains=trains)
+        number = 0
+        while (command := orders.get()) is not None:
+            spans_s, trains = [], []
+            for _ in range(command["trains"] + 1):
+                number += 1
+                request = ProbeRequest(packets=command["packets"], packet_bytes=command["packet_bytes"], number=number)
+                started_s = time.monotonic()
+                world.probe(request)
+                spans_s.append(time.monotonic() - started_s)
+                time.sleep(EVERY_S)
+                reports = world.observe(time.monotonic()).reports
+                trains += [(train.payload_bytes, train.duration_s) for report in reports for train in report.trains]
+            answer(spans_s=spans_s, trains=trains)
 
 
 if __name__ == "__main__":

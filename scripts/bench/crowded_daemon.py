@@ -180,7 +180,12 @@ def main() -> None:
         garbage = Garbage()
         garbage.take_over()
         Supervisor(
-            daemon, signals, Notifier(), load=lambda: daemon.settings, resting=resting, tidy=garbage.collect_if_due
+            daemon,
+            signals,
+            Notifier(),
+            load=lambda: daemon.settings,
+            resting=resting,
+            after_tick=(garbage.collect_if_due,),
         ).run()
 
 

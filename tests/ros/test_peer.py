@@ -15,7 +15,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.host.interface import InterfaceReader, index_of
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.peer import Peer
+from arpd.adapters.ros.peer import serving
 from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.adapters.ros.world import RosControl
 from arpd.model.interface import InterfaceState
@@ -52,9 +52,9 @@ class Daemon:
 @pytest.fixture
 def daemon(ros, eventually):
     daemon = Daemon(ros.node("daemon"))
-    Peer(ros.node("peer"), reader=InterfaceReader("lo"), name="ceddp-3f2a")
-    eventually("the peer answers the daemon's probes", daemon.is_answered)
-    return daemon
+    with serving(ros.node("peer"), reader=InterfaceReader("lo"), name="ceddp-3f2a"):
+        eventually("the peer answers the daemon's probes", daemon.is_answered)
+        yield daemon
 
 
 def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually):

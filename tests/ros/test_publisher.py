@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.ends.raw_reader import Sample
+from arpd.adapters.ros.raw_reader import Sample
 from arpd.apply.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan

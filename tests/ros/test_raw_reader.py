@@ -1,7 +1,8 @@
-"""A thread that takes samples says when it finished the last one, for the watchdog."""
+"""The thread that reads what arrives: its rounds, its floods, and what it says of a sample."""
 
 import os
 import threading
+import time
 
 import pytest
 
@@ -10,7 +11,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread
 
 pytestmark = pytest.mark.ros
 
@@ -106,4 +107,71 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread
     publisher.publish(String(data="three"))
     eventually("the third sample arrives", lambda: taken[-1].data.endswith(b"three\0"))
     assert len({sample.sequence for sample in taken}) == len(taken)
+    reader.destroy()
+
+
+class Gate(ReadingThread):
+    """A thread that stands still while a test says so."""
+
+    def __init__(self):
+        self.opened = threading.Event()
+        self.opened.set()
+        super().__init__(step=self._wait)
+
+    def _wait(self):
+        self.opened.wait()
+        return time.monotonic() + 0.01
+
+
+@pytest.fixture
+def gate():
+    gate = Gate()
+    yield gate
+    gate.opened.set()
+    gate.stop()
+
+
+def test_a_flood_of_one_topic_delays_no_other(ros, gate, eventually):
+    """What waits on one topic is read in turns with the others, and the reader tells of its flood."""
+    node, order = ros.node("raw_reader_check"), []
+    flood, calm = (
+        RawReader(node, String, topic, QoSProfile(depth=1000), deliver=order.append, thread=gate)
+        for topic in ("/flood", "/calm")
+    )
+    talkers = [node.create_publisher(String, topic, 1000) for topic in ("/flood", "/calm")]
+    eventually("the readers match", lambda: all(talker.get_subscription_count() == 1 for talker in talkers))
+    gate.opened.clear()
+    for _ in range(500):
+        talkers[0].publish(String(data="flood"))
+    talkers[1].publish(String(data="calm"))
+    time.sleep(0.1)
+    gate.opened.set()
+    eventually("all arrive", lambda: len(order) == 501)
+    assert [b"calm" in sample.data for sample in order].index(True) <= 64
+    assert calm.flooded_until_s < time.monotonic() < flood.flooded_until_s
+    flood.destroy()
+    calm.destroy()
+
+
+def test_a_sample_that_is_too_long_is_refused_and_others_have_their_times(ros, thread, eventually):
+    """A long sample is refused undecoded; the next one comes with the times when it left and arrived."""
+    node, refused, taken = ros.node("raw_reader_check"), [], []
+    reader = RawReader(
+        node,
+        String,
+        "/bounded",
+        QoSProfile(depth=10),
+        deliver=taken.append,
+        thread=thread,
+        most_bytes=100,
+        refuse=lambda: refused.append(1),
+    )
+    publisher = node.create_publisher(String, "/bounded", 10)
+    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    begun_ns = time.time_ns()
+    publisher.publish(String(data="x" * 1000))
+    publisher.publish(String(data="short"))
+    (sample,) = eventually("one arrives", lambda: taken)
+    assert refused == [1]
+    assert begun_ns <= sample.sent_ns <= sample.received_ns <= time.time_ns()
     reader.destroy()

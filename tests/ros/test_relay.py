@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
@@ -89,7 +88,7 @@ def elsewhere(ros):
             context = rclpy.Context()
             rclpy.init(context=context, domain_id=DOMAIN)
             stack.callback(rclpy.try_shutdown, context=context)
-            return type(ros)(context, stack).node(name, SingleThreadedExecutor(context=context), **options)
+            return type(ros)(context, stack).node(name, **options)
 
         yield node
 

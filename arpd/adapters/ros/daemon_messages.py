@@ -8,20 +8,18 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
 
-from arpd.adapters.ros.attached import attached
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread
 from arpd.adapters.ros.names import PRICE_TOPIC, plan_topic
 from arpd.adapters.ros.plan_message import crc_of, decode_plan
 from arpd.adapters.ros.price_message import decode_price
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rclpy.context import Context
     from rclpy.node import Node
 
-    from arpd.adapters.ros.ends.raw_reader import Sample
     from arpd.adapters.ros.plan_message import NodePlan
+    from arpd.adapters.ros.raw_reader import Sample
     from arpd.model.price import Price
 
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -61,7 +59,7 @@ class DaemonMessages:
 
     def __init__(self, node: Node, taker: Taker, *, warn: Callable[[str], None]) -> None:
         self._taker, self._warn = taker, warn
-        thread = attached(node.context, ReadingThread, lambda: _reading(node.context))
+        thread = ReadingThread.of(node.context)
         plans = plan_topic(node.get_fully_qualified_name())
         self._readers = (
             RawReader(node, Float64MultiArray, PRICE_TOPIC, _NEWEST, deliver=self._on_price, thread=thread),
@@ -90,10 +88,3 @@ class DaemonMessages:
             self._taker.refuse_plan(crc, str(fault))
             return
         self._taker.take_plan(plan, crc)
-
-
-def _reading(context: Context) -> ReadingThread:
-    """Return the thread of a participant that reads, which ends with it."""
-    thread = ReadingThread()
-    context.on_shutdown(thread.stop)
-    return thread

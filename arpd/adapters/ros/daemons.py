@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import re
 import threading
@@ -10,15 +11,13 @@ import uuid
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
-from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.names import DAEMONS_TOPIC, PRICE_TOPIC
-from arpd.adapters.ros.raw_subscription import RawSubscription, RefusedMessages, peek
+from arpd.adapters.ros.raw_reader import RawReader
+from arpd.adapters.ros.refused_messages import RefusedMessages
+from arpd.adapters.ros.serialized import peek
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat, Leader
 from arpd.observe.rate_limits import TokenBucket
@@ -26,7 +25,7 @@ from arpd.observe.rate_limits import TokenBucket
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.adapters.ros.raw_subscription import Pause
+    from arpd.adapters.ros.raw_reader import ReadingThread, Sample
 
 _HEARTBEAT_S = 0.5
 _TOKEN = re.compile(r"[0-9a-f]{32}")
@@ -38,15 +37,15 @@ _HEAD = "arpd on "
 
 
 class Daemons:
-    """Sends this daemon's heartbeats, and receives the others'.
+    """Sends this daemon's heartbeats while somebody calls `step`, and receives the others'.
 
     At most as many daemons are believed as the graph shows nodes that write heartbeats and a price.
 
     Parameters
     ----------
-    node : rclpy node; its owner spins it
+    node : rclpy node
+    thread : reads the others'
     refused : counts refused messages
-    pause : taken by the executor in a flood
     clock, wall_clock_ns : monotonic (s) and Unix time (ns)
     """
 
@@ -54,8 +53,8 @@ class Daemons:
         self,
         node: Any,
         *,
+        thread: ReadingThread,
         refused: RefusedMessages | None = None,
-        pause: Pause | None = None,
         clock: Callable[[], float] = time.monotonic,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
@@ -70,23 +69,18 @@ class Daemons:
         self._bucket = TokenBucket(_HZ, _BURST)
         self._most_others = 0  # that the graph allows
         self._lock = threading.Lock()
-        qos = QoSProfile(depth=100)
-        self._publisher = node.create_publisher(
-            DiagnosticArray, DAEMONS_TOPIC, QoSProfile(depth=10), event_callbacks=no_publisher_events()
-        )
-        self._subscription = RawSubscription(
+        self._beat_s = -math.inf
+        self._publisher = node.create_publisher(DiagnosticArray, DAEMONS_TOPIC, QoSProfile(depth=10))
+        self._reader = RawReader(
             node,
             DiagnosticArray,
             DAEMONS_TOPIC,
-            qos,
+            QoSProfile(depth=100),
+            deliver=self._on_heartbeat,
+            thread=thread,
             most_bytes=_MOST_BYTES,
-            take=self._on_heartbeat,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "a message is longer than any heartbeat"),
-            pause=pause,
         )
-        group = ReentrantCallbackGroup()
-        # Steady time: a paused simulation must not stop the heartbeats, or a second daemon would take over.
-        node.create_timer(_HEARTBEAT_S, self._beat, callback_group=group, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def others(self) -> tuple[str, ...]:
         """Return the hosts of the other live daemons."""
@@ -99,20 +93,24 @@ class Daemons:
             active_daemon = self._leader.active_daemon(self._clock(), most=self._most_others)
         return "" if active_daemon is None else active_daemon.host
 
-    def _beat(self) -> None:
+    def step(self, now_s: float) -> None:
+        """Send a heartbeat if it is time; call it several times a second."""
+        if now_s - self._beat_s < _HEARTBEAT_S:
+            return
+        self._beat_s = now_s
         self._publisher.publish(self._message)
         daemons = min(self._node.count_publishers(DAEMONS_TOPIC), self._node.count_publishers(PRICE_TOPIC))
         with self._lock:
             self._most_others = daemons - 1
 
-    def _on_heartbeat(self, data: bytes, _info: Any) -> None:
+    def _on_heartbeat(self, sample: Sample) -> None:
         now_s = self._clock()
         if not self._bucket.take(now_s):
             self._refuse(MessageRefusal.RATE, "there are more heartbeats than all daemons together send")
             return
         try:
-            peek(data)  # it has a status, or this raises
-            heartbeat = from_status(deserialize_message(data, DiagnosticArray).status[0])
+            peek(sample.data)  # it has a status, or this raises
+            heartbeat = from_status(deserialize_message(sample.data, DiagnosticArray).status[0])
         except (RuntimeError, ValueError) as fault:  # rclpy raises the first for bytes that it cannot decode
             self._refuse(MessageRefusal.MALFORMED, str(fault))
             return

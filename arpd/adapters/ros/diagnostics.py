@@ -9,11 +9,8 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 
-from arpd.adapters.ros.events import no_publisher_events
 from arpd.report.diagnostics import diagnose
 from arpd.report.wording import one_line
 
@@ -26,18 +23,15 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
-_LOOK_S = 0.2
 _EVERY_S = 1.0
 
 
 class Diagnostics:
-    """Publishes once a second and soon after every event, while somebody subscribes.
-
-    It runs in the executor's thread, so a tick neither waits for it nor fails with it, and ticks that fail show.
+    """Publishes once a second and soon after every event, while somebody subscribes and `look` is called.
 
     Parameters
     ----------
-    node : rclpy node, which the caller spins
+    node : rclpy node
     snapshot : returns the last snapshot, None before the first tick finished
     """
 
@@ -54,16 +48,13 @@ class Diagnostics:
         self._clock = clock
         self._host = host or platform.node()
         # Reliable and one deep, as in diagnostic_updater: each message has everything.
-        self._publisher = node.create_publisher(
-            DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1), event_callbacks=no_publisher_events()
-        )
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1))
         self._published_s = -math.inf
         self._told = 0
         self._is_failing = False
-        # Steady time, so that it goes on when the clock of this host is set back.
-        node.create_timer(_LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Publish if it is time; call it after every tick, also one that failed."""
         try:
             self._publish_if_due()
         except Exception:

@@ -14,7 +14,8 @@ from arpd.adapters.ros.announcement import from_status, tag_of
 from arpd.adapters.ros.counters import MOST_COUNTERS_BYTES, Counters, decode_counters, sender_of
 from arpd.adapters.ros.names import COUNTERS_TOPIC, PUBLISHERS_TOPIC, is_full_name
 from arpd.adapters.ros.plan_message import PlanAnswer
-from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, octets, peek
+from arpd.adapters.ros.raw_reader import RawReader
+from arpd.adapters.ros.serialized import octets, peek
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.rate_limits import SourceRateLimiter
 from arpd.observe.registry import MOST_OF_NODE, Endpoints
@@ -22,10 +23,11 @@ from arpd.observe.registry import MOST_OF_NODE, Endpoints
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from arpd.adapters.ros.raw_subscription import RefusedMessages
+    from arpd.adapters.ros.raw_reader import ReadingThread, Sample
+    from arpd.adapters.ros.refused_messages import RefusedMessages
     from arpd.model.endpoints import PublisherState
 
-_DEPTH = 1000  # messages that may wait while the executor is busy
+_DEPTH = 1000  # messages that may wait while the thread is busy
 _MOST_BYTES = 512 * 1024  # of a message: twice the size of MOST_OF_NODE endpoints
 _HZ, _BURST = 8.0, 16.0  # messages of one node and kind; arpd sends five a second at most
 _MOST_NODES = 500  # whose answers are kept
@@ -44,9 +46,9 @@ class Announcements:
 
     Parameters
     ----------
-    node : rclpy node; its owner spins it
+    node : rclpy node
     refused : counts refused messages
-    pause : taken by the executor in a flood
+    thread : reads them
     clock : monotonic clock (s)
     """
 
@@ -55,7 +57,7 @@ class Announcements:
         node: Any,
         *,
         refused: RefusedMessages,
-        pause: Pause,
+        thread: ReadingThread,
         clock: Callable[[], float],
     ) -> None:
         self._refused = refused
@@ -68,15 +70,15 @@ class Announcements:
         self._strange_bytes = 0
         self._repeated: dict[str, tuple[int, tuple[tuple[str, str], ...]]] = {}  # hash and endpoints of the last one
         self._answers: dict[str, PlanAnswer] = {}
-        self._subscription = RawSubscription(
+        self._reader = RawReader(
             node,
             DiagnosticArray,
             PUBLISHERS_TOPIC,
             QoSProfile(depth=_DEPTH),
+            deliver=self._on_message,
+            thread=thread,
             most_bytes=_MOST_BYTES,
-            take=self._on_message,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any announcement"),
-            pause=pause,
         )
 
     @property
@@ -100,7 +102,7 @@ class Announcements:
         ----------
         known_of : returns the fields of a node's endpoint on a topic that the graph shows
         """
-        is_flooded = self._subscription.is_flooded
+        is_flooded = now_s < self._reader.flooded_until_s
         with self._lock:
             return self._endpoints.live(now_s, is_flooded=is_flooded, known_of=known_of)
 
@@ -150,7 +152,8 @@ class Announcements:
             if node not in announcers:
                 self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces publishers")
 
-    def _on_message(self, data: bytes, _info: Any) -> None:
+    def _on_message(self, sample: Sample) -> None:
+        data = sample.data
         try:
             name, count = peek(data)
         except ValueError as fault:
@@ -227,10 +230,10 @@ class CounterMessages:
 
     Parameters
     ----------
-    node : rclpy node; its owner spins it
+    node : rclpy node
     publishers : announcements that the numbers belong to
     refused : counts refused messages
-    pause : taken by the executor in a flood
+    thread : reads them
     clock : monotonic clock (s)
     """
 
@@ -240,7 +243,7 @@ class CounterMessages:
         publishers: Announcements,
         *,
         refused: RefusedMessages,
-        pause: Pause,
+        thread: ReadingThread,
         clock: Callable[[], float],
     ) -> None:
         self._publishers = publishers
@@ -249,15 +252,15 @@ class CounterMessages:
         self._lock = threading.Lock()
         self._limiter = SourceRateLimiter(rate_hz=_HZ, burst=_BURST, strangers_hz=_HZ, strangers_burst=_BURST)
         self._strangers: set[str] = set()
-        self._subscription = RawSubscription(
+        self._reader = RawReader(
             node,
             UInt8MultiArray,
             COUNTERS_TOPIC,
             QoSProfile(depth=_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT),
+            deliver=self._on_message,
+            thread=thread,
             most_bytes=MOST_COUNTERS_BYTES,
-            take=self._on_message,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "", "a message is longer than any numbers of a node"),
-            pause=pause,
         )
 
     def see(self, announcers: Collection[str]) -> None:
@@ -268,9 +271,9 @@ class CounterMessages:
         for node in strangers.difference(announcers):
             self._refuse(MessageRefusal.SOURCE, node, f"the graph shows no node {node} that announces publishers")
 
-    def _on_message(self, data: bytes, _info: Any) -> None:
+    def _on_message(self, sample: Sample) -> None:
         try:
-            content = octets(data)
+            content = octets(sample.data)
             node = sender_of(content)
         except ValueError as fault:
             self._refuse(MessageRefusal.MALFORMED, "", str(fault))

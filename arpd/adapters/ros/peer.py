@@ -7,6 +7,7 @@ import math
 import platform
 import threading
 import time
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.domain import local_domain
@@ -14,81 +15,64 @@ from arpd.adapters.config.load import load_settings
 from arpd.adapters.host.addresses import Addresses
 from arpd.adapters.host.interface import InterfaceReader, hardware_address
 from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.runtime import best_executor, control_node, serve_until, stop_on_signals
+from arpd.adapters.ros.runtime import control_node, serve_until, stop_on_signals
 from arpd.adapters.systemd.journal import configure_logging
 from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.model.probing import PeerReport
-from arpd.observe.receiver import BUSY_S, Receiver, ReportSchedule
+from arpd.observe.receiver import Receiver, ReportSchedule
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from arpd.adapters.ros.raw_reader import ReadingThread, Sample
     from arpd.model.interface import LinkCounters
 
 log = logging.getLogger(__name__)
 
 _LONGEST_S = 59.0  # covered by one report
-_MOST_PROBES_HZ = 1000.0  # packets; a daemon sends ten pings and at most a dozen trains of 24 a second
 _QUIET_S = 5.0  # a daemon sends several probes in this time, in an outage too
 
 
 class Peer:
-    """Receives probes, and sends reports.
+    """Takes probes, and sends reports; `serving` reads for it.
 
     While the interface is gone a report has no byte counts; delays and trains that arrived another way are reported.
 
     Parameters
     ----------
-    node : rclpy node; a single thread spins it
+    publish : sends an encoded report
     reader : reads the link interface of this host
     name : name of the peer in its reports
     clock : monotonic clock (s)
     """
 
     def __init__(
-        self, node: Any, *, reader: InterfaceReader, name: str, clock: Callable[[], float] = time.monotonic
+        self,
+        publish: Callable[[Any], None],
+        *,
+        reader: InterfaceReader,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        from rclpy.clock import Clock  # noqa: PLC0415 - ROS is checked in control_node
-        from rclpy.clock_type import ClockType  # noqa: PLC0415
-        from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415
-        from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
+        from arpd.adapters.ros import probe_messages, serialized  # noqa: PLC0415 - ROS is checked in control_node
 
-        from arpd.adapters.ros import events, probe_messages, raw_subscription  # noqa: PLC0415
-
-        self._octets = raw_subscription.octets
+        self._octets = serialized.octets
         self._messages = probe_messages
+        self._publish = publish
         self._reader = reader
         self._name = name
         self._clock = clock
         self._receiver = Receiver()
         self._schedule = ReportSchedule(clock())
         self._counters = reader.read()
-        best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._reports = node.create_publisher(
-            UInt8MultiArray, REPORT_TOPIC, best_effort, event_callbacks=events.no_publisher_events()
-        )
-        self._subscription = raw_subscription.RawSubscription(
-            node,
-            UInt8MultiArray,
-            PROBE_TOPIC,
-            best_effort,
-            most_bytes=probe_messages.MOST_PROBE_BYTES,
-            take=self._on_probe,
-            refuse=lambda: log.debug("ignored a message that is longer than any probe"),
-            calm_hz=_MOST_PROBES_HZ,
-            clock=clock,
-        )
-        # Steady time, so that reports continue when this host's clock is set back.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(BUSY_S, self._look, clock=steady)
-        self._armed_s = math.inf
+        self._due_s = self._schedule.look_s
         self.probed_s = -math.inf  # when the last probe arrived
-        self._arm(self._schedule.look_s)
 
-    def _on_probe(self, data: bytes, info: Any) -> None:
+    def hear(self, sample: Sample) -> None:
+        """Take a probe."""
         try:
-            packet = self._octets(data)
+            packet = self._octets(sample.data)
             header = self._messages.decode_probe(packet)
         except ValueError as fault:
             log.debug("ignored a probe: %s", fault)
@@ -99,33 +83,28 @@ class Peer:
             index=header.index,
             packets=header.packets,
             payload_bytes=len(packet),
-            sent_ns=info["source_timestamp"],
-            received_ns=info["received_timestamp"],
+            sent_ns=sample.sent_ns,
+            received_ns=sample.received_ns,
         )
         self._schedule.note_probe(packets=header.packets, quiet_s=header.quiet_s)
-        if self._schedule.due_s < self._armed_s:
-            self._arm(self._schedule.due_s)
+        self._due_s = min(self._due_s, self._schedule.due_s)
 
-    def _arm(self, when_s: float) -> None:
-        """Call `_look` at that time, or now if it has passed."""
-        self._armed_s = when_s
-        if (wait_s := when_s - self._clock()) <= 0:
+    def step(self) -> float:
+        """Send a report if one is due; return when to call again at the latest (s)."""
+        if self._clock() >= self._due_s:
             self._look()
-            return
-        self._timer.timer_period_ns = max(1, round(wait_s * 1e9))
-        self._timer.reset()
+        return self._due_s
 
     def _look(self) -> None:
-        """Send a report if one is due, and arm the next call."""
         schedule, before = self._schedule, self._counters
         after = self._reader.read() or before
         grown = after.rx_bytes - before.rx_bytes if after and before else 0
         schedule.note_traffic(grown)
         if self._clock() < schedule.due_s:
-            self._arm(schedule.due_s)
+            self._due_s = schedule.due_s
             return
         self._send(before, after)
-        self._arm(schedule.look_s)
+        self._due_s = schedule.look_s
 
     def _send(self, before: LinkCounters | None, after: LinkCounters | None) -> None:
         now_s = self._clock()
@@ -133,7 +112,7 @@ class Peer:
         self._counters = after
         delays_s, trains = self._receiver.take()
         if interval_s > 0:
-            self._reports.publish(
+            self._publish(
                 self._messages.encode_report(
                     PeerReport(
                         peer=self._name,
@@ -149,6 +128,36 @@ class Peer:
                 )
             )
         self._schedule.note_sent(now_s)
+
+
+@contextmanager
+def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[Peer, ReadingThread]]:
+    """Run a peer in a node, in a thread of its own; nobody needs to spin the node."""
+    from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in control_node
+    from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
+
+    from arpd.adapters.ros.probe_messages import MOST_PROBE_BYTES  # noqa: PLC0415
+    from arpd.adapters.ros.raw_reader import REST_S, RawReader, ReadingThread  # noqa: PLC0415
+
+    best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
+    peer = Peer(reports.publish, reader=reader, name=name)
+    thread = ReadingThread(step=peer.step, rest_s=REST_S)
+    probes = RawReader(
+        node,
+        UInt8MultiArray,
+        PROBE_TOPIC,
+        best_effort,
+        deliver=peer.hear,
+        thread=thread,
+        most_bytes=MOST_PROBE_BYTES,
+        refuse=lambda: log.debug("ignored a message that is longer than any probe"),
+    )
+    try:
+        yield peer, thread
+    finally:
+        probes.destroy()
+        thread.stop()
 
 
 class ProbeStatus:
@@ -218,19 +227,15 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
     addresses = Addresses(lambda: reader.name)
-    with control_node("arpd_peer", link) as node:
-        executor = best_executor(node.context, hears_itself=link is None)
-        executor.add_node(node)
-        peer = Peer(node, reader=reader, name=name)
+    with control_node("arpd_peer", link) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()
         status = ProbeStatus(f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
         serve_until(
-            executor,
             stopping,
-            heartbeat=Watchdog(notifier),
+            heartbeat=Watchdog(notifier, parts=[lambda: thread.finished_s]),
             addresses=addresses,
-            on_turn=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
+            step=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
         )
         notifier.stopping()
     return 0

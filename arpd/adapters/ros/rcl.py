@@ -71,8 +71,8 @@ class Rcl:
         rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # loaded by rclpy already
         self.take = rcl.rcl_take_serialized_message
         self.take.argtypes = [ctypes.c_void_p] * 4
-        self.notify = rcl.rcl_subscription_set_on_new_message_callback
-        self.notify.argtypes = [ctypes.c_void_p] * 3
+        self.notify_reader = rcl.rcl_subscription_set_on_new_message_callback
+        self.notify_reader.argtypes = [ctypes.c_void_p] * 3
         self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._publish = rcl.rcl_publish_serialized_message
         self._publish.argtypes = [ctypes.c_void_p] * 3

@@ -9,7 +9,8 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.names import RELAY_SUMMARY_TOPIC
-from arpd.adapters.ros.raw_subscription import RawSubscription, RefusedMessages, octets
+from arpd.adapters.ros.raw_reader import RawReader
+from arpd.adapters.ros.serialized import octets
 from arpd.apply.relay.summary import MOST_SUMMARY_BYTES, decode_summary
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.rate_limits import TokenBucket
@@ -17,7 +18,8 @@ from arpd.observe.rate_limits import TokenBucket
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.adapters.ros.raw_subscription import Pause
+    from arpd.adapters.ros.raw_reader import ReadingThread, Sample
+    from arpd.adapters.ros.refused_messages import RefusedMessages
     from arpd.model.relay import RelaySummary
 
 SUMMARY_QOS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -31,28 +33,33 @@ class RelaySummaries:
 
     Parameters
     ----------
-    node : the daemon's node in the link domain; its owner spins it
+    node : the daemon's node in the link domain
+    thread : reads them
     refused : counts refused messages
-    pause : taken by the executor in a flood
     clock : monotonic clock (s)
     """
 
     def __init__(
-        self, node: Any, *, refused: RefusedMessages, pause: Pause, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Any,
+        *,
+        thread: ReadingThread,
+        refused: RefusedMessages,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._refused = refused
         self._clock = clock
         self._bucket = TokenBucket(_HZ, _BURST)
         self._newest: tuple[float, RelaySummary | None] = clock(), None  # with the time of its arrival
-        self._subscription = RawSubscription(
+        self._reader = RawReader(
             node,
             UInt8MultiArray,
             RELAY_SUMMARY_TOPIC,
             SUMMARY_QOS,
+            deliver=self._on_summary,
+            thread=thread,
             most_bytes=MOST_SUMMARY_BYTES + _HEADER_BYTES,
-            take=self._on_summary,
             refuse=lambda: self._refuse(MessageRefusal.SIZE, "a message is longer than any summary of a relay"),
-            pause=pause,
         )
 
     def newest(self, now_s: float) -> tuple[RelaySummary | None, bool]:
@@ -61,13 +68,13 @@ class RelaySummaries:
         is_silent = now_s - at_s > _SILENT_S
         return None if is_silent else summary, is_silent
 
-    def _on_summary(self, data: bytes, _info: Any) -> None:
+    def _on_summary(self, sample: Sample) -> None:
         now_s = self._clock()
         if not self._bucket.take(now_s):
             self._refuse(MessageRefusal.RATE, "there are more summaries than one end of a relay sends")
             return
         try:
-            self._newest = now_s, decode_summary(octets(data))
+            self._newest = now_s, decode_summary(octets(sample.data))
         except ValueError as fault:
             self._refuse(MessageRefusal.MALFORMED, str(fault))
 

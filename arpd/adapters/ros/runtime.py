@@ -1,8 +1,9 @@
-"""Start and spin rclpy in arpd's own processes."""
+"""Start rclpy in arpd's own processes, and serve until a signal."""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import threading
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import LinkDomain
 
 log = logging.getLogger(__name__)
-_TURN_S = 0.2
+_TURN_S = 0.1
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
@@ -50,17 +51,16 @@ def _is_ours(path: Path) -> bool:
 
 
 @contextmanager
-def ros_node(
-    name: str, link: LinkDomain | None = None, *, context: Any = None, has_services: bool = True
-) -> Iterator[Any]:
+def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
+
+    It has none of a node's usual services, of parameters and type descriptions, because nobody spins it.
 
     Parameters
     ----------
     name : its name
     link : domain that it joins; the host's own domain when None
     context : rclpy context to start for it; None = the process's own, for a link a new one
-    has_services : whether it has those of parameters, which need an executor
 
     Raises
     ------
@@ -70,6 +70,7 @@ def ros_node(
     prepare_environment(FASTDDS_PROFILE if link is None else TWO_ENDED_PROFILE)
     try:
         import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
+        from rclpy.parameter import Parameter  # noqa: PLC0415
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     except ImportError as error:
         raise RosUnavailableError(f"ROS 2 cannot be imported ({error}); {GET_ROS}") from error
@@ -82,7 +83,8 @@ def ros_node(
                 name,
                 context=context,
                 enable_rosout=link is None,  # nobody reads it on the link
-                start_parameter_services=has_services,
+                start_parameter_services=False,
+                parameter_overrides=[Parameter("start_type_description_service", value=False)],
             )
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
@@ -134,62 +136,23 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
                 environment[name] = value
 
 
-def best_executor(context: Any = None, *, hears_itself: bool = True) -> Any:
-    """Return the executor with the lowest cost per message that works here.
-
-    EventsExecutor takes a sixth of SingleThreadedExecutor's CPU time per message. It is experimental, so it must first
-    deliver a message here, or call a timer where the endpoints of one participant do not match (``hears_itself``).
-    """
-    import rclpy  # noqa: PLC0415 - ROS may be missing
-    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-
-    try:
-        from rclpy.experimental import EventsExecutor  # noqa: PLC0415
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    from std_msgs.msg import Empty  # noqa: PLC0415
-
-    executor = EventsExecutor(context=context)
-    node = rclpy.create_node("arpd_executor_check", context=context, enable_rosout=hears_itself)
-    arrived = threading.Event()
-    try:
-        node.create_subscription(Empty, "~/check", lambda _sample: arrived.set(), 1, raw=True)
-        if not hears_itself:
-            node.create_timer(0.01, arrived.set)
-        publisher = node.create_publisher(Empty, "~/check", 1)
-        executor.add_node(node)
-        until_s = time.monotonic() + 2.0
-        while not arrived.is_set() and time.monotonic() < until_s:
-            publisher.publish(Empty())
-            executor.spin_once(timeout_sec=0.05)
-    finally:
-        executor.remove_node(node)
-        node.destroy_node()
-    if arrived.is_set():
-        return executor
-    log.warning("EventsExecutor delivered nothing in its self-check; using SingleThreadedExecutor")
-    executor.shutdown()
-    return SingleThreadedExecutor(context=context)
-
-
 @contextmanager
-def spinning(executor: Any) -> Iterator[Callable[[], float]]:
-    """Spin an executor in a thread of its own; leaving the block ends the thread.
+def spinning(executor: Any) -> Iterator[None]:
+    """Spin an executor in a thread of its own, past callbacks that fail; leaving the block ends the thread."""
+    stopping = threading.Event()
 
-    It yields a function that returns when the executor finished its last turn, on the monotonic clock (s).
-    """
-    stopping, turned_s = threading.Event(), time.monotonic()
+    def spin() -> None:
+        while not stopping.is_set():
+            try:
+                executor.spin_once(timeout_sec=0.2)  # spin() of EventsExecutor would busy-loop in rclpy 7.1.6
+            except Exception:
+                if not stopping.is_set():
+                    log.exception("a callback failed; the node continues")
 
-    def note() -> None:
-        nonlocal turned_s
-        turned_s = time.monotonic()
-
-    thread = threading.Thread(
-        target=spin_until, args=(executor, stopping), kwargs={"on_turn": note}, name="arpd-ros", daemon=True
-    )
+    thread = threading.Thread(target=spin, name="arpd-ros", daemon=True)
     thread.start()
     try:
-        yield lambda: turned_s
+        yield
     finally:
         stopping.set()
         executor.wake()
@@ -197,65 +160,38 @@ def spinning(executor: Any) -> Iterator[Callable[[], float]]:
         executor.shutdown(timeout_sec=1.0)
 
 
-@contextmanager
-def spinning_alone(node: Any, *, hears_itself: bool = True) -> Iterator[Callable[[], float]]:
-    """Spin a node as `spinning` does, one callback at a time; `best_executor` explains ``hears_itself``."""
-    executor = best_executor(node.context, hears_itself=hears_itself)
-    executor.add_node(node)
-    with spinning(executor) as turned_s:
-        yield turned_s
-
-
-def spin_until(executor: Any, stopping: threading.Event, *, on_turn: Callable[[], None] = lambda: None) -> None:
-    """Spin in this thread until ``stopping`` is set.
-
-    Parameters
-    ----------
-    on_turn : called after every turn without a failure, at least several times a second
-    """
-    from rclpy.executors import Executor  # noqa: PLC0415 - ROS is checked in ros_node
-    from rclpy.task import Future  # noqa: PLC0415
-
-    while not stopping.is_set():
-        try:
-            if isinstance(executor, Executor):
-                executor.spin_once(timeout_sec=_TURN_S)
-            else:
-                # EventsExecutor stays in C++ between two callbacks, which saves 15 us or more of each. Its spin() would
-                # busy-loop in rclpy 7.1.6.
-                executor.spin_until_future_complete(Future(), _TURN_S)
-            on_turn()
-        except Exception:
-            if stopping.is_set():
-                return
-            log.exception("a callback failed; the node continues")
-
-
 def serve_until(
-    executor: Any,
     stopping: threading.Event,
     *,
     heartbeat: Watchdog,
     addresses: Addresses,
-    on_turn: Callable[[], None] = lambda: None,
+    step: Callable[[], None] = lambda: None,
+    every_s: float = _TURN_S,
 ) -> None:
-    """Spin a service in this thread, with a watchdog, until ``stopping`` is set.
+    """Run a service in this thread, with a watchdog, until ``stopping`` is set.
+
+    Parameters
+    ----------
+    step : called again and again; where it fails, the watchdog is not fed
+    every_s : time between two calls, a tenth of a second or more (s)
 
     Raises
     ------
     LinkError
         If only a new process can use the link's address.
     """
-
-    def look() -> None:
-        on_turn()
-        heartbeat.beat()
+    due_s = -math.inf
+    while not stopping.is_set():
+        if (now_s := time.monotonic()) >= due_s:
+            due_s = now_s + every_s
+            try:
+                step()
+                heartbeat.beat()
+            except Exception:
+                log.exception("a step failed; the service continues")
         if addresses.are_outdated():
-            stopping.set()
-
-    spin_until(executor, stopping, on_turn=look)
-    if addresses.are_outdated():
-        raise addresses.error()
+            raise addresses.error()
+        time.sleep(_TURN_S)  # Event.wait could hold the lock that the handler of a signal needs
 
 
 def stop_on_signals(stopping: threading.Event) -> None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
 
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import own_participant
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
 from arpd.adapters.ros.graph import host_of, policies_of
@@ -26,6 +25,7 @@ from arpd.adapters.ros.link_topics import (
     relays_of,
     sorted_topics,
 )
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link_topics import LinkTopic, TopicList
 from arpd.observe.topic_meter import TopicMeter

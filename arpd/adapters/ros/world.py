@@ -19,16 +19,18 @@ from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
 from arpd.adapters.ros.crossing import joined_by
 from arpd.adapters.ros.daemons import Daemons
-from arpd.adapters.ros.events import InvalidHandle, no_publisher_events
+from arpd.adapters.ros.events import InvalidHandle
 from arpd.adapters.ros.graph import GraphReader
 from arpd.adapters.ros.listeners import Announcements, CounterMessages
 from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.adapters.ros.raw_subscription import Pause, RawSubscription, RefusedMessages, octets
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread
+from arpd.adapters.ros.refused_messages import RefusedMessages
 from arpd.adapters.ros.relay_summaries import RelaySummaries
 from arpd.adapters.ros.rmw import Rmw, current_rmw
+from arpd.adapters.ros.serialized import octets
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.observation import Glance, MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from arpd.adapters.ros.crossing import Crossing
+    from arpd.adapters.ros.raw_reader import Sample
     from arpd.model.plan import Transition
     from arpd.model.price import Price
     from arpd.model.settings import GraphSettings
@@ -60,15 +63,21 @@ _WHY = {
 class RosControl:
     """Observes the link, the graph and the endpoints; sends the price, and carries out plans and probes.
 
+    Messages are read in the thread of the node's participant (`ReadingThread.of`), and nobody needs to spin the node.
+
     Parameters
     ----------
-    node : rclpy node; its owner spins it
+    node : rclpy node
     interface : the robot's link interface
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     has_two_ends : whether a relay with two ends is configured, whose end on this host sends summaries
     rmw : the middleware; this process's own when None
     randomness : gives the first number of a probe
+
+    Attributes
+    ----------
+    thread : reads what arrives
     """
 
     def __init__(
@@ -115,31 +124,27 @@ class RosControl:
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        self._price_publisher = node.create_publisher(
-            Float64MultiArray, PRICE_TOPIC, newest, event_callbacks=no_publisher_events()
-        )
-        self._probe_publisher = node.create_publisher(
-            UInt8MultiArray, PROBE_TOPIC, best_effort, event_callbacks=no_publisher_events()
-        )
-        pause = Pause()
-        shared: dict[str, Any] = {"refused": self._refused, "pause": pause, "clock": clock}
+        self._price_publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, newest)
+        self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
+        self.thread = ReadingThread.of(node.context)
+        shared: dict[str, Any] = {"thread": self.thread, "refused": self._refused, "clock": clock}
         self._publishers = Announcements(node, **shared)
         self._counters = CounterMessages(node, self._publishers, **shared)
-        self._report_subscription = RawSubscription(
+        self._report_reader = RawReader(
             node,
             UInt8MultiArray,
             REPORT_TOPIC,
             best_effort,
+            deliver=self._on_report,
+            thread=self.thread,
             most_bytes=MOST_REPORT_BYTES,
-            take=self._on_report,
             refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
-            pause=pause,
         )
         self._sender = PlanSender(node, answer_of=self._publishers.answer_of)
         self._daemons = Daemons(node, **shared)
         self._relay = RelaySummaries(node, **shared) if has_two_ends else None
         self._graph = GraphReader(node, self._rmw)
-        # In a thread: the tick must stay short, and reports wait in the executor.
+        # In a thread: the tick must stay short, and so must the reading of messages.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
     def reconfigure(self, graph: GraphSettings) -> None:
@@ -149,7 +154,8 @@ class RosControl:
     # -- observe
 
     def observe(self, now_s: float) -> Observation:
-        """Return everything one tick sees."""
+        """Return everything one tick sees; a heartbeat leaves if it is time."""
+        self._daemons.step(now_s)
         with self._lock:
             reports, self._reports = tuple(self._reports), []
             self._peers_heard = {
@@ -246,11 +252,11 @@ class RosControl:
 
     # -- what arrives
 
-    def _on_report(self, data: bytes, info: Any) -> None:
+    def _on_report(self, sample: Sample) -> None:
         now_s = self._clock()
-        return_delay_s = (info["received_timestamp"] - info["source_timestamp"]) / 1e9
+        return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
         try:
-            report = decode_report(octets(data), received_at_s=now_s, return_delay_s=return_delay_s)
+            report = decode_report(octets(sample.data), received_at_s=now_s, return_delay_s=return_delay_s)
         except ValueError as fault:
             self._refuse_report(MessageRefusal.MALFORMED, "", str(fault))
             return
@@ -293,10 +299,6 @@ _FAST_TURNS = 30  # at the start the graph changes quickly
 
 class PeriodicThread:
     """Does its tasks again and again, until the node is destroyed or its context ends.
-
-    It is a thread and not a timer in a MultiThreadedExecutor. That executor keeps asking whether a task that it gave to
-    another thread has begun (rclpy 7.1.6, ``Executor._wait_for_ready_callbacks``), and holds the interpreter for 5 ms
-    meanwhile. Measured: a whole core at 200 events a second.
 
     Parameters
     ----------

@@ -40,8 +40,7 @@ for _ in sys.stdin:
 PUBLISHER = """
 import json, sys, threading, time
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.runtime import ros_node, spinning
-from rclpy.executors import SingleThreadedExecutor
+from arpd.adapters.ros.runtime import ros_node
 from std_msgs.msg import String
 
 class Listener(AdaptivePublisher):
@@ -52,37 +51,30 @@ class Listener(AdaptivePublisher):
 
 with ros_node(sys.argv[1]) as node:
     publisher = Listener(node, String, "/chat", 10)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    with spinning(executor):
-        while True:
-            time.sleep(0.2)
-            print(json.dumps({"count": Listener.heard}), flush=True)
+    while True:
+        time.sleep(0.2)
+        print(json.dumps({"count": Listener.heard}), flush=True)
 """
 DAEMON = """
 import json, sys, time
 from arpd.model.price import Price
 from arpd.model.probing import ProbeRequest
 from arpd.adapters.ros.world import RosControl
-from arpd.adapters.ros.runtime import control_node, spinning
+from arpd.adapters.ros.runtime import control_node
 from arpd.model.settings import GraphSettings
 
 with control_node("arpd") as node:
-    from rclpy.executors import MultiThreadedExecutor
     world = RosControl(node, interface=sys.argv[1], graph=GraphSettings(), on_report=lambda: None)
-    executor = MultiThreadedExecutor(num_threads=2)
-    executor.add_node(node)
     heard = number = 0
-    with spinning(executor):
-        while True:
-            seen = world.observe(time.monotonic())
-            heard += len(seen.reports)
-            world.set_price(Price(share_per_weight=0.5, capacity_bytes_per_second=1e6))
-            number += 1
-            world.probe(ProbeRequest(packets=8, packet_bytes=1300, number=number))
-            ages = [one.age_s(seen.now_s) for one in seen.publishers]
-            print(json.dumps({"count": number, "publishers": len(ages), "reports": heard}), flush=True)
-            time.sleep(0.1)
+    while True:
+        seen = world.observe(time.monotonic())
+        heard += len(seen.reports)
+        world.set_price(Price(share_per_weight=0.5, capacity_bytes_per_second=1e6))
+        number += 1
+        world.probe(ProbeRequest(packets=8, packet_bytes=1300, number=number))
+        ages = [one.age_s(seen.now_s) for one in seen.publishers]
+        print(json.dumps({"count": number, "publishers": len(ages), "reports": heard}), flush=True)
+        time.sleep(0.1)
 """
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.events import no_publisher_events
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.rcl import rcl
 from arpd.apply.endpoint.lane import SMALL_BYTES, Lane
 from arpd.apply.relay.envelope import Assembly

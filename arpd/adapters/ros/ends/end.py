@@ -9,8 +9,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
@@ -22,12 +20,11 @@ from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import Incoming
 from arpd.adapters.ros.ends.link_thread import LinkThread
 from arpd.adapters.ros.ends.outgoing import Outgoing
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.summaries import Summaries
 from arpd.adapters.ros.ends.survey import Survey, own_participant
-from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.raw_subscription import octets
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.rcl import rcl
+from arpd.adapters.ros.serialized import octets
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.apply.relay.partner import Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
@@ -42,7 +39,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import RelaySettings
 
 log = logging.getLogger(__name__)
-_TICK_S = 0.1
 _LOOK_S = 0.5  # the graph of the local domain
 _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
@@ -57,7 +53,7 @@ class End:
 
     Parameters
     ----------
-    node, link_node : its nodes in the local domain and in that of the link; the executor of ``link_node`` calls it
+    node, link_node : its nodes in the local domain and in that of the link
     settings : the relay's settings, the same on both ends
     is_far : whether this is the CEDDP's end
     host : name of this host
@@ -103,9 +99,7 @@ class End:
         self._begun_s = self._look_s = clock()
         role, other = ("ceddp", "robot") if is_far else ("robot", "ceddp")
         self._states, small, signs = (
-            link_node.create_publisher(
-                UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
-            )
+            link_node.create_publisher(UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos)
             for ending, qos in (("", _LATCHED), ("/small", _SMALL), ("/alive", _ALIVE))
         )
         sign, together = (rcl().outlet(publisher.handle).publish for publisher in (signs, small))
@@ -156,11 +150,9 @@ class End:
         ]
         self._status = ""
         self.link.start()
-        # Steady time, so that a paused simulation does not stop the end from following the graph.
-        link_node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """Destroy everything in both domains; the executors have stopped."""
+        """Destroy everything in both domains; the executor of calls has stopped."""
         self._announced.close()
         self.link.stop()
         for reader in self._readers:
@@ -193,7 +185,8 @@ class End:
 
     # -- one tick
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
+        """Follow the graph and the other end; call it ten times a second."""
         now_s = self._clock()
         self._hear(now_s)
         if now_s >= self._look_s:

@@ -13,9 +13,9 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import own_type_hash
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.apply.relay.depths import BULK_BYTES, held_depth
 from arpd.apply.relay.envelope import Assembly, Chunk, Record, key_of, split, unpack
 from arpd.model.endpoints import WriterQos

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.adapters.ros.ends.link_thread import LinkThread
-    from arpd.adapters.ros.ends.raw_reader import ReadingThread, Sample
     from arpd.adapters.ros.ends.survey import Survey
+    from arpd.adapters.ros.raw_reader import ReadingThread, Sample
     from arpd.apply.relay.offers import TopicOffer, WriterOffer
     from arpd.model.settings import RelaySettings
 

@@ -65,7 +65,7 @@ class Participants:
     def _make(self) -> Any:
         """Return a new node in a participant of its own, which nobody spins: arpd's threads serve its publishers."""
         name = f"{self._name}_{len(self._nodes) + 1}"
-        node = self._stack.enter_context(ros_node(name, context=Context(), has_services=False))
+        node = self._stack.enter_context(ros_node(name, context=Context()))
         self._watch(node)
         return node
 

@@ -12,12 +12,12 @@ from rclpy.exceptions import InvalidNodeNameException
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from arpd.adapters.ros.ends.participants import Participants
-from arpd.adapters.ros.ends.raw_reader import ReadingThread, Sample
 from arpd.adapters.ros.ends.survey import Survey
 from arpd.adapters.ros.ends.topic_readers import TopicReaders
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
 from arpd.adapters.ros.publisher import AdaptivePublisher
-from arpd.adapters.ros.runtime import ros_node
+from arpd.adapters.ros.raw_reader import ReadingThread, Sample
+from arpd.adapters.ros.runtime import ros_node, serve_until
 from arpd.adapters.systemd.notify import Watchdog
 from arpd.apply.relay.depths import BULK_BYTES
 from arpd.apply.relay.status import prefix_line
@@ -195,18 +195,13 @@ def run_prefix(
         If only a new process can use the link's address.
     """
     with (
-        ros_node(node_name, has_services=False) as node,
+        ros_node(node_name) as node,
         closing(Participants(node)) as participants,
         closing(Prefixed(node, settings, participants=participants, on_change=notifier.status)) as relay,
     ):
         heartbeat = Watchdog(notifier, parts=participants.parts)
         notifier.ready()
-        while not stopping.wait(_LOOK_S):
-            try:
-                relay.look()
-                heartbeat.beat()
-            except Exception:
-                log.exception("a look at the graph failed; the relay continues")
-            if addresses.are_outdated():
-                raise addresses.error()
-        notifier.stopping()
+        try:
+            serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=relay.look, every_s=_LOOK_S)
+        finally:
+            notifier.stopping()

@@ -1,4 +1,4 @@
-"""`arpd relay` with two ends, as a process: two ROS domains, a thread for each, and one that takes samples."""
+"""`arpd relay` with two ends, as a process in two ROS domains."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+from rclpy.experimental import EventsExecutor
 from std_msgs.msg import Empty
 
 from arpd.adapters.ros.ends.end import End
-from arpd.adapters.ros.events import no_publisher_events, no_subscription_events
 from arpd.adapters.ros.node_publishers import NodePublishers
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.runtime import (
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
-    best_executor,
     prepare_environment,
     ros_node,
     serve_until,
@@ -65,9 +64,7 @@ def run_end(
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         check_middleware(current_rmw())
         check_deaf_to_itself(node)
-        link_executor = best_executor(link_node.context, hears_itself=False)
-        link_executor.add_node(link_node)
-        executor = best_executor(node.context, hears_itself=False)
+        executor = EventsExecutor(context=node.context)
         executor.add_node(node)
         end = End(
             node,
@@ -85,7 +82,7 @@ def run_end(
         notifier.ready()
         with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
             try:
-                serve_until(link_executor, stopping, heartbeat=heartbeat, addresses=addresses)
+                serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=end.tick)
             finally:
                 notifier.stopping()
 
@@ -121,10 +118,8 @@ def check_deaf_to_itself(node: Node) -> None:
     RosUnavailableError
         If endpoints of one participant match each other.
     """
-    publisher = node.create_publisher(Empty, "~/check", 1, event_callbacks=no_publisher_events())
-    subscription = node.create_subscription(
-        Empty, "~/check", lambda _sample: None, 1, event_callbacks=no_subscription_events()
-    )
+    publisher = node.create_publisher(Empty, "~/check", 1)
+    subscription = node.create_subscription(Empty, "~/check", lambda _sample: None, 1)
     time.sleep(0.1)
     hears_itself = publisher.get_subscription_count() > 0
     node.destroy_subscription(subscription)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.events import no_publisher_events
 from arpd.adapters.ros.names import RELAY_SUMMARY_TOPIC
 from arpd.adapters.ros.rcl import rcl
 from arpd.adapters.ros.relay_summaries import SUMMARY_QOS
@@ -37,9 +36,7 @@ class Summaries:
         self._incoming = incoming
         self._outgoing = outgoing
         self._calls = calls
-        self._publisher = link_node.create_publisher(
-            UInt8MultiArray, RELAY_SUMMARY_TOPIC, SUMMARY_QOS, event_callbacks=no_publisher_events()
-        )
+        self._publisher = link_node.create_publisher(UInt8MultiArray, RELAY_SUMMARY_TOPIC, SUMMARY_QOS)
         self._due_s = -math.inf
         self._status = ""
 

@@ -11,10 +11,10 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
-from arpd.adapters.ros.ends.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.ends.types import expected_bytes
 from arpd.adapters.ros.events import InvalidHandle, status_of
 from arpd.adapters.ros.graph import policies_of
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.apply.relay.depths import MOST_BYTES, held_depth
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 
@@ -130,7 +130,7 @@ class TopicReaders:
             ),
             deliver=deliver,
             thread=self._thread,
-            most_bytes=None if self._depth else MOST_BYTES,
+            most_held_bytes=None if self._depth else MOST_BYTES,
         )
 
     def _deliver(self, writers: WriterClass, sample: Sample) -> bool:

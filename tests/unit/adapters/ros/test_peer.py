@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import count
 
 import pytest
@@ -13,6 +12,7 @@ from rclpy.serialization import serialize_message
 
 from arpd.adapters.ros.peer import Peer, default_name
 from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.adapters.ros.raw_reader import Sample
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.observe.receiver import PROMPT_S, QUIET_S
 
@@ -20,57 +20,18 @@ SIZE = 1200
 ON_THE_WAY_S = 0.003
 
 
-class Timer:
-    """A timer of rclpy: `reset` begins its period anew."""
-
-    def __init__(self, world, callback):
-        self._world, self.callback = world, callback
-        self.timer_period_ns, self.due_s = 0, math.inf
-
-    def reset(self):
-        self.due_s = self._world.now_s + self.timer_period_ns * 1e-9
-
-
-class Subscription:
-    """A subscription on which never more than one message waits."""
-
-    handle = property(lambda self: self)
-
-    def take_message(self, _kind, _raw):
-        return None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-
 class World:
-    """A node, an interface that receives 100 packets of 10 bytes a second, and the daemon across the link."""
+    """An interface that receives 100 packets of 10 bytes a second, and the daemon across the link."""
 
     def __init__(self):
         self.now_s = 100.0
         self.has_interface = True
         self.reports = []
         self._numbers = count(1)
-        self._peer = Peer(self, reader=self, name="ceddp-3f2a", clock=lambda: self.now_s)
+        self._peer = Peer(self._publish, reader=self, name="ceddp-3f2a", clock=lambda: self.now_s)
 
-    # -- the node
-
-    def create_publisher(self, *_arguments, **_options):
-        return self
-
-    def publish(self, message):
+    def _publish(self, message):
         self.reports.append(decode_report(bytes(message.data), received_at_s=self.now_s))
-
-    def create_subscription(self, _kind, _topic, callback, _qos, **_options):
-        self._receive = callback
-        return Subscription()
-
-    def create_timer(self, _period_s, callback, clock):
-        self._timer = Timer(self, callback)
-        return self._timer
 
     # -- the interface
 
@@ -94,14 +55,13 @@ class World:
         """Send a probe of one packet."""
         header = ProbeHeader(train=next(self._numbers), index=0, packets=1, quiet_s=quiet_s)
         sent_s = self.now_s - ON_THE_WAY_S
-        stamps = {"source_timestamp": round(sent_s * 1e9), "received_timestamp": round(self.now_s * 1e9)}
-        self._receive(serialize_message(encode_probe(header, payload_bytes=SIZE)), stamps)
+        data = serialize_message(encode_probe(header, payload_bytes=SIZE))
+        self._peer.hear(Sample(data, b"writer", header.train, round(sent_s * 1e9), round(self.now_s * 1e9)))
 
     def pass_time(self, seconds):
         until_s = self.now_s + seconds
-        while self._timer.due_s <= until_s:
-            self.now_s = max(self.now_s, self._timer.due_s)
-            self._timer.callback()
+        while (due_s := self._peer.step()) <= until_s:
+            self.now_s = max(self.now_s, due_s)
         self.now_s = until_s
 
     def collect(self, seconds, every_s=None):

@@ -11,8 +11,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
 from arpd.adapters.ros import topic_measuring
-from arpd.adapters.ros.ends.raw_reader import Sample
 from arpd.adapters.ros.link_topics import Endpoint, FoundTopic, cannot_tell_hosts
+from arpd.adapters.ros.raw_reader import Sample
 from arpd.adapters.ros.rmw import rmw_of
 from arpd.adapters.ros.topic_measuring import list_topics
 

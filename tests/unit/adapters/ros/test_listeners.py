@@ -1,6 +1,7 @@
 """Messages from the network: read without decoding, and refused without harm."""
 
 from contextlib import suppress
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
+from arpd.adapters.ros import listeners
 from arpd.adapters.ros.announcement import to_status
-from arpd.adapters.ros.listeners import Announcements
-from arpd.adapters.ros.raw_subscription import Pause, RefusedMessages, octets, peek
+from arpd.adapters.ros.raw_reader import Sample
+from arpd.adapters.ros.refused_messages import RefusedMessages
+from arpd.adapters.ros.serialized import octets, peek
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.observe.registry import MOST_OF_NODE
 from tests.examples import examples
@@ -27,32 +30,22 @@ def serialized(*statuses):
 ANNOUNCEMENT = serialized(*(to_status(publisher("/n", topic)) for topic in ("/a", "/b")))
 
 
-class Node:
-    """A node that keeps the callback of a subscription, for which nothing waits."""
-
-    handle = property(lambda self: self)
-
-    def create_subscription(self, _kind, _topic, callback, _qos, **_options):
-        self.callback = lambda data: callback(data, {})
-        return self
-
-    def take_message(self, _kind, _raw):
-        return None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-
 class World:
     """Announcements of publishers without a network, and a stopped clock."""
 
     def __init__(self):
-        self.node, self.now_s = Node(), 0.0
+        self.now_s = 0.0
         self.refused = RefusedMessages(clock=lambda: self.now_s)
-        self.heard = Announcements(self.node, refused=self.refused, clock=lambda: self.now_s, pause=Pause())
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(listeners, "RawReader", self.reader)
+            self.heard = listeners.Announcements(None, thread=None, refused=self.refused, clock=lambda: self.now_s)
+
+    def reader(self, *_arguments, deliver, **_options):
+        self._deliver = deliver
+        return SimpleNamespace(flooded_until_s=0.0)
+
+    def hear(self, data):
+        self._deliver(Sample(data, b"writer", 0))
 
     def see(self, *nodes):
         self.heard.see(frozenset(nodes), lambda _node, _topic: True)
@@ -75,8 +68,8 @@ def test_any_bytes_are_refused_or_read(noise, spoils, data):
                 read(each)
     world = World()
     world.see("/n", "")
-    world.node.callback(bytes(spoilt))
-    world.node.callback(noise)
+    world.hear(bytes(spoilt))
+    world.hear(noise)
     assert all(state.node and state.topic for state in world.heard.live(0.0))
 
 
@@ -84,12 +77,12 @@ def test_a_node_speaks_for_itself_at_its_own_rate():
     """A node cannot announce another's publishers, too many of them, or too often."""
     world = World()
     world.see("/n", "/m")
-    world.node.callback(serialized(to_status(publisher("/n", "/a")), to_status(publisher("/m", "/b"))))
+    world.hear(serialized(to_status(publisher("/n", "/a")), to_status(publisher("/m", "/b"))))
     assert world.topics() == ["/a"]
-    world.node.callback(serialized(*[to_status(publisher("/n", "/c"))] * (MOST_OF_NODE + 1)))
+    world.hear(serialized(*[to_status(publisher("/n", "/c"))] * (MOST_OF_NODE + 1)))
     for _ in range(1000):
-        world.node.callback(ANNOUNCEMENT)
-    world.node.callback(serialized(to_status(publisher("/m", "/b"))))
+        world.hear(ANNOUNCEMENT)
+    world.hear(serialized(to_status(publisher("/m", "/b"))))
     assert "/b" in world.topics()
     counts = world.refused.counts
     assert (
