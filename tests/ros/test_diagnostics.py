@@ -10,11 +10,10 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from std_msgs.msg import Float64MultiArray
 
+from arpd.adapters.ros.crossing import read_graph
 from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
-from arpd.adapters.ros.graph import GraphReader
-from arpd.adapters.ros.names import PRICE_TOPIC
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
 from arpd.report.decision_log import DecisionLog
@@ -161,11 +160,15 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, caplog):
 def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, looking, eventually):
     """The graph shows the robot's writers of /diagnostics without the daemon's."""
     node = ros.node("arpd")
-    node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)  # by which the daemon knows its host
     looking(Diagnostics(node, lambda: daemon.snapshot))
     Monitor(ros.node("monitor"))
-    graph = GraphReader(node, current_rmw())
-    eventually("the monitor shows", lambda: (seen := graph.read().crossings.get(DIAGNOSTICS_TOPIC)) and seen.requests)
+    view = GraphView.of(node)
+
+    def seen():
+        view.look()
+        return read_graph(view, current_rmw()).crossings.get(DIAGNOSTICS_TOPIC)
+
+    eventually("the monitor shows", lambda: seen() and seen().requests)
     battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
-    eventually("the robot's alone shows", lambda: graph.read().crossings[DIAGNOSTICS_TOPIC].writers == {"/battery"})
+    eventually("the robot's alone shows", lambda: seen().writers == {"/battery"})
     battery.destroy()

@@ -1,16 +1,20 @@
 """The graph and publishers on this middleware, and on one whose swaps were never measured; only its name is fake."""
 
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.graph import GraphReader
-from arpd.adapters.ros.names import PRICE_TOPIC
+from arpd.adapters.ros import graph_view
+from arpd.adapters.ros.crossing import read_graph
+from arpd.adapters.ros.graph import writers_of
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 
 pytestmark = pytest.mark.ros
@@ -32,18 +36,50 @@ def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
 
 def test_a_real_graph_is_followed(ros, eventually):
     """Writers and readers that come and go show in a real graph, on a middleware without hosts in its GIDs, too."""
-    node = ros.node("arpd")
-    node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)  # by which the daemon knows its host
-    here, other = (GraphReader(node, rmw) for rmw in (current_rmw(), OTHER))
+    view = GraphView.of(ros.node("arpd"))
 
-    def seen(graph=here):
-        return graph.read().crossings.get("/x")
+    def read(rmw=None):
+        view.look()
+        return read_graph(view, rmw or current_rmw())
+
+    def seen(rmw=None):
+        return read(rmw).crossings.get("/x")
 
     talker = ros.node("talker").create_publisher(String, "/x", 10)
     eventually("the writer shows", lambda: seen() is not None and seen().writers == {"/talker"})
     ros.node("listener").create_subscription(String, "/x", lambda _m: None, 10)
     eventually("the reader shows", lambda: {node for node, _ in seen().requests} == {"/listener"})
-    eventually("without hosts it is the same", lambda: seen(other) == seen())
-    assert here.read().remote_participants == 0
+    eventually("without hosts it is the same", lambda: seen(OTHER) == seen())
+    assert read().remote_participants == 0
     talker.destroy()
     eventually("the writer is gone", lambda: seen().writers == frozenset())
+
+
+def test_a_graph_that_takes_long_is_read_once_and_then_rests(ros, eventually, monkeypatch):
+    """What took 0.2 s to read is forgotten two seconds later at the earliest, and only if the graph has changed."""
+    clock, read = SimpleNamespace(now_s=0.0), []
+
+    def slowly(node, topic):
+        clock.now_s += 0.2
+        read.append(topic)
+        return writers_of(node, topic)
+
+    monkeypatch.setattr(graph_view, "writers_of", slowly)
+    node = ros.node("arpd")
+    view = GraphView(node, clock=lambda: clock.now_s)
+    assert view.writers("/x") == view.writers("/x") == ()
+    node.create_publisher(String, "/x", 1)
+    for now_s in (0.2, 1.9):
+        clock.now_s = now_s
+        assert view.look() == 0
+        assert view.writers("/x") == ()
+    assert read == ["/x"]
+    clock.now_s = 2.0
+    assert eventually("the change is noticed", view.look) == 1
+    assert [writer.node for writer in view.writers("/x")] == ["/arpd"]
+    clock.now_s = 100.0
+    eventually("nothing changes any more", lambda: view.look() == (time.sleep(0.3), view.look())[1])
+    view.writers("/x")
+    so_far = len(read)
+    assert [(view.look(), view.writers("/x")) for _ in range(50)]
+    assert len(read) == so_far

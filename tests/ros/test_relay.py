@@ -3,7 +3,6 @@
 import threading
 import time
 from contextlib import ExitStack, closing
-from types import SimpleNamespace
 
 import pytest
 
@@ -17,6 +16,7 @@ from arpd.adapters.ros.ends.participants import Participants
 from arpd.adapters.ros.ends.prefix import Prefixed
 from arpd.adapters.ros.ends.survey import Surveyed
 from arpd.adapters.ros.ends.types import UnknownTypeError
+from arpd.adapters.ros.graph import Endpoint
 from arpd.model.settings import Overflow, RelaySettings
 from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import is_whole, numbers
@@ -130,24 +130,31 @@ def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, bac
     assert is_whole(received, "first")
 
 
-def writer(number, type_name):
-    return SimpleNamespace(
-        endpoint_gid=[number] * 16,
-        node_name="talker",
-        node_namespace="/",
-        topic_type=type_name,
-        topic_type_hash="RIHS01_" + "1" * 64,
-        qos_profile=QoSProfile(depth=1),
-    )
-
-
 def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
     """Two types at first are none; one that is carried stays beside another, which is carried when it is left alone."""
     surveyed, courses = Surveyed(), []
     for types in (["String", "Empty"], ["String"], ["String", "Empty"], ["Empty"]):
-        surveyed.read([writer(number, kind) for number, kind in enumerate(types, 1)], 0.0, is_look=True)
+        surveyed.read([Endpoint(gid=bytes([n] * 16), type_name=kind) for n, kind in enumerate(types)], 0.0)
         courses.append((surveyed.type_name, len(surveyed.writers)))
     assert courses == [("", 0), ("String", 1), ("String", 1), ("Empty", 1)]
+
+
+def test_a_writer_keeps_its_number_and_leaves_it_half_a_minute_after_it_left():
+    """However long it was there; one without a node is offered after two seconds, and stays."""
+    surveyed = Surveyed()
+    first, second = (Endpoint(gid=bytes([n] * 16)) for n in (1, 2))
+    nameless = Endpoint(gid=bytes(16), is_named=False)
+
+    def numbers_at(now_s, *writers):
+        surveyed.read(writers, now_s)
+        return [surveyed.writers[gid].number for writer in writers if (gid := writer.gid.hex()) in surveyed.writers]
+
+    assert numbers_at(0.0, first) == [0]
+    assert numbers_at(100.0, second) == [1]
+    assert first.gid.hex() in surveyed.known
+    assert (numbers_at(131.0, second, nameless), surveyed.is_waiting) == ([1], True)
+    assert (numbers_at(133.0, second, nameless), surveyed.is_waiting) == ([1, 0], False)
+    assert numbers_at(134.0, nameless) == [0]
 
 
 def test_a_topic_that_returns_with_another_type_is_carried_with_it(elsewhere, lines, carry, background, eventually):

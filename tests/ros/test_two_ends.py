@@ -21,7 +21,7 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
 from arpd.adapters.ros.daemon_messages import plan_qos
-from arpd.adapters.ros.ends.survey import own_participant
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.names import plan_topic
 from arpd.adapters.ros.plan_message import encode_plan
 from arpd.adapters.ros.relay import default_node_name
@@ -319,7 +319,7 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
     wants = frozenset({"/map", "/other"})
-    state = EndState(session="0" * 16, number=1, wants=wants, link_gids=own_participant(living).hex())
+    state = EndState(session="0" * 16, number=1, wants=wants, link_gids=GraphView.of(living).own.participant.hex())
     states.publish(wrap(encode_state(state)))
 
     def lives(condition):
@@ -370,7 +370,8 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
         )
         for name, lifespan_ns in lifespans_ns.items()
     }
-    state = EndState(session="0" * 15 + "1", number=1, topics=topics, link_gids=own_participant(stranger).hex())
+    link_gids = GraphView.of(stranger).own.participant.hex()
+    state = EndState(session="0" * 15 + "1", number=1, topics=topics, link_gids=link_gids)
     states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
     states.publish(wrap(encode_state(state)))
@@ -412,7 +413,7 @@ def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
         name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
     }
-    state = EndState(session="0" * 16, number=1, topics=topics, link_gids=own_participant(stranger).hex())
+    state = EndState(session="0" * 16, number=1, topics=topics, link_gids=GraphView.of(stranger).own.participant.hex())
     states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
     signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
     states.publish(wrap(encode_state(state)))

@@ -1,25 +1,24 @@
-"""Topics that cross the link, from the hosts of their endpoints; pure."""
+"""Topics that cross the link, from the hosts of their endpoints, and the nodes that may announce them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS
+from arpd.adapters.ros.names import PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
 from arpd.model.endpoints import Direction
+from arpd.model.names import is_internal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
+    from arpd.adapters.ros.graph import Endpoint
+    from arpd.adapters.ros.graph_view import GraphView
+    from arpd.adapters.ros.rmw import Rmw
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Endpoint:
-    """One writer or reader: its host, its participant, its deadline (ns, 0 = infinite), its node (empty = unknown)."""
-
-    host: bytes
-    participant: bytes
-    deadline_ns: int
-    node: str = ""
+_MOST_TOPICS = 3000  # so that a graph full of topics does not take the processor
+_EVERY_NODE_WRITES = ("/parameter_events", "/rosout")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,37 +44,37 @@ class Crossing:
         return min((ns for _, ns in self.requests if ns >= LEAST_DEADLINE_NS), default=0)
 
 
-def crossing(*, robot_host: bytes, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Return the crossing of a topic from the hosts of its endpoints: pure."""
-    writers, readers = tuple(writers), tuple(readers)
-    writer_hosts = {writer.host for writer in writers}
-    remote = {reader.participant for reader in readers if writer_hosts - {reader.host}}
-    if not remote or not writer_hosts:
-        direction = Direction.LOCAL
-    elif robot_host in writer_hosts:
-        direction = Direction.SENSING
-    elif any(reader.host == robot_host for reader in readers):
-        direction = Direction.ACTUATION
-    else:
-        direction = Direction.LOCAL  # between two other hosts
-    return Crossing(
-        direction=direction,
-        remote_readers=_copies(writer_hosts, readers) if direction is not Direction.LOCAL else 0,
-        requests=_requests(readers),
-        writers=_nodes(writers),
-    )
-
-
-def joined_by(crossings: Mapping[str, Crossing]) -> Callable[[str, str], Mapping[str, Any]]:
-    """Return what gives the fields of a publisher that the graph shows, by its node and topic; a new object each time.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Graph:
+    """The part of the ROS graph that concerns the daemon, at one moment; at first nothing is known.
 
     Parameters
     ----------
-    crossings : topics of the graph
+    crossings : every topic of the robot
+    announcers : nodes that may announce publishers; the empty name is an unknown node
+    peers : writers of receiver reports; None = not known
+    remote_participants : processes with ROS nodes on other hosts than the robot; 1 where hosts are unknown
     """
 
-    def fields(_node: str, topic: str) -> Mapping[str, Any]:
-        if (crossing := crossings.get(topic)) is None:
+    crossings: Mapping[str, Crossing] = field(default_factory=dict)
+    announcers: frozenset[str] = frozenset()
+    peers: int | None = None
+    remote_participants: int = 1
+
+    def shows_writer(self, node: str, topic: str) -> bool:
+        """Return whether a node may announce a publisher of the topic, and writes it.
+
+        A writer whose node is unknown may be that of any node that the graph does not name. It stays so where a process
+        returned after an outage that it did not notice: it sees no reason to name its nodes again.
+        """
+        writers = self.crossings[topic].writers if topic in self.crossings else frozenset()
+        if node in writers:
+            return node in self.announcers or "" in self.announcers
+        return node not in self.announcers and "" in self.announcers and "" in writers
+
+    def fields_of(self, _node: str, topic: str) -> Mapping[str, Any]:
+        """Return the fields of a publisher that the graph shows."""
+        if (crossing := self.crossings.get(topic)) is None:
             return {}
         return {
             "direction": crossing.direction,
@@ -83,34 +82,63 @@ def joined_by(crossings: Mapping[str, Crossing]) -> Callable[[str, str], Mapping
             "requested_deadline_ns": crossing.tightest_request_ns,
         }
 
-    return fields
 
+def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Graph:
+    """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
 
-def _copies(writer_hosts: Collection[bytes], readers: Collection[Endpoint]) -> int:
-    """Count the copies of a sample that cross the link: with writers on both sides, those of the side with more."""
-    return max(len({reader.participant for reader in readers if reader.host != host}) for host in writer_hosts)
-
-
-def crossing_without_hosts(*, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> Crossing:
-    """Return the crossing of a topic where the middleware does not name the hosts of endpoints: pure.
-
-    A reader in another process than any writer may be across the link. Such a topic counts as sensing, with one copy.
-    To plan a local topic only gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies
-    that do not exist would take rate from every topic.
+    Parameters
+    ----------
+    first : topics to read first, in case there are too many
     """
-    writers, readers = tuple(writers), tuple(readers)
-    processes = {writer.participant for writer in writers}
-    is_crossing = bool(processes) and any(reader.participant not in processes for reader in readers)
-    return Crossing(
-        direction=Direction.SENSING if is_crossing else Direction.LOCAL,
-        remote_readers=int(is_crossing),
-        requests=_requests(readers),
-        writers=_nodes(writers),
+    robot_host = view.own.host if rmw.tells_hosts else None
+    names = [topic for topic in view.types if not is_internal(topic) and is_full_name(topic)]
+    topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
+    hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
+    return Graph(
+        crossings={
+            topic: crossing(
+                # The daemon's own writer of /diagnostics is no traffic of the robot.
+                writers=[writer for writer in view.writers(topic) if writer.node != view.own.node],
+                readers=view.readers(topic),
+                robot_host=robot_host,
+            )
+            for topic in topics
+        },
+        announcers=_nodes(view.writers(PUBLISHERS_TOPIC)),
+        peers=len(view.writers(REPORT_TOPIC)),
+        remote_participants=1 if robot_host is None else sum(host != robot_host for host in hosts.values()),
     )
 
 
-def _requests(readers: Iterable[Endpoint]) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted((reader.node, reader.deadline_ns) for reader in readers))
+def crossing(*, writers: Collection[Endpoint], readers: Collection[Endpoint], robot_host: bytes | None) -> Crossing:
+    """Return the crossing of a topic: pure.
+
+    Parameters
+    ----------
+    robot_host : None where the middleware does not name the hosts of endpoints. A reader in another process than any
+        writer may be across the link then. Such a topic counts as sensing, with one copy: to plan a local topic only
+        gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies that do not exist
+        would take rate from every topic
+    """
+    if robot_host is None:
+        processes = {writer.participant for writer in writers}
+        copies = int(bool(processes) and any(reader.participant not in processes for reader in readers))
+        direction = Direction.SENSING if copies else Direction.LOCAL
+    else:
+        hosts = {writer.host for writer in writers}
+        # With writers on both sides, those of the side with more.
+        copies = max((len({each.participant for each in readers if each.host != host}) for host in hosts), default=0)
+        direction = Direction.LOCAL  # also between two other hosts
+        if copies and robot_host in hosts:
+            direction = Direction.SENSING
+        elif copies and any(reader.host == robot_host for reader in readers):
+            direction = Direction.ACTUATION
+    return Crossing(
+        direction=direction,
+        remote_readers=copies if direction is not Direction.LOCAL else 0,
+        requests=tuple(sorted((reader.node, reader.deadline_ns) for reader in readers)),
+        writers=_nodes(writers),
+    )
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:

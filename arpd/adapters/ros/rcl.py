@@ -58,6 +58,12 @@ class MessageInfo(ctypes.Structure):
     )
 
 
+class _Gid(ctypes.Structure):
+    """rmw_gid_t of ROS 2 Jazzy."""
+
+    _fields_ = (("implementation_identifier", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16))
+
+
 class _ErrorString(ctypes.Structure):
     """rcutils_error_string_t."""
 
@@ -76,6 +82,14 @@ class Rcl:
         self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._publish = rcl.rcl_publish_serialized_message
         self._publish.argtypes = [ctypes.c_void_p] * 3
+        self._graph_guard = rcl.rcl_node_get_graph_guard_condition
+        self._graph_guard.argtypes, self._graph_guard.restype = [ctypes.c_void_p], ctypes.c_void_p
+        self._add_guard = rcl.rcl_wait_set_add_guard_condition
+        self._add_guard.argtypes = [ctypes.c_void_p] * 3
+        self._rmw_publisher = rcl.rcl_publisher_get_rmw_handle
+        self._rmw_publisher.argtypes, self._rmw_publisher.restype = [ctypes.c_void_p], ctypes.c_void_p
+        self._gid = rcl.rmw_get_gid_for_publisher
+        self._gid.argtypes = [ctypes.c_void_p] * 2
         self.forget_error = rcutils.rcutils_reset_error
         self._error = rcutils.rcutils_get_error_string
         self._error.restype = _ErrorString
@@ -98,6 +112,18 @@ class Rcl:
     def publish(self, handle: Any, sample: bytes) -> None:
         """Publish one serialized sample as an `Outlet` does."""
         self.outlet(handle).publish(sample)
+
+    def add_graph_guard(self, node: int, wait_set: int) -> None:
+        """Let a wait set wait for changes of the graph that a node sees; both are pointers."""
+        self._add_guard(wait_set, self._graph_guard(node), None)
+
+    def gid_of(self, handle: Any) -> bytes:
+        """Return the GUID of a publisher."""
+        gid = _Gid()
+        with handle:
+            if self._gid(self._rmw_publisher(handle.pointer), ctypes.byref(gid)) != 0:
+                raise RuntimeError(f"a publisher without a GUID: {self.error()}")
+        return bytes(gid.data)
 
     def error(self) -> str:
         """Return the words of the last error of this thread, and forget it."""

@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
 
-from arpd.adapters.ros.ends.survey import own_participant
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
-from arpd.adapters.ros.graph import host_of, policies_of
+from arpd.adapters.ros.graph import policies_of
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.link_topics import (
     FoundTopic,
-    Sides,
     cannot_tell_hosts,
+    find_sides,
     find_topics,
-    is_confined,
     obstacle,
-    relays_of,
     sorted_topics,
 )
 from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
@@ -35,12 +33,9 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.adapters.ros.rmw import Rmw
-
 # Processes announce themselves every three seconds; a busy one misses the first announcements of this one.
 _DISCOVERY_S, _QUIET_S, _LONGEST_DISCOVERY_S = 3.2, 0.7, 8.0
 _LOOK_S, _LOOK_AGAIN_S = 0.1, 1.0  # between looks at the graph, before measuring and while it lasts
-_REST = 4.0  # times as long as a look
 _HISTORY_S = 1.0  # in which the history of a latched topic arrives
 _DEPTH = 5  # samples that wait for the thread; a lost one counts all the same
 _TURN_S = 0.05
@@ -62,7 +57,6 @@ def list_topics(
     prefix: str,
     is_of_interest: Callable[[str], bool],
     on_progress: Callable[[float, str], None] = lambda _elapsed_s, _what: None,
-    is_here: Callable[[bytes], bool] | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> TopicList:
@@ -75,11 +69,10 @@ def list_topics(
     prefix : under which a relay with one end republishes topics; empty = there is none
     is_of_interest : returns whether to list a topic, by its name
     on_progress : called with the time of the measurement that has passed (s), and what happens
-    is_here : returns whether a process is on this host, by the first bytes of its GUIDs; by default Fast DDS tells
     clock : monotonic clock (s)
     sleep : waits for the given time (s)
     """
-    survey = _Survey(node, prefix=prefix, is_of_interest=is_of_interest, is_here=is_here, clock=clock, sleep=sleep)
+    survey = _Survey(node, prefix=prefix, is_of_interest=is_of_interest, clock=clock, sleep=sleep)
     try:
         survey.discover(on_progress)
         survey.measure(seconds, on_progress)
@@ -99,7 +92,6 @@ class _Survey:
         *,
         prefix: str,
         is_of_interest: Callable[[str], bool],
-        is_here: Callable[[bytes], bool] | None,
         clock: Callable[[], float],
         sleep: Callable[[float], None],
     ) -> None:
@@ -108,12 +100,12 @@ class _Survey:
         self._is_of_interest = is_of_interest
         self._clock = clock
         self._sleep = sleep
-        self._own = own_participant(node)
+        self._view = GraphView.of(node)
+        self._changes = -1  # of the graph, when it was read last
         self._rmw = current_rmw()
-        self.blind = "" if is_here is not None else cannot_tell_hosts(self._rmw)
-        self._is_here = is_here or _host_check(self._rmw, self._own)
+        self.blind = cannot_tell_hosts(self._rmw)
         self._found: dict[str, FoundTopic] = {}
-        self._sides = Sides(is_here=self._is_here, relays=frozenset())
+        self._sides = find_sides(self._view, self._rmw)
         self._measured: dict[str, _Measured] = {}
         self._reasons: dict[str, str] = {}
         self._thread = ReadingThread()
@@ -123,12 +115,11 @@ class _Survey:
         on_progress(0.0, "looking for nodes")
         begun_s = changed_s = self._clock()
         while (now_s := self._clock()) - begun_s < _LONGEST_DISCOVERY_S:
-            if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S:
+            if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S + self._view.rest_s:
                 break
             if self._look():
                 changed_s = self._clock()
-            # A large graph takes long to read, and the robot's nodes need the processor, too.
-            self._sleep(max(_LOOK_S, _REST * (self._clock() - now_s)))
+            self._sleep(_LOOK_S)
 
     def measure(self, seconds: float, on_progress: Callable[[float, str], None]) -> None:
         """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
@@ -141,11 +132,10 @@ class _Survey:
             for each in running:
                 if each.meter.has_enough:
                     self._end(each)
-            if (looking_s := self._clock()) >= look_s:
-                self._look()
-                self._begin_all()
-                now_s = self._clock()
-                look_s = now_s + max(_LOOK_AGAIN_S, _REST * (now_s - looking_s))
+            if (now_s := self._clock()) >= look_s:
+                look_s = now_s + _LOOK_AGAIN_S
+                if self._look():
+                    self._begin_all()
             self._sleep(min(_TURN_S, seconds - elapsed_s))
         for each in self._measured.values():
             self._end(each)
@@ -166,11 +156,13 @@ class _Survey:
         return [topic for topic in listed if self._is_of_interest(topic.name)]
 
     def _look(self) -> bool:
-        """Read the graph; return whether it has changed. A topic that left stays as it was."""
-        found = {topic.name: topic for topic in find_topics(self._node, own=self._own)}
-        self._sides = Sides(is_here=self._is_here, relays=relays_of(self._node, is_here=self._is_here))
-        before, self._found = self._found, self._found | found
-        return before != self._found
+        """Read the graph; return whether its topics have changed. A topic that left stays as it was."""
+        if self._changes == (changes := self._view.look()):
+            return False
+        before, self._changes = self._found, changes
+        self._found = before | {topic.name: topic for topic in find_topics(self._view)}
+        self._sides = find_sides(self._view, self._rmw)
+        return self._found != before
 
     def _begin_all(self) -> None:
         """Begin to measure each topic that may be and is not yet."""
@@ -215,12 +207,3 @@ class _Survey:
         if each is None or each.ended_s is None:
             return replace(topic, unmeasured=self._reasons.get(topic.name, ""))
         return replace(topic, traffic=each.meter.traffic(each.ended_s))
-
-
-def _host_check(rmw: Rmw, own: bytes) -> Callable[[bytes], bool]:
-    """Return a function that tells processes of this host from others; without knowledge none is here."""
-    if is_confined():
-        return lambda _participant: True
-    if not rmw.tells_hosts:
-        return lambda _participant: False
-    return lambda participant: host_of(participant) == host_of(own)

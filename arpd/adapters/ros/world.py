@@ -17,10 +17,10 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 from arpd.adapters.host.interface import InterfaceReader, MemoryReader, read_speed
 from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
-from arpd.adapters.ros.crossing import joined_by
+from arpd.adapters.ros.crossing import Graph, read_graph
 from arpd.adapters.ros.daemons import Daemons
 from arpd.adapters.ros.events import InvalidHandle
-from arpd.adapters.ros.graph import GraphReader
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.listeners import Announcements, CounterMessages
 from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.plan_sender import PlanSender
@@ -41,7 +41,6 @@ from arpd.observe.peer_reports import Ceiling, PeerAdmission
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from arpd.adapters.ros.crossing import Crossing
     from arpd.adapters.ros.raw_reader import Sample
     from arpd.model.plan import Transition
     from arpd.model.price import Price
@@ -113,13 +112,13 @@ class RosControl:
         self._reports: list[PeerReport] = []
         self._peers_heard: dict[str, float] = {}  # when each reported last (s)
         self._peer_clocks = PeerClocks()
-        self._crossings: Mapping[str, Crossing] = {}
+        self._view = GraphView.of(node)
+        self._changes = -1  # of the graph, when it was read last
+        self._graph = Graph()
         self._crossing_counts = (0, 0)  # topics from the robot, and to it
-        self._joined: tuple[object, Callable[[str, str], Mapping[str, Any]]] = None, joined_by(self._crossings)
+        self._fields_of = self._graph.fields_of  # the same object until the graph changes
         self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
-        self._peers: int | None = None
-        self._remote_participants = 1
         self._probes = 0
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -143,7 +142,6 @@ class RosControl:
         self._sender = PlanSender(node, answer_of=self._publishers.answer_of)
         self._daemons = Daemons(node, **shared)
         self._relay = RelaySummaries(node, **shared) if has_two_ends else None
-        self._graph = GraphReader(node, self._rmw)
         # In a thread: the tick must stay short, and so must the reading of messages.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
@@ -163,8 +161,8 @@ class RosControl:
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
-        crossings = self._crossings
-        publishers = self._join(now_s, crossings)
+        graph = self._graph
+        publishers = self._join(now_s)
         pinned = self._graph_settings
         relay, is_relay_silent = (None, False) if self._relay is None else self._relay.newest(now_s)
         sensing, actuation = self._crossing_counts
@@ -176,7 +174,7 @@ class RosControl:
             memory=self._memory_state(now_s),
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
-            peers=self._peers,
+            peers=graph.peers,
             rmw=self._rmw.name,
             rmw_refusal=self._rmw.refusal,
             other_daemons=self._daemons.others(),
@@ -188,7 +186,7 @@ class RosControl:
             relay=relay,
             is_relay_silent=is_relay_silent,
             domain=self._domain,
-            remote_participants=self._remote_participants,
+            remote_participants=graph.remote_participants,
         )
 
     def glance(self) -> Glance:
@@ -203,12 +201,10 @@ class RosControl:
             self._memory_read = now_s, state
         return state
 
-    def _join(self, now_s: float, crossings: Mapping[str, Crossing]) -> tuple[PublisherState, ...]:
+    def _join(self, now_s: float) -> tuple[PublisherState, ...]:
         """Return the live publishers with what the graph shows of them; what did not change is not made again."""
         if now_s >= self._endpoints_until_s:
-            if crossings is not self._joined[0]:
-                self._joined = crossings, joined_by(crossings)
-            self._endpoints = self._publishers.live(now_s, self._joined[1])
+            self._endpoints = self._publishers.live(now_s, self._fields_of)
             self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(self._endpoints)
         return self._endpoints
 
@@ -276,14 +272,16 @@ class RosControl:
         self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
 
     def _read_graph(self) -> None:
-        graph = self._graph.read(first=self._publishers.topics)
-        if graph.crossings != self._crossings:  # the same object means that nothing changed
-            self._crossings = graph.crossings
-            directions = [crossing.direction for crossing in graph.crossings.values()]
-            self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
-        self._peers, self._remote_participants = graph.peers, graph.remote_participants
+        if (changes := self._view.look()) != self._changes:
+            graph = read_graph(self._view, self._rmw, first=self._publishers.topics)
+            self._changes = changes
+            if graph != self._graph:
+                directions = [crossing.direction for crossing in graph.crossings.values()]
+                self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+                self._graph, self._fields_of = graph, graph.fields_of
+        graph = self._graph
         with self._lock:
-            self._peer_admission.see(graph.peers)
+            self._peer_admission.see(graph.peers or 0)
         self._publishers.see(graph.announcers, graph.shows_writer)
         self._counters.see(graph.announcers)
 

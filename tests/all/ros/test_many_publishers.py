@@ -16,7 +16,7 @@ from tests.ros.child import child
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 NODES, TOPICS = 4, 250
 ALL = NODES * TOPICS
-MOST_ROW_S = 250e-6  # of this process per topic and second; measured: 75 to 150, half of it reading the graph
+MOST_ROW_S = 250e-6  # of this process per topic and second; measured: 36
 TICKS_HZ = 10.0
 MEASURED_S = 16.0
 

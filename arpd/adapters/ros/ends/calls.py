@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from arpd.adapters.ros.ends.served_calls import AT_ONCE, CALLS_QOS, ServedCalls
 from arpd.adapters.ros.ends.types import UnknownTypeError, service_class
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.names import is_full_name
 from arpd.apply.relay.calls import Caller, CallFailure, FailureReason, Request, decode_record
 from arpd.apply.relay.offers import ServiceOffer
@@ -80,6 +81,7 @@ class Calls:
     ) -> None:
         self._node, self._nodes, self._link = node, nodes, link
         self._session = session
+        self._view = GraphView.of(node)
         self._allows = allows
         self._timeout_s = timeout_s
         self._local_name, self._robot_name = local_name, robot_name
@@ -96,7 +98,7 @@ class Calls:
         self.malformed = 0
         if link is not None:
             self._caller = Caller(send=link.send)
-            self._served = ServedCalls(node, send=link.send, local_name=local_name, clock=clock)
+            self._served = ServedCalls(node, self._view, send=link.send, local_name=local_name, clock=clock)
             node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
             link.open(self._arrive)
 
@@ -120,7 +122,8 @@ class Calls:
 
     def _look(self) -> None:
         names = {}
-        for local, _ in self._node.get_service_names_and_types():
+        self._view.look()
+        for local in self._view.services:
             name = self._robot_name(local) if is_full_name(local) else None
             if name is not None and self._allows(name):
                 names[name] = local

@@ -21,7 +21,8 @@ from arpd.adapters.ros.ends.incoming import Incoming
 from arpd.adapters.ros.ends.link_thread import LinkThread
 from arpd.adapters.ros.ends.outgoing import Outgoing
 from arpd.adapters.ros.ends.summaries import Summaries
-from arpd.adapters.ros.ends.survey import Survey, own_participant
+from arpd.adapters.ros.ends.survey import Survey
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.adapters.ros.rcl import rcl
 from arpd.adapters.ros.serialized import octets
@@ -79,12 +80,12 @@ class End:
         self._on_change = on_change
         self._clock = clock
         self._selection = Selection.of(settings)
-        own = own_participant(node)
-        self._own_gids = own.hex()
+        self._view = GraphView.of(node)
+        self._own_gids = self._view.own.participant.hex()
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
-        self._link_gids = own_participant(link_node).hex()
+        self._link_gids = GraphView.of(link_node).own.participant.hex()
         self._partner = Partner()
         self._partner_session = ""
         self._fault = ""  # of the other end's messages
@@ -108,7 +109,7 @@ class End:
         self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
         self._link_node = link_node
-        self.survey = Survey(node, own=own, is_of_interest=self._is_of_interest)
+        self.survey = Survey(node, is_of_interest=self._is_of_interest)
         self.incoming = Incoming(
             link_node=link_node,
             nodes=self._nodes,
@@ -246,7 +247,8 @@ class End:
         self._offered_to_us = state.topics
         accepted = {}
         refused = {}
-        self._is_shared = state.local_gids in self.survey.participants  # then its ghosts are in this graph, too
+        # Then its ghosts are in this graph, too.
+        self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
         announced = self._announced.recent()
         if self._is_shared:
             self._calls.offered = {}, None
@@ -281,18 +283,18 @@ class End:
         """Name the topics that nodes here use with another type than the other side."""
         differ = {}
         for name, offer in accepted.items():
-            if others := sorted(set(self.survey.types.get(self.local_name(name), ())) - {offer.type_name}):
+            if others := sorted(set(self._view.types.get(self.local_name(name), ())) - {offer.type_name}):
                 differ[name] = f"it is {offer.type_name} there and {', '.join(others)} here"
         for name in differ.keys() - self._differ.keys():
             log.warning("%s: %s; nodes of two types do not hear each other", name, differ[name])
         self._differ = differ
 
     def _conflicts(self) -> dict[str, str]:
-        found = {}
-        for local, types in self.survey.conflicts():
-            if (name := self._robot_name(local)) is not None:
-                found[name] = f"it has more than one type here: {', '.join(types)}"
-        return found
+        return {
+            name: f"it has more than one type here: {', '.join(surveyed.types)}"
+            for local, surveyed in self.survey.topics.items()
+            if len(surveyed.types) > 1 and (name := self._robot_name(local)) is not None
+        }
 
     def _survey_offers(self) -> dict[str, TopicOffer]:
         now_s, plans = self._clock(), self.outgoing.plans

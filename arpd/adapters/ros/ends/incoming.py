@@ -7,14 +7,13 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
-from arpd.adapters.ros.ends.survey import own_type_hash
-from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
+from arpd.adapters.ros.ends.types import UnknownTypeError, definition_hash, expected_bytes, message_class
 from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.apply.relay.depths import BULK_BYTES, held_depth
 from arpd.apply.relay.envelope import Assembly, Chunk, Record, key_of, split, unpack
@@ -102,7 +101,6 @@ class Incoming:
         self._by_key: dict[bytes, str] = {}  # names on the link, by what stands for them
         self._readers: dict[str, RawReader] = {}  # by the name on the link
         self._assemblies: dict[str, Assembly] = {}
-        self._hashes: dict[str, str] = {}  # of this host's definitions, by type
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
         self._logged = OncePerMinute()
@@ -246,7 +244,7 @@ class Incoming:
             self._drop(topic)
             topic = None
         kind = message_class(offer.type_name)
-        here = self._hash_here(offer.type_name, kind) if offer.type_hash else ""
+        here = definition_hash(kind) if offer.type_hash else ""
         if here and here != offer.type_hash:
             if topic is not None:
                 self._drop(topic)
@@ -278,11 +276,6 @@ class Incoming:
             ghost.retune(planned)
             topic.gone_s.pop(writer.gid, None)
             topic.by_number[writer.number] = ghost
-
-    def _hash_here(self, type_name: str, kind: Any) -> str:
-        if type_name not in self._hashes:
-            self._hashes[type_name] = own_type_hash(self._nodes.of("", owner=_OWNER), kind)
-        return self._hashes[type_name]
 
     def _retire(self, topic: _Topic, present: set[str], now_s: float) -> None:
         """Remove the ghosts of writers that have been gone for a while."""

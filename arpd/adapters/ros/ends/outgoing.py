@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from arpd.adapters.ros.ends.link_topic import LinkTopic
 from arpd.adapters.ros.ends.topic_readers import TopicReaders
 from arpd.adapters.ros.ends.types import UnknownTypeError, message_class
-from arpd.adapters.ros.graph import participant_of
+from arpd.adapters.ros.graph import readers_of
 from arpd.apply.endpoint.lane import Lane
 from arpd.apply.relay.envelope import Record, key_of, pack
 from arpd.apply.relay.sets import Sets
@@ -228,8 +228,8 @@ class Outgoing:
         """Return whether the other end's process reads it, and not only the one before."""
         if not publisher.get_subscription_count():
             return False
-        found = self._link_node.get_subscriptions_info_by_topic(publisher.topic_name)
-        return any(participant_of(info).hex().startswith(self._readers_gids) for info in found)
+        readers = readers_of(self._link_node, publisher.topic_name)
+        return any(reader.gid.hex().startswith(self._readers_gids) for reader in readers)
 
     def _carry(self, link_name: str, *, is_latched: bool) -> _Carried:
         depth = self._settings.depths.get(link_name)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import logging
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
-from rclpy.exceptions import InvalidNodeNameException
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from arpd.adapters.ros.ends.participants import Participants
 from arpd.adapters.ros.ends.survey import Survey
 from arpd.adapters.ros.ends.topic_readers import TopicReaders
 from arpd.adapters.ros.ends.types import UnknownTypeError, expected_bytes, message_class
+from arpd.adapters.ros.graph_view import GraphView
 from arpd.adapters.ros.publisher import AdaptivePublisher
 from arpd.adapters.ros.raw_reader import ReadingThread, Sample
 from arpd.adapters.ros.runtime import ros_node, serve_until
@@ -26,8 +25,6 @@ from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
-
-    from rclpy.node import Node
 
     from arpd.adapters.host.addresses import Addresses
     from arpd.adapters.ros.ends.survey import Surveyed
@@ -65,7 +62,8 @@ class Prefixed:
         self._node, self._settings, self._participants, self._on_change = node, settings, participants, on_change
         self._inputs = {topic: str(node.resolve_topic_name(topic)) for topic in settings.topics}
         self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topics}
-        self._survey = Survey(node, own=b"", is_of_interest=frozenset(self._inputs.values()).__contains__)
+        self._view = GraphView.of(node)
+        self._survey = Survey(node, is_of_interest=frozenset(self._inputs.values()).__contains__)
         self._thread = ReadingThread()
         participants.parts.append(lambda: self._thread.finished_s)
         self._carried: dict[str, _Carried] = {}
@@ -82,14 +80,13 @@ class Prefixed:
         """Follow the graph, and tell the status if it has changed."""
         self._survey.look()
         silent, refused, ignored = [], {}, {}
-        reads = cache(partial(topics_read_by, self._node))
         for topic, name in self._inputs.items():
             surveyed = self._survey.topics.get(name)
             if surveyed is None or not surveyed.types:
                 silent.append(topic)
                 self._rest(topic)
                 continue
-            if reason := self._objection(topic, surveyed, reads) or self._follow(topic, surveyed):
+            if reason := self._objection(topic, surveyed) or self._follow(topic, surveyed):
                 refused[topic] = reason
             elif others := [each for each in surveyed.types if each != surveyed.type_name]:
                 ignored[topic] = ", ".join(others)
@@ -108,18 +105,21 @@ class Prefixed:
             if carried.silent > _LINGER:
                 self._drop(topic)
 
-    def _objection(self, topic: str, surveyed: Surveyed, reads: Callable[[str], frozenset[str]]) -> str:
+    def _objection(self, topic: str, surveyed: Surveyed) -> str:
         """Return why a topic must not be carried, in words, and carry it no more; empty if it may."""
         reason, output = "", self._outputs[topic]
         if not surveyed.type_name:
             reason = f"it has more than one type: {', '.join(surveyed.types)}"
         elif output in self._inputs.values():
             reason = f"its output {output} is carried too, so messages would loop; remove the remapping rule"
-        elif loop := sorted({each.node for each in surveyed.writers.values() if output in reads(each.node)}):
+        elif loop := sorted({each.node for each in surveyed.writers.values()} & self._readers_of(output)):
             reason = f"{', '.join(loop)} reads {output} and publishes it, so messages would loop"
         if reason:
             self._drop(topic)
         return reason
+
+    def _readers_of(self, output: str) -> set[str]:
+        return {reader.node for reader in self._view.readers(output) if reader.node}
 
     def _follow(self, topic: str, surveyed: Surveyed) -> str:
         """Carry the topic as its writers are now; return what failed, in words."""
@@ -173,15 +173,6 @@ class Prefixed:
             depth=depth,
         )
         return _Carried(type_name=surveyed.type_name, publisher=publisher, readers=readers)
-
-
-def topics_read_by(node: Node, reader: str) -> frozenset[str]:
-    """Return the topics that a node reads, by its fully qualified name; none while the graph does not know it."""
-    namespace, _, name = reader.rpartition("/")
-    try:
-        return frozenset(dict(node.get_subscriber_names_and_types_by_node(name, namespace or "/")))
-    except (RuntimeError, ValueError, InvalidNodeNameException):
-        return frozenset()
 
 
 def run_prefix(

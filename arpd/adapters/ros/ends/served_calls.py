@@ -11,15 +11,15 @@ from rclpy.exceptions import InvalidServiceNameException, NameValidationExceptio
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.adapters.ros.ends.survey import namesakes
 from arpd.adapters.ros.ends.types import UnknownTypeError, service_class
-from arpd.adapters.ros.graph import known_node_of, participant_of
 from arpd.apply.relay.calls import Callee, CallFailure, FailureReason
 from arpd.apply.relay.offers import ServiceOffer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from arpd.adapters.ros.graph import Endpoint
+    from arpd.adapters.ros.graph_view import GraphView
     from arpd.apply.relay.calls import CallId, Request, Send
 
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
@@ -27,16 +27,7 @@ CALLS_QOS = QoSProfile(depth=100)
 #: Requests to one server, or responses to the clients of one, in one step: their own histories have ten places, and the
 #: link delivers in bursts.
 AT_ONCE = 5
-_EVERY_LOOK = 10  # every tenth look at a service reads its servers, even when their number is unchanged
 _SETTLED_S = 0.3  # for a server to match a client: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """Servers of a service when they were last read: their number, ghosts included, and the first that is no ghost."""
-
-    servers: int
-    offer: ServiceOffer | None
 
 
 @dataclass(slots=True)
@@ -59,6 +50,7 @@ class ServedCalls:
     Parameters
     ----------
     node : node of the clients
+    view : the graph of the local domain
     send : writes one record to the link
     local_name : returns the name here of a service, by its name on the link
     clock : monotonic clock (s)
@@ -68,30 +60,40 @@ class ServedCalls:
     callee : of these calls
     """
 
-    def __init__(self, node: Any, *, send: Send, local_name: Callable[[str], str], clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        node: Any,
+        view: GraphView,
+        *,
+        send: Send,
+        local_name: Callable[[str], str],
+        clock: Callable[[], float],
+    ) -> None:
         self._node = node
         self._local_name = local_name
         self._clock = clock
-        self._looks = 0
-        self._found: dict[str, _Found] = {}  # by name on the link
+        self._view = view
+        self._servers: dict[str, list[Endpoint]] = {}  # by name on the link
         self._clients: dict[tuple[str, str], _Client] = {}  # by name on the link, and type
         self.callee = Callee(send=send, run=self._run, stop=self._stop)
 
     def look(self, names: Mapping[str, str]) -> dict[str, ServiceOffer]:
-        """Return which of these services other processes serve; most looks at one only count its servers.
+        """Return which of these services other processes serve, each with its first server whose node is known.
 
         Parameters
         ----------
         names : local names by the names on the link
         """
-        self._looks += 1
-        self._found = {name: self._find(name, local, at) for at, (name, local) in enumerate(sorted(names.items()))}
-        return {name: found.offer for name, found in self._found.items() if found.offer is not None}
+        ours = self._view.ours
+        self._servers = {
+            name: [server for server in self._view.servers(local) if server.participant not in ours]
+            for name, local in names.items()
+        }
+        return {name: offer for name in sorted(names) if (offer := self._offer(name)) is not None}
 
     def is_served(self, name: str) -> bool:
         """Return whether the last look found a server, also one whose node is not known yet."""
-        found = self._found.get(name)
-        return found is not None and (found.offer is not None or found.servers < 0)
+        return bool(self._servers.get(name))
 
     def step(self, now_s: float) -> None:
         """Send requests whose client is ready now, and remove clients of services that are gone or have another type.
@@ -109,28 +111,14 @@ class ServedCalls:
         while self._clients:
             self._node.destroy_client(self._clients.popitem()[1].client)
 
-    def _find(self, name: str, local: str, at: int) -> _Found:
-        known = self._found.get(name)
-        with self._node.handle:  # Node.count_services would check the name again
-            servers = int(self._node.handle.get_count_services(local))
-        if known is not None and known.servers == servers and (self._looks + at) % _EVERY_LOOK:
-            return known
-        # A server is the reader of the DDS topic that carries the requests.
-        readers = self._node.get_subscriptions_info_by_topic(f"rq{local}Request", no_mangle=True) if servers else []
-        ours = namesakes(self._node) if readers else ()
-        offers = [
-            ServiceOffer(type_name=_ros_type(reader.topic_type), node=known_node_of(reader))
-            for reader in readers
-            if participant_of(reader) not in ours
-        ]
-        named = [offer for offer in offers if offer.node]
-        if offers and not named:
-            servers = -1  # the next look reads them again
-        return _Found(servers, min(named, key=lambda offer: offer.node, default=None))
+    def _offer(self, name: str) -> ServiceOffer | None:
+        named = [server for server in self._servers.get(name, ()) if server.node]
+        first = min(named, key=lambda server: server.node, default=None)
+        return None if first is None else ServiceOffer(type_name=_ros_type(first.type_name), node=first.node)
 
     def _type_of(self, name: str) -> str | None:
-        found = self._found.get(name)
-        return None if found is None or found.offer is None else found.offer.type_name
+        offer = self._offer(name)
+        return None if offer is None else offer.type_name
 
     def _run(self, call: CallId, request: Request) -> None:
         name, type_name = request.service, self._type_of(request.service)

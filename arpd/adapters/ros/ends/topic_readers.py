@@ -138,7 +138,7 @@ class TopicReaders:
         gid = sample.writer.hex()
         surveyed = self._survey.topics.get(self._topic)
         if surveyed is None or gid not in surveyed.known:
-            surveyed = self._survey.read_soon(self._topic)
+            surveyed = self._survey.read(self._topic)
         writer = surveyed.known.get(gid) if surveyed is not None else None
         if writer is None:
             return False

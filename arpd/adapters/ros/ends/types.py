@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import importlib.util
 import re
@@ -18,6 +19,17 @@ _OCTETS = frozenset({"sequence<uint8>", "sequence<int8>", "sequence<octet>"})
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
 _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
+
+
+class _TypeSupport(ctypes.Structure):
+    """The beginning of rosidl_message_type_support_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("typesupport_identifier", ctypes.c_char_p),
+        ("data", ctypes.c_void_p),
+        ("func", ctypes.c_void_p),
+        ("get_type_hash_func", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)),
+    )
 
 
 class UnknownTypeError(Exception):
@@ -44,6 +56,15 @@ def service_class(type_name: str) -> Any:
         If its package is not installed, has no such service, or lacks its libraries.
     """
     return _loaded(type_name, _import(type_name, folder="srv", of_actions=_ACTION_SERVICES))
+
+
+def definition_hash(kind: Any) -> str:
+    """Return the hash of the definition of a message class that is loaded (REP 2016), as "RIHS01_..."."""
+    pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
+    pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    support = pointer_of(type(kind)._TYPE_SUPPORT, None)  # noqa: SLF001 - where rclpy finds it, too
+    version, *digits = ctypes.string_at(_TypeSupport.from_address(support).get_type_hash_func(support), 33)
+    return f"RIHS{version:02}_{bytes(digits).hex()}"
 
 
 def expected_bytes(kind: Any) -> int:

@@ -67,7 +67,7 @@ class LateServer:
 def test_no_request_leaves_before_its_server_can_know_the_client(monkeypatch):
     """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
     node, now_s = LateServer(), 100.0
-    served = ServedCalls(node, send=lambda _data, _source: None, local_name=str, clock=lambda: now_s)
+    served = ServedCalls(node, None, send=lambda _data, _source: None, local_name=str, clock=lambda: now_s)
     monkeypatch.setattr(served, "_type_of", lambda _name: "test_msgs/srv/Empty")
     served.callee.follow(1)
     body = b"/empty\0test_msgs/srv/Empty\0" + bytes(serialize_message(Empty.Request()))

@@ -1,10 +1,11 @@
 """Abilities of a middleware, by its name."""
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 
-from arpd.adapters.ros.crossing import Crossing, Endpoint, crossing_without_hosts
+from arpd.adapters.ros.crossing import Crossing, crossing
 from arpd.adapters.ros.ends.run import check_middleware, profile_variables
 from arpd.adapters.ros.rmw import current_rmw, rmw_of
 from arpd.model.endpoints import Direction
@@ -49,18 +50,20 @@ def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(name):
 
 
 def endpoint(process, deadline_ns=0):
-    return Endpoint(host=b"", participant=process, deadline_ns=deadline_ns)
+    return SimpleNamespace(participant=process, deadline_ns=deadline_ns, node="")
 
 
 def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
     """Where hosts are unknown, a reader in another process counts as sensing, with one copy."""
-    crossing = crossing_without_hosts(
-        writers=[endpoint(b"a")], readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)]
+    found = crossing(
+        writers=[endpoint(b"a")],
+        readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)],
+        robot_host=None,
     )
-    assert crossing == Crossing(
+    assert found == Crossing(
         direction=Direction.SENSING,
         remote_readers=1,
         requests=(("", 0), ("", 5 * MS), ("", 9 * MS)),
         writers=frozenset({""}),
     )
-    assert crossing.tightest_request_ns == 5 * MS
+    assert found.tightest_request_ns == 5 * MS

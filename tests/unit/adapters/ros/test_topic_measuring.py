@@ -11,16 +11,19 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
 from arpd.adapters.ros import topic_measuring
-from arpd.adapters.ros.link_topics import Endpoint, FoundTopic, cannot_tell_hosts
+from arpd.adapters.ros.graph import Endpoint
+from arpd.adapters.ros.graph_view import ON_EVERY_NODE
+from arpd.adapters.ros.link_topics import cannot_tell_hosts
 from arpd.adapters.ros.raw_reader import Sample
 from arpd.adapters.ros.rmw import rmw_of
 from arpd.adapters.ros.topic_measuring import list_topics
 
-OWN, ROBOT, RELAY, BEYOND = (bytes([place]) * 12 for place in range(4))
+OWN, ROBOT, RELAY = (bytes([place, *[1] * 11]) for place in range(3))  # on one host
+BEYOND = bytes([3] * 12)
 
 
 def endpoint(node, *, at=ROBOT):
-    return Endpoint(participant=at, node=node, is_reliable=True, is_latched=False)
+    return Endpoint(gid=at + bytes(4), node=node)
 
 
 class Topic:
@@ -47,44 +50,52 @@ class Reader:
         self.deliver(Sample(bytes(100), b"writer", self.number))
 
     def destroy(self):
-        self._world.readers.remove(self)
+        self._world.open.remove(self)
 
 
 class World:
     """A graph, readers and a clock that passes only while the survey sleeps."""
 
+    own, rest_s = Endpoint(gid=OWN + bytes(4)), 0.0
+
     def __init__(self, monkeypatch):
         self.now_s = 0.0
         self.topics: dict[str, Topic] = {}
-        self.readers: list[Reader] = []
+        self.open: list[Reader] = []
         self.read: list[str] = []
         self.relays: frozenset[bytes] = frozenset()
         for name, fake in {
-            "own_participant": lambda _node: OWN,
+            "GraphView": SimpleNamespace(of=lambda _node: self),
             "current_rmw": lambda: rmw_of("rmw_fastrtps_cpp"),
-            "find_topics": lambda _node, own: self.found(),
-            "relays_of": lambda _node, is_here: self.relays,
             "RawReader": self.reader,
             "ReadingThread": lambda: SimpleNamespace(stop=lambda: None),
         }.items():
             monkeypatch.setattr(topic_measuring, name, fake)
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
 
-    def found(self):
-        return [
-            FoundTopic(name=name, types=("std_msgs/msg/String",), writers=topic.writers, readers=topic.readers)
-            for name, topic in self.topics.items()
-            if topic.from_s <= self.now_s
-        ]
+    def look(self):
+        return len(self.types)
+
+    @property
+    def types(self):
+        return {name: ("std_msgs/msg/String",) for name, topic in self.topics.items() if topic.from_s <= self.now_s}
+
+    def writers(self, topic):
+        if topic == ON_EVERY_NODE:
+            return [Endpoint(gid=each + bytes(4), node="/arpd_relay") for each in self.relays]
+        return self.topics[topic].writers
+
+    def readers(self, topic):
+        return self.topics[topic].readers
 
     def reader(self, _node, _message, topic, _qos, *, deliver, thread):
-        self.readers.append(Reader(self, topic, deliver))
+        self.open.append(Reader(self, topic, deliver))
         self.read.append(topic)
-        return self.readers[-1]
+        return self.open[-1]
 
     def sleep(self, seconds):
         until_s = self.now_s + seconds
-        while (due := min(self.readers, key=lambda each: each.due_s, default=None)) and due.due_s <= until_s:
+        while (due := min(self.open, key=lambda each: each.due_s, default=None)) and due.due_s <= until_s:
             self.now_s = due.due_s
             due.take()
         self.now_s = until_s
@@ -116,7 +127,7 @@ def test_a_topic_of_the_other_side_is_not_brought_over_the_link(world):
         "/both": Topic(beyond, here, rate_hz=20),
         "/scan": Topic(here, readers=(beyond,), rate_hz=20),
     }
-    found = world.survey(is_here=lambda participant: participant != BEYOND)
+    found = world.survey()
     assert world.read == ["/scan"]
     assert (found["/commands"].far_writers, found["/commands"].traffic) == (("/beyond",), None)
     assert "beyond this host" in found["/commands"].unmeasured
@@ -150,7 +161,7 @@ def test_a_relayed_topic_is_listed_once(world):
     }
     for readers in ((), (endpoint("/planner", at=BEYOND),)):
         world.topics["/link/scan"].readers = readers
-        found = world.survey(prefix="/link", is_here=lambda participant: participant != BEYOND)
+        found = world.survey(prefix="/link")
         assert found.keys() == {"/scan", "/link/mine"}
         assert (found["/scan"].relayed_as, found["/scan"].is_crossing) == ("/link/scan", bool(readers))
 
@@ -163,7 +174,6 @@ def test_a_node_that_comes_late_is_measured(world):
 
 def test_without_hosts_nothing_is_measured_and_the_reason_is_told(world, monkeypatch):
     """Where no GUID names its host, any topic may come over the link; the list says what helps."""
-    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     monkeypatch.setattr(topic_measuring, "current_rmw", lambda: rmw_of("rmw_other"))
     world.topics = {"/fast": Topic(endpoint("/talker"), rate_hz=50)}
     listed = world.list()
