@@ -45,6 +45,10 @@ def latched(depth):
     return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
+# A machine that is busy for a quarter of a second holds the link up, and of other topics the newest sample is kept.
+ORDERED = ("topics:", *(f"- {{name: {name}, overflow: queue}}" for name in ("/chatter", "/tf", "/mixed", "/planned")))
+
+
 class Running:
     """Both ends, started once for several tests; each test has nodes and topics of its own."""
 
@@ -53,7 +57,7 @@ class Running:
 
     def ends(self):
         if self._ends is None:
-            ends = TwoEnds(self._folder, self._stack).start()
+            ends = TwoEnds(self._folder, self._stack, ORDERED).start()
             try:
                 insist("the ends meet", lambda: all("topics cross" in status for status in ends.status.values()))
             except AssertionError as fault:
@@ -76,7 +80,7 @@ def running(tmp_path_factory):
 
 @pytest.fixture
 def ends(ros, running):
-    """Both ends with their defaults."""
+    """Both ends, which keep all samples of some topics."""
     ends = running.ends()
     with ExitStack() as ends.nodes:
         yield ends
@@ -246,7 +250,7 @@ def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking,
     eventually("samples arrive", lambda: len(received) > 20)
     daemon = ends.link_side().node("daemon")
     plans = daemon.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
-    row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=40, **TERMS)
+    row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=400, **TERMS)
     plan = encode_plan(generation=1, lease_s=0.0, publishers={"/planned": row})
     plans.publish(String(data=plan))
 
@@ -288,7 +292,7 @@ def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventual
 
 def test_a_killed_far_end_returns(world, talking, eventually):
     """After a kill -9 of the far end a reader there hears its topics again without a hole; a late one the history."""
-    ends = world().start()
+    ends = world(*ORDERED).start()
     robot, ceddp = ends.side("robot"), ends.side("ceddp")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
