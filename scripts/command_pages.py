@@ -34,8 +34,8 @@ configuration of the daemon, the relay and, with two ends, the peer
 .I /etc/default/arpd
 environment of the units
 .TP
-.I /usr/local/share/arpd/fastdds.xml
-Fast DDS profile for your own nodes: export FASTRTPS_DEFAULT_PROFILES_FILE=/usr/local/share/arpd/fastdds.xml"""
+.I /usr/share/arpd/fastdds.xml
+Fast DDS profile for your own nodes: export FASTRTPS_DEFAULT_PROFILES_FILE=/usr/share/arpd/fastdds.xml"""
 _AS_TYPED = str.maketrans({"'": r"\(aq", "`": r"\(ga", "^": r"\(ha"})  # troff makes typographic ones of them
 
 

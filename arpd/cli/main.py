@@ -66,7 +66,7 @@ def _incomplete(package: str, error: ImportError) -> str:
         way_out = GET_ROS
     else:
         way_out = (
-            "scripts/install.sh and arpd's Debian package bring all that its commands need; "
+            "arpd's Debian package (scripts/deb) brings all that its commands need; "
             "a colcon workspace brings the library for nodes alone"
         )
     return f"{package} cannot be imported by {sys.executable} ({' '.join(str(error).split())}); {way_out}"

@@ -229,7 +229,7 @@ def judge_versions(own: str, daemon: str | Unknown, *, is_far: bool) -> Judgemen
         return wrong(
             VERSIONS,
             f"arpd {own} here, {daemon} on the robot; they may not understand each other",
-            "install the newer one on the other end: sudo scripts/install.sh, or sudo apt install ./arpd-ros_*.deb",
+            "install the newer one on the other end: sudo apt install ./arpd-ros_*.deb",
         )
     return wrong(
         VERSIONS, f"arpd {own} is installed, and the running daemon is {daemon}", "sudo systemctl restart arpd"

@@ -119,9 +119,9 @@ def test_import_arpd_loads_nothing_slow(python):
 @pytest.mark.parametrize(
     ("command", "packages", "missing", "way_out"),
     [
-        ("run", {}, "pydantic cannot be imported by", "scripts/install.sh"),
-        ("relay", {}, "pydantic cannot be imported by", "scripts/install.sh"),
-        ("peer", {}, "pydantic cannot be imported by", "scripts/install.sh"),
+        ("run", {}, "pydantic cannot be imported by", "scripts/deb"),
+        ("relay", {}, "pydantic cannot be imported by", "scripts/deb"),
+        ("peer", {}, "pydantic cannot be imported by", "scripts/deb"),
         ("run", {"pydantic": ""}, "pydantic cannot be imported by", "cannot import name"),
         ("check", {"pydantic": "import std_msgs"}, "std_msgs cannot be imported by", "/opt/ros/jazzy/setup.bash"),
     ],

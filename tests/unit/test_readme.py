@@ -57,7 +57,7 @@ def _is_usage(arguments):
 
 
 def _names_the_profile(arguments):
-    found = re.fullmatch(r"FASTRTPS_DEFAULT_PROFILES_FILE=/usr/local/share/arpd/(\S+)", arguments[0])
+    found = re.fullmatch(r"FASTRTPS_DEFAULT_PROFILES_FILE=/usr/share/arpd/(\S+)", arguments[0])
     return bool(found) and (REPO / "arpd/adapters/ros" / found[1]).is_file()
 
 

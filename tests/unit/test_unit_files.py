@@ -13,7 +13,7 @@ import pytest
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNITS = sorted(path.name for path in SYSTEMD.glob("*.service"))
 LAUNCHER = SYSTEMD / "arpd-launch"
-INSTALLED = "/usr/local/lib/arpd"
+INSTALLED = "/usr/lib/arpd"
 
 
 def settings(unit):
@@ -154,4 +154,4 @@ def test_a_missing_arpd_is_a_configuration_error(tmp_path, launch):
     """A missing arpd ends the launcher with 78 and the way out."""
     process, _, errors = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(tmp_path / "nowhere"))
     assert process.returncode == 78
-    assert "install.sh" in errors
+    assert "arpd-ros" in errors

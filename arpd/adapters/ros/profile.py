@@ -14,7 +14,7 @@ from arpd.adapters.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-INSTALLED_PROFILE = Path("/usr/local/share/arpd/fastdds.xml")
+INSTALLED_PROFILE = Path("/usr/share/arpd/fastdds.xml")
 _IN_FOLDER = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")  # Fast DDS reads these, too
 _LONGEST_HEARTBEAT_S = 0.5
 _MOST_MESSAGE_BYTES = 1472  # with UDP and IP an Ethernet packet
@@ -30,7 +30,7 @@ def profile_line(installed: Path = INSTALLED_PROFILE) -> str:
 
     Parameters
     ----------
-    installed : path that every installation has; the file beside this module serves where it is missing
+    installed : path that the Debian package has; the file beside this module serves where it is missing
     """
     return f"export {PROFILE_VARIABLES[0]}={installed if os.access(installed, os.R_OK) else FASTDDS_PROFILE}"
 

@@ -20,15 +20,9 @@ PYTHON = "python{}.{}".format(*sys.version_info)
 SITE = f".venv/lib/{PYTHON}/site-packages"
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 IS_SYSTEMS = SYSTEM_PYTHON.resolve().name == PYTHON
-SOURCE = ("pyproject.toml", "setup.cfg", "README.md", "LICENSE", "arpd", "etc", "systemd")
-SCRIPTS = ("bootstrap", "install-checks", "install-files", "install.sh", "uninstall.sh", "deb")
-CONFIG = "/etc/arpd/arpd.yaml"
-BREAK = "/etc/arpd/break"
-# Replaces the first line of _run: the version passes every check but does not run.
-BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
-    if Path("{BREAK}").exists():
-        raise SystemExit("broken on purpose")
-"""
+SOURCE = "/srv/source"
+IN_SOURCE = ("pyproject.toml", "setup.cfg", "README.md", "LICENSE", "arpd", "etc", "systemd")
+SCRIPTS = ("bootstrap", "deb")
 UNITS = ("arpd", "arpd-relay", "arpd-relay-far", "arpd-peer")
 
 
@@ -47,7 +41,7 @@ def unpack_source(folder):
     """Copy the files of an archive into a folder."""
     folder.chmod(0o755)  # pytest's folders are private
     ignore = shutil.ignore_patterns("__pycache__")
-    for name in SOURCE:
+    for name in IN_SOURCE:
         if (REPO / name).is_dir():
             shutil.copytree(REPO / name, folder / name, ignore=ignore)
         elif (REPO / name).exists():
@@ -56,12 +50,6 @@ def unpack_source(folder):
     for name in SCRIPTS:
         shutil.copy(REPO / "scripts" / name, folder / "scripts" / name)
     shutil.copytree(REPO / "scripts/debian", folder / "scripts/debian")
-
-
-def substitute(path, old, new):
-    text = path.read_text()
-    assert text.count(old) == 1, f"{old!r} in {path}"
-    path.write_text(text.replace(old, new))
 
 
 def installed_by_apt(folder):
@@ -81,25 +69,16 @@ def installed_by_apt(folder):
 
 
 class FakePi:
-    """A booted robot computer with the sources of two versions of arpd."""
+    """A booted robot computer with the source of arpd."""
 
     def __init__(self, booted, link):
         self.booted = booted
         self.link = link
-        for version in ("first", "second"):
-            self.path(f"/srv/{version}").mkdir()
-            unpack_source(self.path(f"/srv/{version}"))
-        substitute(self.path("/srv/second/arpd/cli/main.py"), BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
-        version = metadata.version("arpd")
-        substitute(self.path("/srv/second/arpd/__init__.py"), f'"{version}"', '"99.0"')
-        default = self.path("/srv/second" + CONFIG)
-        default.write_text(default.read_text() + "# A default of the second version.\n")
+        self.path(SOURCE).mkdir()
+        unpack_source(self.path(SOURCE))
 
     def path(self, path):
         return self.booted.root / path.lstrip("/")
-
-    def install(self, version, *options):
-        return self.run(f"/srv/{version}/scripts/install.sh", *options)
 
     def run(self, *argv, environment=()):
         """Return exit code and output of a command that, like one of sudo, has not this process's environment."""
@@ -108,10 +87,6 @@ class FakePi:
         running = self.booted.popen("env", "-i", *offline, *environment, *argv)
         told, _ = running.communicate()
         return running.returncode, told
-
-    def current(self):
-        link = self.path("/opt/arpd/current")
-        return link.readlink().name if link.is_symlink() else None
 
     def states(self):
         return {unit: self.booted.call("systemctl", "is-active", unit).stdout.strip() for unit in UNITS}

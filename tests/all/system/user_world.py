@@ -12,7 +12,7 @@ from tests.all.system.fake_pi import REPO, SYSTEM_PYTHON
 from tests.all.system.user_node import TOPIC
 from tests.waiting import eventually
 
-PROFILE = "/usr/local/share/arpd/fastdds.xml"
+PROFILE = "/usr/share/arpd/fastdds.xml"
 IMPORT = "from arpd import AdaptivePublisher; print(AdaptivePublisher.__module__)"
 NODE = "/srv/user_node.py"
 FILES = {NODE: Path(__file__).with_name("user_node.py")}

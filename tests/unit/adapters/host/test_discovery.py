@@ -68,7 +68,7 @@ def test_transports_are_those_of_the_locators_for_discovery(kinds):
     [
         (("/opt/ros/jazzy/lib/demo_nodes_cpp/talker", "--ros-args"), "talker", False),
         (("/usr/bin/python3", "/opt/ros/jazzy/lib/x/listener.py", "-r"), "listener.py", False),
-        (("/opt/arpd/bin/python", "/opt/arpd/bin/arpd", "run"), "arpd", True),
+        (("/usr/lib/arpd/env/bin/python", "/usr/lib/arpd/env/bin/arpd", "run"), "arpd", True),
         (("python3", "-u", "-m", "arpd.cli", "peer"), "arpd.cli", True),
         (("/usr/bin/python3", "/home/u/ws/install/arpd/lib/arpd/relay", "--far"), "relay", True),
         (("/usr/bin/python3", "/home/arpd/relay"), "relay", False),
