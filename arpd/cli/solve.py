@@ -5,19 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.settings import Backend
 
 if TYPE_CHECKING:
-    from arpd.solve.eq4 import Eq4Problem, Eq4Solution
+    from collections.abc import Mapping
+
+    from arpd.solve.eq4 import Eq4Problem
 
 _PAPER = ("rmax", "sensing", "actuation", "rmin", "dmin", "dmax")
 _PAPER_NEEDS = ("rmax", "sensing", "actuation")
-_OFFLINE = ("config", "capacity", "sweep", "status", "points", "plot")
+_OFFLINE = ("config", "capacity", "sweep", "status", "points")
 _BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity or --sweep (your topics)"
 
 
@@ -28,7 +29,7 @@ def add_solve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="solve the published program, or plan your topics offline to tune their weights",
         description="""\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
-share, checked against the exact vertex in rational arithmetic. Exits 1 when the constraints cannot be met.
+share. Exits 1 when the constraints cannot be met.
 
     max R + D    subject to    Rmax/N - R >= Rmin                            (2)
                                Dmax*R/Rmax - D >= Dmin                       (3)
@@ -40,12 +41,11 @@ daemon measured (--status). Needs neither ROS nor a daemon.""",
         epilog="""\
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
-  arpd solve --rmax 1000 --sensing 11 --actuation 1 --backend exact --json
+  arpd solve --rmax 1000 --sensing 11 --actuation 1 --backend cvxpy --json
   arpd solve --rmax 100 --sensing 80 --actuation 1            infeasible: too many topics
 
   arpd solve --config robot.yaml --capacity 5mbit             rate, DEADLINE and DEPTH of every topic
   arpd solve --config robot.yaml --sweep 0.5mbit:54mbit       how the rates move with the link
-  arpd solve --config robot.yaml --sweep 0.5mbit:54mbit --plot sweep.png
   arpd status --json > robot.json && arpd solve --config new.yaml --status robot.json --capacity 5mbit
 
 what a rate or depth is bound by:
@@ -84,7 +84,6 @@ def _add_offline(group: argparse._ArgumentGroup) -> None:
         "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
     )
     group.add_argument("--points", type=int, metavar="N", help="capacities in the sweep's table (default 8)")
-    group.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the sweep, too (needs arpd[plot])")
 
 
 def _solve(options: argparse.Namespace) -> int:
@@ -108,23 +107,31 @@ class _InfeasibleError(ArpdError):
 
 
 def _solve_paper(options: argparse.Namespace) -> int:
-    from arpd.solve.eq4 import Eq4Status, solve_eq4
+    from arpd.solve.backends import Solver
+    from arpd.solve.eq4 import whole
 
-    problem = _problem(options)
-    backend = Backend(options.backend or Backend.OSQP)
-    try:
-        solution = solve_eq4(problem, backend)
-    except ImportError as error:
-        raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
-    infeasible = solution.status is Eq4Status.INFEASIBLE
-    if options.json:
-        print(json.dumps(asdict(solution), indent=2))
-        return 1 if infeasible else 0
-    if infeasible:
-        raise _InfeasibleError(f"infeasible: {solution.binding}")
-    print(_table(problem, solution))
-    if not solution.agreed:
-        print(f"arpd: {backend} gave no correct answer; this one is exact's", file=sys.stderr)
+    problem, asked = _problem(options), Backend(options.backend or Backend.OSQP)
+    if refusal := problem.refusal():
+        if not options.json:
+            raise _InfeasibleError(f"infeasible: {refusal}")
+        print(json.dumps({"status": "infeasible", "binding": refusal}, indent=2))
+        return 1
+    (rate_hz, depth), backend = Solver(asked).eq4(problem)
+    deadline_ns, depth_applied = problem.applied(rate_hz)
+    answer = {
+        "status": "optimal",
+        "rate_hz": rate_hz,
+        "depth": depth,
+        "rate_hz_floor": whole(rate_hz),
+        "depth_floor": whole(depth),
+        "deadline_ns": deadline_ns,
+        "depth_applied": depth_applied,
+        "binding": "(2) link share, (3) depth share",
+        "backend": backend,
+    }
+    print(json.dumps(answer, indent=2) if options.json else _table(problem, answer))
+    if backend is not asked:
+        print(f"arpd: {asked} gave no correct answer; this one is the closed form's", file=sys.stderr)
     return 0
 
 
@@ -149,14 +156,20 @@ def _problem(options: argparse.Namespace) -> Eq4Problem:
         raise UsageError(str(error)) from error
 
 
-def _table(problem: Eq4Problem, solution: Eq4Solution) -> str:
-    return f"""\
-{problem.topics} topics share Rmax {problem.max_rate_hz:g} Hz: publish each at {solution.rate_hz_floor} Hz \
-with a history of {solution.depth_floor} samples.
+def _table(problem: Eq4Problem, answer: Mapping[str, Any]) -> str:
+    return """\
+{topics} topics share Rmax {max_rate_hz:g} Hz: publish each at {rate_hz_floor} Hz \
+with a history of {depth_floor} samples.
 
               optimum   published      applied
-  rate    {solution.rate_hz:11.3f} {solution.rate_hz_floor:11d}  {1e9 / solution.deadline_ns:11.3f} Hz
-  depth   {solution.depth:11.3f} {solution.depth_floor:11d}  {solution.depth_applied:11d} samples
-  DEADLINE {"":22}  {solution.deadline_ns:11d} ns
+  rate    {rate_hz:11.3f} {rate_hz_floor:11d}  {applied_hz:11.3f} Hz
+  depth   {depth:11.3f} {depth_floor:11d}  {depth_applied:11d} samples
+  DEADLINE {empty:22}  {deadline_ns:11d} ns
 
-binding: {solution.binding}; solved by {solution.backend}"""
+binding: {binding}; solved by {backend}""".format(
+        **answer,
+        topics=problem.topics,
+        max_rate_hz=problem.max_rate_hz,
+        applied_hz=1e9 / answer["deadline_ns"],
+        empty="",
+    )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.adapters.config.load import load_settings
 from arpd.adapters.config.yaml_source import Fault, Place, config_error
-from arpd.cli.plot import drawing, refuse_all_but_png, writing
 from arpd.cli.status_file import SavedStatus, read_status
 from arpd.govern.what_if import OfflinePlanner, spread
 from arpd.model.errors import ArpdError, UsageError
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 DEFAULT_POINTS = 8  # as many columns as fit a terminal
 _MOST_POINTS = 1000
-_PLOT_POINTS = 200
 _FASTEST = "100gbit"  # as in the configuration
 _EXAMPLE = "topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]"
 
@@ -55,16 +53,12 @@ class _Offered:
 def solve_allocation(options: argparse.Namespace) -> int:
     """Run ``arpd solve --config`` with exactly one of ``--capacity`` and ``--sweep``."""
     capacities = _capacities(options)
-    draw = drawing("arpd.cli.sweep_plot", "draw_sweep") if options.plot else None
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     offered = _offered(settings, options)
     backend = Backend(options.backend) if options.backend else settings.program.backend
-    try:
-        planner = OfflinePlanner(
-            settings, offered.traffic, publishers=offered.publishers, crossing=offered.crossing, backend=backend
-        )
-    except ImportError as error:
-        raise UsageError(f"back end {backend} is not installed here ({error}); try --backend exact") from error
+    planner = OfflinePlanner(
+        settings, offered.traffic, publishers=offered.publishers, crossing=offered.crossing, backend=backend
+    )
     plans = [planner.plan(capacity) for capacity in capacities]
     if options.json:
         documents = [_document(plan, settings, offered.left_out) for plan in plans]
@@ -73,10 +67,6 @@ def solve_allocation(options: argparse.Namespace) -> int:
         _print_table(plans, settings, is_sweep=options.sweep is not None)
     if offered.left_out:
         print(_note(offered.left_out, options), file=sys.stderr)
-    if draw:
-        dense = [planner.plan(capacity) for capacity in spread(capacities[0], capacities[-1], _PLOT_POINTS)]
-        with writing(options.plot):
-            draw(dense, headroom=settings.link.headroom, path=options.plot)
     return 0
 
 
@@ -85,15 +75,12 @@ def _capacities(options: argparse.Namespace) -> tuple[float, ...]:
     if (options.capacity is None) == (options.sweep is None):
         raise UsageError("--config needs one of --capacity RATE (5mbit) and --sweep LOW:HIGH (0.5mbit:54mbit)")
     if options.sweep is None:
-        for name in ("points", "plot"):
-            if getattr(options, name) is not None:
-                raise UsageError(f"--{name} belongs to --sweep; write --sweep 0.5mbit:54mbit instead of --capacity")
+        if options.points is not None:
+            raise UsageError("--points belongs to --sweep; write --sweep 0.5mbit:54mbit instead of --capacity")
         return (_rate("--capacity", options.capacity),)
     points = DEFAULT_POINTS if options.points is None else options.points
     if not 2 <= points <= _MOST_POINTS:
         raise UsageError(f"--points {points} is not 2..{_MOST_POINTS}; both ends of the sweep are among them")
-    if options.plot is not None:
-        refuse_all_but_png(options.plot)
     return spread(*_ends(options.sweep), points)
 
 

@@ -51,7 +51,6 @@ class Record:
         self._swaps = SwapWatch()
         self._other_traffic = OtherTraffic()
         self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
-        self._disagreements = 0
         self._decision_log = DecisionLog()
         self._has_failed = False  # whether the decision log raised
         self._followed: list[float] = []  # durations of the ticks since the last whole turn (s)
@@ -79,7 +78,6 @@ class Record:
     def keep_counts_of(self, program: Program) -> None:
         """Keep the counts of a program that is about to be replaced."""
         self._solves.update(program.outcomes)
-        self._disagreements += program.disagreements
 
     def add(
         self, picture: Snapshot, *, world: World, program: Program, governor: Governor, configuration: Configuration
@@ -115,13 +113,14 @@ class Record:
         is_solved, self._allocation = picture.allocation is not self._allocation, picture.allocation
         followed, self._followed = self._followed, []
         late = [self._late.popleft() for _ in range(len(self._late))]
+        solves = self._solves + Counter(program.outcomes)
         reports, self._reports = self._reports + len(picture.observation.reports), 0
         return replace(
             self._totals,
             ticks=self._totals.ticks + len(followed) + 1,
             ticks_late=self._totals.ticks_late + sum(is_late for _, is_late in late),
-            solves_by_outcome=MappingProxyType(dict(self._solves + Counter(program.outcomes))),
-            cross_check_disagreements=self._disagreements + program.disagreements,
+            solves_by_outcome=MappingProxyType(dict(solves)),
+            cross_check_disagreements=sum(count for (_, how), count in solves.items() if how == "disagreed"),
             plans_by_cause=MappingProxyType(dict(governor.plans_by_cause)),
             refusals_by_reason=MappingProxyType(dict(governor.refusals_by_reason)),
             applies_by_result=MappingProxyType(dict(world.results())),

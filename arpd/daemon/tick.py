@@ -20,10 +20,9 @@ from arpd.estimate.estimator import Estimator
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
 from arpd.model.price import Price
-from arpd.model.settings import Backend
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot, Totals
-from arpd.solve.division import Division
+from arpd.solve.link import in_steps
 from arpd.solve.program import Program
 from arpd.solve.topics import Demand, memory_budget_bytes
 
@@ -83,7 +82,7 @@ class Daemon:
         self._clock = clock
         self._wall_clock = wall_clock
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
-        self._program = self._program_of(settings)
+        self._program = Program(settings, clock=self._clock)
         self._budget = Budget()
         self._demand = Demand()
         self._governor = Governor(settings)
@@ -92,7 +91,7 @@ class Daemon:
         self._turns = Turns()
         self._link: LinkEstimate | None = None
         self._ticked_s = -math.inf  # the last tick that finished and was no glance
-        self._division = Division(self._program, (), memory_bytes=0.0, crossing=0)  # of the last whole turn
+        self._topics: Sequence[Topic] = ()  # of the last whole turn
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
         self.record = Record(tell=tell)
 
@@ -139,17 +138,20 @@ class Daemon:
         if not self._turns.is_due(now_s, facts=facts, publishers=observation.publishers):
             return self._follow(now_s, observation, link, budget)
         topics = self._demand.topics(observation.publishers, self.settings) if self._estimator.has_evidence else ()
-        division = self._division = Division(
-            self._program,
-            topics,
-            memory_bytes=memory_budget_bytes(observation.memory, self.settings.program),
-            crossing=observation.sensing_topics + observation.actuation_topics,
+        self._topics = topics
+        solve = partial(
+            self._program.solve,
+            topics=topics,
+            memory_budget_bytes=memory_budget_bytes(observation.memory, self.settings.program),
+            packet_overhead_s=link.available_packet_overhead_s,
+            crossing=_crossing(observation),
         )
-        divide = partial(division.allocation, packet_overhead_s=link.available_packet_overhead_s)
-        rates = divide(capacity=link.available_bytes_per_second, budget=budget)
+        capacity, share = in_steps(link.available_bytes_per_second, budget)
+        rates = solve(capacity, share=share)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
         lasting_capacity = self._budget.lasting_bytes_per_second
-        lasting = divide(capacity=lasting_capacity, budget=self.settings.link.headroom * lasting_capacity)
+        capacity, share = in_steps(lasting_capacity, self.settings.link.headroom * lasting_capacity)
+        lasting = solve(capacity, share=share)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
         steps = self._progress.steps(
             publishers=observation.publishers,
@@ -197,13 +199,16 @@ class Daemon:
         assert snapshot is not None, "the first tick is a whole turn"
         decision, allocation = snapshot.decision, snapshot.allocation
         if not observation.active_daemon:
-            price, divided = self._division.price(
-                capacity=link.available_bytes_per_second,
-                budget=budget,
+            capacity, share = in_steps(link.available_bytes_per_second, budget)
+            price = self._program.price(
+                capacity,
+                self._topics,
                 packet_overhead_s=link.available_packet_overhead_s,
+                share=share,
+                crossing=_crossing(observation),
             )
             decision = replace(decision, price=price, level_changed=False, reason="")
-            allocation = replace(allocation, price=price, capacity_bytes_per_second=divided)
+            allocation = replace(allocation, price=price, capacity_bytes_per_second=capacity * share)
             self._send(now_s, price, link, budget=budget, divided=snapshot.allocation)
         finished_s = self._clock()
         self.record.follow(
@@ -311,7 +316,7 @@ class Daemon:
 
     def _take(self, fresh: Settings) -> None:
         """Bring settings into force everywhere, or nowhere."""
-        program = self._program_of(fresh)  # this can fail, so it comes first
+        program = Program(fresh, clock=self._clock)
         try:
             self._reconfigure(fresh)
         except BaseException:
@@ -324,13 +329,6 @@ class Daemon:
         self._world.reconfigure(settings.graph)
         self._estimator.reconfigure(settings.link)
         self._governor.reconfigure(settings)
-
-    def _program_of(self, settings: Settings) -> Program:
-        try:
-            return Program.of(settings, clock=self._clock)
-        except ImportError as error:
-            log.error("program.backend: %s cannot be used (%s); exact takes over", settings.program.backend, error)  # noqa: TRY400 - the traceback would not help
-            return Program.of(settings, backend=Backend.EXACT, clock=self._clock)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
         """Give every publisher its application's QoS back; see `arpd.daemon.restore.restore`.
@@ -354,3 +352,8 @@ class Daemon:
     def status_line(self) -> str:
         """Return one line for ``systemctl status``."""
         return status_line(self.snapshot)
+
+
+def _crossing(observation: Observation) -> int:
+    """Return the number of topics that cross the link, managed or not."""
+    return observation.sensing_topics + observation.actuation_topics

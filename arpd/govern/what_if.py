@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import Backend, Settings
     from arpd.solve.topics import Traffic
 
-_ROUNDING = 1e-9  # a rate this close to a bound is at it
+_ROUNDING = 1e-6  # a rate this close to a bound is at it
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,7 +107,7 @@ class OfflinePlanner:
         self._publishers = tuple(publishers)
         self._crossing = crossing
         self._topics = rows_of_traffic(self._traffic, settings)
-        self._program = Program.of(settings, backend=backend)
+        self._program = Program(settings, backend=backend)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
         """Return the daemon's first plan for a link of this capacity, before headroom, ≥ 0 (bytes/s)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -50,6 +51,19 @@ class Topic:
     latency_budget_s: float | None = None
     slot_bytes: float = 1000.0
 
+    def __post_init__(self) -> None:
+        """Refuse nonsense at birth."""
+        for name in ("min_rate_hz", "slot_bytes", "latency_budget_s"):
+            if not 0.0 <= (value := getattr(self, name) or 0.0) < math.inf:
+                raise ValueError(f"{self.name}: {name} {value!r} must be a number of at least 0")
+        if not self.desired_rate_hz >= 0.0:  # also refuses nan
+            raise ValueError(f"{self.name}: desired_rate_hz {self.desired_rate_hz!r} must be at least 0 or inf")
+        for name in ("wire_bytes", "weight"):
+            if not 0.0 < (value := getattr(self, name)) < math.inf:
+                raise ValueError(f"{self.name}: {name} {value!r} must be a number above 0")
+        if not 1 <= self.min_depth <= self.max_depth:
+            raise ValueError(f"{self.name}: depths {self.min_depth}..{self.max_depth} must be a range from 1 up")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicAllocation:
@@ -60,7 +74,7 @@ class TopicAllocation:
     share : e_i, the share of link time (dimensionless)
     max_rate_hz : Rmax_i = 1 / a_i, the rate with the link to itself (Hz)
     rate_hz, depth : the real optimum R*, D*
-    deadline_ns, depth_applied : after rounding, feasible in exact arithmetic (ns, samples)
+    deadline_ns, depth_applied : after rounding, which keeps every constraint (ns, samples)
     binding, depth_binding : what stops the rate, and what stops the depth
     """
 
@@ -124,5 +138,5 @@ class Allocation:
     degradation: str = ""
     price: Price | None = None
     uniform: Uniform | None = None
-    backend: str = "exact"
+    backend: str = "closed_form"
     solve_s: float = 0.0

@@ -34,7 +34,7 @@ class Backend(StrEnum):
     """Solver of the program."""
 
     OSQP = "osqp"
-    EXACT = "exact"
+    CLOSED_FORM = "closed_form"
     CVXPY = "cvxpy"
 
 
@@ -100,7 +100,7 @@ class ProgramSettings:
     Parameters
     ----------
     policy : division of the link among the topics
-    backend : solver of the program; ``exact`` certifies its answers, and the numbers of ``exact`` are published
+    backend : solver of the program; ``closed_form`` answers where another one fails
     deadline_slack : offered period = slack / R, ≥ 1
     memory_budget_bytes : M, memory that all histories may take (bytes)
     memory_reserve_bytes : memory that histories must leave free on the host (bytes)

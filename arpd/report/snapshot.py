@@ -27,8 +27,8 @@ class Totals:
     Parameters
     ----------
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
-    solves_by_outcome : (backend, outcome) → count; outcome is ``solved``, ``infeasible`` or ``failed``
-    cross_check_disagreements : answers of the back end that ``exact`` contradicted
+    solves_by_outcome : (backend, outcome) → count; outcome as in `arpd.solve.backends.Solver`
+    cross_check_disagreements : answers of the back end that missed the budget
     plans_by_cause : plans made, by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``budget``)
     applies_by_result : plans sent to nodes, by result (``ok``, ``refused``, ``timeout``, ``unreachable``)

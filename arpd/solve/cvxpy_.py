@@ -1,4 +1,4 @@
-"""cvxpy: the readable statement of the mathematics, for teaching and cross-checks, not for the tick.
+"""The program in cvxpy, as one reads it in the paper: Eq. (4), and (G1) and (G2) of docs/design.md.
 
 Import this module only on demand: it costs about 2 s, and 82 MiB in `arpd run`.
 """
@@ -8,99 +8,45 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
-import numpy as np
-
-from arpd.model.settings import Backend
-from arpd.solve.problem import Outcome, ShareProblem, Solved, SolverFailed, checked, infeasibility
-from arpd.solve.scaling import Frame, ShareUnits, settled
 
 if TYPE_CHECKING:
     from arpd.solve.eq4 import Eq4Problem
+    from arpd.solve.level import Column
 
-#: DAQP is an active-set method (Arnström, Bemporad & Axehill, IEEE TAC 2022). So this back end shares no algorithm with
-#: the other two, and its answers lie on the constraints: of 7,000 problems with weights over six decades it left none
-#: unsolved and none off by 1e-6. It is dense; above a hundred topics the interior-point method Clarabel takes over,
-#: which loses some digits of shares that just touch a bound.
-MOST_DENSE = 100
-CLARABEL: dict[str, Any] = {"solver": cp.CLARABEL, "tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
-DAQP: dict[str, Any] = {"solver": cp.DAQP, "primal_tol": 1e-10}
+_ACCURATELY: dict[str, Any] = {"solver": cp.CLARABEL, "tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
 
 
-class CvxpySolver:
-    """Parametrised (DPP) problem per number of topics; weights and bounds are its Parameters."""
-
-    name = Backend.CVXPY
-
-    def __init__(self) -> None:
-        self._problem: Any = None
-        self._count = 0
-
-    def solve(self, problem: ShareProblem) -> Outcome:
-        """Solve ``problem`` and re-check the residuals of the answer."""
-        if infeasible := infeasibility(problem):
-            return infeasible
-        if (known := settled(problem)) is not None:
-            return Solved(values=tuple(known))
-        if self._count != len(problem.weights):
-            self._count = len(problem.weights)
-            self._problem = _state(self._count)
-        units = ShareUnits.of(problem.weights)
-        outcome: Outcome = SolverFailed(reason="cvxpy: nothing solved")
-        for frame in (units.from_floors(problem), units.from_nothing(problem)):
-            outcome = self._solve(problem, units, frame)
-            if isinstance(outcome, Solved):
-                break
-        return outcome
-
-    def _solve(self, problem: ShareProblem, units: ShareUnits, frame: Frame) -> Outcome:
-        root = np.sqrt(units.curvature)
-        self._problem.param_dict["slope"].value = frame.slope / root
-        self._problem.param_dict["row"].value = units.row / root
-        self._problem.param_dict["lower"].value = root * frame.lower
-        self._problem.param_dict["upper"].value = root * frame.upper
-        try:
-            self._problem.solve(**(DAQP if self._count <= MOST_DENSE else CLARABEL))
-        except (cp.error.SolverError, ValueError) as error:
-            return SolverFailed(reason=f"cvxpy: {type(error).__name__}: {error}")
-        if self._problem.status != cp.OPTIMAL:  # .value is set even then
-            return SolverFailed(reason=f"cvxpy: {self._problem.status}")
-        point = self._problem.var_dict["z"].value / root
-        return checked(problem, units.shares(frame, point), solver="cvxpy")
-
-
-def solve_eq4(problem: Eq4Problem) -> Outcome:
-    """Solve Eq. (4) literally, as the linear program the paper prints; return (R, D).
-
-    An interior-point solver (Clarabel) copes with the scaling that OSQP does not.
-    """
-    rate, depth = cp.Variable(name="R"), cp.Variable(name="D")
-    statement = cp.Problem(
-        cp.Maximize(rate + depth),
+def eq4(problem: Eq4Problem) -> tuple[float, float]:
+    """Return (R, D) of Eq. (4)."""
+    R, D = cp.Variable(), cp.Variable()  # noqa: N806 - the paper's names
+    Rmax, Rmin, N = problem.max_rate_hz, problem.min_rate_hz, problem.topics  # noqa: N806 - the paper's names
+    Dmax, Dmin = problem.max_depth, problem.min_depth  # noqa: N806 - the paper's names
+    cp.Problem(
+        cp.Maximize(R + D),
         [
-            problem.max_rate_hz / problem.topics - rate >= problem.min_rate_hz,  # (2)
-            problem.max_depth * rate / problem.max_rate_hz - depth >= problem.min_depth,  # (3)
-            rate >= problem.min_rate_hz,
-            rate <= problem.max_rate_hz,
-            depth >= problem.min_depth,
-            depth <= problem.max_depth,
+            Rmax / N - R >= Rmin,  # (2)
+            Dmax * R / Rmax - D >= Dmin,  # (3)
+            Rmin <= R,
+            Rmax >= R,
+            Dmin <= D,
+            Dmax >= D,
         ],
-    )
-    try:
-        statement.solve(solver=cp.CLARABEL)
-    except (cp.error.SolverError, ValueError) as error:
-        return SolverFailed(reason=f"cvxpy: {type(error).__name__}: {error}")
-    if statement.status != cp.OPTIMAL:
-        return SolverFailed(reason=f"cvxpy: {statement.status}")
-    return problem.checked((float(rate.value), float(depth.value)), solver="cvxpy")
+    ).solve(**_ACCURATELY)
+    return float(R.value), float(D.value)
 
 
-def _state(count: int) -> Any:
-    """State the problem of ``Frame`` for a number of topics, in z = √p·x.
+def level(weights: Column, low: Column, high: Column, budget: float) -> float:
+    """Return ν, the dual of the link in (G1), or of the memory in (G2).
 
-    With x itself, cvxpy would add variables without curvature, and DAQP would smooth them at the cost of six digits.
+    (G1): e_i = a_i·R_i is the share of link time, a_i·ℓ_i ≤ e_i ≤ a_i·u_i, and B = η.
+    (G2): e_i = m_i·D_i is memory, m_i·Dmin_i ≤ e_i ≤ m_i·min(Dmax_i, τ_i·u_i − δ_i), and B = M.
+
+    Shares are parts of B here, and weights parts of all weight, so that all numbers are near 1.
     """
-    z = cp.Variable(count, name="z")
-    slope = cp.Parameter(count, name="slope", nonneg=True)
-    row = cp.Parameter(count, name="row", nonneg=True)
-    lower, upper = cp.Parameter(count, name="lower", nonneg=True), cp.Parameter(count, name="upper", nonneg=True)
-    return cp.Problem(cp.Minimize(cp.sum_squares(z) / 2 + slope @ z), [row @ z == 1, lower <= z, z <= upper])
+    e, w = cp.Variable(len(weights)), weights / weights.sum()
+    link = cp.sum(e) == 1
+    cp.Problem(
+        cp.Minimize(cp.sum_squares(cp.multiply(w**-0.5, e)) / 2),
+        [link, low / budget <= e, e <= high / budget],
+    ).solve(**_ACCURATELY)
+    return -float(link.dual_value) * budget / float(weights.sum())

@@ -1,4 +1,4 @@
-"""The water level of (G1) in floats: the price between two programs, in some tens of microseconds at any size."""
+"""The closed form of (G1) and (G2) in floats: the water level ν, and who gives way where the floors do not fit."""
 
 from __future__ import annotations
 
@@ -7,83 +7,39 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arpd.model.price import Price
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from arpd.model.allocation import Topic
+    Column = NDArray[np.float64]
+
+#: Part of a budget by which a sum may miss it.
+TOLERANCE = 1e-6
 
 
-class WaterLevel:
-    """Gives the price at which some topics fill a budget.
-
-    The program answers the same question exactly, with every rate, period and depth, in 1 ms for 12 topics and 30 ms
-    for 1,000. The price follows the link many times a second, and needs ν alone; ``tests/agreement`` holds both
-    answers together.
-
-    Parameters
-    ----------
-    topics : rows of the program
-    """
-
-    def __init__(self, topics: Sequence[Topic]) -> None:
-        self.topics = topics
-        self._weights = np.array([topic.weight for topic in topics], dtype=float)
-        self._wire_bytes = np.array([topic.wire_bytes for topic in topics], dtype=float)
-        self._packets = np.array([topic.packets for topic in topics], dtype=float)
-        floors = np.array([topic.min_rate_hz for topic in topics], dtype=float)
-        desired = np.array([topic.desired_rate_hz for topic in topics], dtype=float)
-        self._ceilings_hz = np.where(desired > 0.0, desired, floors)
-        self._floors_hz = np.minimum(floors, self._ceilings_hz)
-
-    def price(self, capacity_bytes_per_second: float, *, packet_overhead_s: float, share: float) -> Price:
-        """Return the price, as `Program.solve` would: ν, or the floors that give way where not all of them fit.
-
-        Parameters
-        ----------
-        capacity_bytes_per_second : C, after cross traffic and before headroom, ≥ 0 (bytes/s); with 0 all are paused
-        packet_overhead_s : t_ovh (s)
-        share : B, part of the capacity to divide, 0..1
-        """
-        if capacity_bytes_per_second <= 0.0:
-            heaviest = float(self._weights.max())
-            return Price(share_per_weight=0.0, capacity_bytes_per_second=1.0, yielding_weight=heaviest, kept_floor=0.0)
-        cost_s = self._packets * packet_overhead_s + self._wire_bytes / capacity_bytes_per_second
-        low = cost_s * self._floors_hz
-        high = np.maximum(low, np.minimum(1.0, cost_s * self._ceilings_hz))
-        level, yielding, kept = 0.0, 0.0, 1.0
-        if (deficit := float(low.sum()) - share) > 0.0:
-            yielding, kept = _yielding(low, self._weights, deficit)
-        else:
-            level = _level(low, high, self._weights, share)
-        return Price(
-            share_per_weight=level,
-            capacity_bytes_per_second=capacity_bytes_per_second,
-            packet_overhead_s=packet_overhead_s,
-            yielding_weight=yielding,
-            kept_floor=kept,
-        )
-
-
-def _level(low: NDArray[np.float64], high: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """Return the largest ν with Σ clip(ν·w, low, high) ≤ share; ``inf`` when everybody has all that it asks for."""
-    if float(high.sum()) <= share:
-        return math.inf if float(high.max()) < 1.0 else float((high / weights).max())
+def water_level(weights: Column, low: Column, high: Column, budget: float) -> float:
+    """Return the largest ν with Σ clip(ν·w, low, high) ≤ budget; ``inf`` where all ceilings fit."""
+    if float(high.sum()) <= budget:
+        return math.inf
     # The sum is piecewise linear in ν: its slope grows by w at low/w and falls by w at high/w.
     bends = np.concatenate((low / weights, high / weights))
     order = np.argsort(bends)
     levels = bends[order]
     slopes = np.cumsum(np.concatenate((weights, -weights))[order])
     sums = float(low.sum()) + np.concatenate(((0.0,), np.cumsum(slopes[:-1] * np.diff(levels))))
-    last = max(0, int(np.searchsorted(sums, share, side="right")) - 1)
+    last = max(0, int(np.searchsorted(sums, budget, side="right")) - 1)
     slope = float(slopes[last])
-    return float(levels[last]) + ((share - float(sums[last])) / slope if slope > 0.0 else 0.0)
+    return max(0.0, float(levels[last]) + ((budget - float(sums[last])) / slope if slope > 0.0 else 0.0))
 
 
-def _yielding(low: NDArray[np.float64], weights: NDArray[np.float64], deficit: float) -> tuple[float, float]:
+def residual(level: float, weights: Column, low: Column, high: Column, budget: float) -> float:
+    """Return by what part of the budget Σ clip(ν·w, low, high) misses it; nan for a level that is no number.
+
+    Shares of that form meet every other condition of optimality, so this one number proves ν right or wrong.
+    """
+    return abs(float(np.clip(level * weights, low, high).sum()) / budget - 1.0)
+
+
+def yielding(weights: Column, low: Column, deficit: float) -> tuple[float, float]:
     """Return the heaviest weight whose floors give way, and the part of them that is kept: light weights go first."""
     heaviest, kept = 0.0, 1.0
     for weight in np.unique(weights[low > 0.0]).tolist():
@@ -93,3 +49,19 @@ def _yielding(low: NDArray[np.float64], weights: NDArray[np.float64], deficit: f
         heaviest, kept = weight, max(0.0, total - deficit) / total
         deficit -= total
     return heaviest, kept
+
+
+def kept_parts(weights: Column, heaviest: float, kept: float) -> Column:
+    """Return the part of its floor that each topic keeps, 0..1."""
+    return np.where(weights > heaviest, 1.0, np.where(weights == heaviest, kept, 0.0))
+
+
+def given_up(floor: str, weights: Column, low: Column, heaviest: float, kept: float) -> list[str]:
+    """Return in words what `yielding` takes of the floors."""
+    classes = np.unique(weights[(low > 0.0) & (weights <= heaviest)]).tolist()
+    return [f"{floor} of weight {weight:g} {left(kept if weight == heaviest else 0.0)}" for weight in classes]
+
+
+def left(part: float) -> str:
+    """Return in words what is left of something that gives way, 0..1."""
+    return f"cut to {part:.0%}" if part else "given up"

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from arpd.adapters.config.load import load_settings
 from arpd.govern.what_if import OfflinePlanner
-from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.model.wire import DATA_BYTES, ETHERNET_BYTES, IPV4_BYTES, MTU_BYTES, UDP_BYTES
-from arpd.solve.eq4 import Eq4Problem, Eq4Status, solve_eq4
+from arpd.solve.eq4 import Eq4Problem, rate_of
 from arpd.solve.topics import assumed_traffic
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_ARPD, Manner
 from scripts.robot.run import CONFIG, PREFIX
@@ -68,14 +67,14 @@ def papers_optimum(capacity_bytes_per_second: float) -> Manner:
     """
     traffic = assumed_traffic(load_settings(CONFIG, interfaces=None))
     mean_bytes = fmean(plain_wire_bytes(topic.payload_bytes) for topic in traffic)
-    answer = solve_eq4(Eq4Problem(max_rate_hz=capacity_bytes_per_second / mean_bytes, topics=len(traffic)))
-    if answer.status is not Eq4Status.OPTIMAL:
-        raise ValueError(f"Eq. (4) has no solution at {capacity_bytes_per_second:g} B/s: {answer.binding}")
-    rate_hz = NANOSECONDS_PER_SECOND / answer.deadline_ns
+    problem = Eq4Problem(max_rate_hz=capacity_bytes_per_second / mean_bytes, topics=len(traffic))
+    if refusal := problem.refusal():
+        raise ValueError(f"Eq. (4) has no solution at {capacity_bytes_per_second:g} B/s: {refusal}")
+    deadline_ns, depth = problem.applied(problem.vertex()[0])
     return Manner(
-        depth=answer.depth_applied,
-        deadline_ns=answer.deadline_ns,
-        rates_hz={topic.topic.removeprefix(PREFIX): rate_hz for topic in traffic},
+        depth=depth,
+        deadline_ns=deadline_ns,
+        rates_hz={topic.topic.removeprefix(PREFIX): rate_of(deadline_ns) for topic in traffic},
     )
 
 

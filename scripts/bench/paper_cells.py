@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from arpd.solve.eq4 import Eq4Problem, solve_eq4
+from arpd.solve.eq4 import Eq4Problem, whole
 
 SENSORS = 11
 TOPICS = SENSORS + 1  # N: all sensing topics and the one of actuation
@@ -82,8 +82,8 @@ class Turn:
 
 def optimum(rmax_hz: int) -> tuple[int, int]:
     """Return (R, D) of Eq. (4) as in the paper's Table 2 (Hz, samples)."""
-    solution = solve_eq4(Eq4Problem(max_rate_hz=rmax_hz, topics=TOPICS))
-    return solution.rate_hz_floor, solution.depth_floor
+    rate_hz, depth = Eq4Problem(max_rate_hz=rmax_hz, topics=TOPICS).vertex()
+    return whole(rate_hz), whole(depth)
 
 
 def configurations(payload_bytes: int) -> list[Configuration]:

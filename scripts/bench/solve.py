@@ -1,10 +1,10 @@
-"""Time a re-solve: the paper's way, cvxpy with parameters, OSQP called directly, and the exact solver.
+"""Time a division of the link by each back end, beside the paper's way: cvxpy with its default solver.
 
-Usage: .venv/bin/python scripts/bench/solve.py [--quick] [--json FILE] [--plot FILE]
+Usage: .venv/bin/python scripts/bench/solve.py [--quick] [--json FILE]
 
 Every side divides the same link among the same topics (G1) while the capacity wanders by a few per cent, as in the
-daemon. The sides take turns with the same few instances, in rotating order, so that other load on the machine slows all
-of them. Only ratios within one run mean anything.
+daemon. Time is that of the CPU, in the one thread that solves. The sides take turns with the same few instances, in
+rotating order, so that other load on the machine slows all of them.
 """
 
 from __future__ import annotations
@@ -18,36 +18,35 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from arpd.cli.progress import progress
 from arpd.model.allocation import Topic
-from arpd.model.settings import Backend, ProgramSettings
-from arpd.solve.checked import load
-from arpd.solve.exact import water_fill
-from arpd.solve.problem import ShareProblem, Solved, disagreement
+from arpd.model.settings import Backend, Settings
+from arpd.solve import cvxpy_, osqp_
+from arpd.solve.level import TOLERANCE, water_level
 from arpd.solve.program import Program
-from scripts.bench.picture import picture
 from scripts.bench.record import conditions, keep, options_of
 from scripts.bench.report import about, mib, paragraphs, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-PAPER, DPP, OSQP, EXACT = SIDES = "cvxpy, built anew", "cvxpy, parameters", "OSQP, direct", "exact"
-WAYS = {
-    PAPER: "the paper's way: cvxpy, built for each solve, its default solver",
-    DPP: "cvxpy, parametrised (DPP)",
-    OSQP: "OSQP, direct",
-    EXACT: "exact, whole numbers",
-    "whole program, osqp": "*the whole program: (G1), (G2), rounding; osqp*",
-    "whole program, exact": "*the whole program: (G1), (G2), rounding; exact*",
+    from arpd.solve.level import Column
+
+PAPER = "the paper's way: cvxpy with its default solver, (G1) with κ"
+LEVELS: dict[str, Callable[[Column, Column, Column, float], float]] = {
+    "cvxpy": cvxpy_.level,
+    "osqp": osqp_.level,
+    "closed form": water_level,
 }
+WHOLE = {backend: f"*the whole program: (G1), (G2), rounding; {backend}*" for backend in Backend}
 #: topics → turns; in each turn every side solves `TURN` instances
-TURNS = {1: 30, 12: 40, 100: 20, 1000: 10, 10_000: 7}
+TURNS = {1: 30, 12: 40, 100: 40, 1000: 20}
 QUICK = {1: 5, 12: 15}
-TURN = {10_000: 1}
-TURN_OTHERWISE = 5
+TURN = 5
 HEADROOM = 0.85
 #: Runs in a process of its own, for the memory of a back end without ROS.
 FOOTPRINT = """
@@ -55,8 +54,8 @@ import sys, time
 started = time.perf_counter()
 from arpd.model.allocation import Topic
 from arpd.solve.program import Program
-from arpd.model.settings import Backend, ProgramSettings
-program = Program(settings=ProgramSettings(backend=Backend(sys.argv[1])), headroom=0.85)
+from arpd.model.settings import Backend, Settings
+program = Program(Settings(), backend=Backend(sys.argv[1]))
 imported_s = time.perf_counter() - started
 topic = dict(packets=1, desired_rate_hz=20.0, min_rate_hz=1.0)
 program.solve(1e5, [Topic(name=f"/t{i}", wire_bytes=1000.0 + i, **topic) for i in range(12)], 2.0**26)
@@ -88,87 +87,63 @@ def wandering(topics: Sequence[Topic], rng: random.Random, length: int) -> list[
     for _ in range(length):
         part = min(0.9, max(0.3, part * rng.uniform(0.95, 1.05)))
         parts.append(part)
-    return [round(demand * part, 1) for part in parts]
+    return [demand * part for part in parts]
 
 
-def division_of_the_link(topics: Sequence[Topic], capacity: float) -> ShareProblem:
-    """Return (G1) as `Program` states it, in tenths of a byte, hundredths of a hertz and of the budget."""
-    cost = [round(topic.wire_bytes * 10) for topic in topics]
-    whole = round(capacity * 10) * 100
-    return ShareProblem(
-        weights=tuple(round(topic.weight) for topic in topics),
-        lo=tuple(a * round(topic.min_rate_hz * 100) for a, topic in zip(cost, topics, strict=True)),
-        hi=tuple(min(whole, a * round(topic.desired_rate_hz * 100)) for a, topic in zip(cost, topics, strict=True)),
-        budget=round(HEADROOM * whole),
-        whole=whole,
-    )
-
-
-def papers_way(problem: ShareProblem) -> tuple[float, ...]:
-    """Solve the textbook form of the program with cvxpy's default solver, without a check of the answer."""
+def papers_way(weights: Column, low: Column, high: Column, budget: float) -> Column:
+    """Return the shares of the textbook form of the program, by cvxpy's default solver."""
     import cvxpy as cp
-    import numpy as np
 
-    weights = np.array(problem.weights, dtype=float)
-    lo, hi = (np.array([bound / problem.whole for bound in bounds]) for bounds in (problem.lo, problem.hi))
     share = cp.Variable(len(weights))
-    objective = cp.sum(cp.multiply(1 / (2 * weights), cp.square(share))) - float(max(hi / weights)) * cp.sum(share)
-    cp.Problem(
-        cp.Minimize(objective), [cp.sum(share) <= problem.budget / problem.whole, share >= lo, share <= hi]
-    ).solve()
-    return tuple(float(value) for value in share.value)
+    objective = cp.sum(cp.multiply(1 / (2 * weights), cp.square(share))) - float(max(high / weights)) * cp.sum(share)
+    cp.Problem(cp.Minimize(objective), [cp.sum(share) <= budget, share >= low, share <= high]).solve()
+    shares: Column = share.value
+    return shares
 
 
-def sides() -> dict[str, Callable[[ShareProblem], tuple[float, ...] | None]]:
-    """Return the competitors; one returns None if it fails, where arpd would use `exact`."""
-
-    def ours(backend: Backend) -> Callable[[ShareProblem], tuple[float, ...] | None]:
-        solver = load(backend)
-
-        def solve(problem: ShareProblem) -> tuple[float, ...] | None:
-            outcome = solver.solve(problem)
-            return outcome.values if isinstance(outcome, Solved) else None
-
-        return solve
-
-    return {PAPER: papers_way, DPP: ours(Backend.CVXPY), OSQP: ours(Backend.OSQP), EXACT: ours(Backend.EXACT)}
+def shares_of(name: str, weights: Column, low: Column, high: Column, budget: float) -> Column:
+    """Return the shares that one side finds."""
+    if name == PAPER:
+        return papers_way(weights, low, high, budget)
+    return np.clip(LEVELS[name](weights, low, high, budget) * weights, low, high)
 
 
 def race(count: int, turns: int) -> dict[str, Any]:
     """Time all sides and the whole program ((G1), (G2), rounding) on the same instances, in turns."""
     rng = random.Random(count)
     topics = topics_like_a_robots(count, rng)
-    competitors = sides()
-    programs = {
-        f"whole program, {backend}": Program(settings=ProgramSettings(backend=backend), headroom=HEADROOM)
-        for backend in (Backend.OSQP, Backend.EXACT)
-    }
-    seconds: dict[str, list[float]] = {name: [] for name in (*competitors, *programs)}
-    wrong = dict.fromkeys(seconds, 0)
+    cost, weights, floor, wish = (
+        np.array([getattr(topic, name) for topic in topics])
+        for name in ("wire_bytes", "weight", "min_rate_hz", "desired_rate_hz")
+    )
+    programs = {WHOLE[backend]: Program(Settings(), backend=backend) for backend in Backend}
+    seconds: dict[str, list[float]] = {name: [] for name in (PAPER, *LEVELS, *programs)}
+    off = dict.fromkeys(seconds, 0)
     order = list(seconds)
-    length = TURN.get(count, TURN_OTHERWISE)
     for turn in range(turns + 1):
-        capacities = wandering(topics, rng, length)
-        problems = [division_of_the_link(topics, capacity) for capacity in capacities]
-        truths = [water_fill(problem).shares() for problem in problems]
+        capacities = wandering(topics, rng, TURN)
         order = order[1:] + order[:1]
         for name in order:
-            for capacity, problem, truth in zip(capacities, problems, truths, strict=True):
-                started = time.perf_counter()
+            for capacity in capacities:
+                low = cost * np.minimum(floor, wish) / capacity
+                problem = weights, low, np.maximum(low, np.minimum(1.0, cost * wish / capacity)), HEADROOM
+                started = time.thread_time()
                 if name in programs:
                     programs[name].solve(capacity, topics, 2.0**26)
                 else:
-                    answer = competitors[name](problem)
-                elapsed_s = time.perf_counter() - started
+                    shares = shares_of(name, *problem)
+                elapsed_s = time.thread_time() - started
                 if turn:  # the first turn imports libraries
                     seconds[name].append(elapsed_s)
-                    wrong[name] += name in competitors and (answer is None or disagreement(answer, truth))
+                    if name not in programs:
+                        truth = shares_of("closed form", *problem)
+                        off[name] += not np.abs(shares - truth).max() <= TOLERANCE
     return {
         "topics": count,
-        "instances": turns * length,
+        "instances": turns * TURN,
         "median_s": {name: median(times) for name, times in seconds.items()},
-        "p90_s": {name: sorted(times)[int(0.9 * len(times))] for name, times in seconds.items()},
-        "failed_or_wrong": wrong,
+        "p99_s": {name: float(np.quantile(times, 0.99)) for name, times in seconds.items()},
+        "failed_or_wrong": off,
     }
 
 
@@ -185,10 +160,10 @@ def footprint(backend: Backend) -> dict[str, Any]:
 
 def report(document: dict[str, Any]) -> str:
     return paragraphs(
-        about(document, "Median ms of a re-solve of N topics; ×: times as fast as the paper's way"),
+        about(document, "CPU time (ms) of a division among N topics, median and 99th percentile"),
         table(
-            WAYS,
-            ("", WAYS.__getitem__),
+            document["races"][0]["median_s"],
+            ("", lambda way: way),
             *((f"N = {race['topics']:,}", partial(_time, race)) for race in document["races"]),
         ),
         table(
@@ -202,34 +177,13 @@ def report(document: dict[str, Any]) -> str:
 
 
 def _time(race: dict[str, Any], way: str) -> str:
-    spent_ms = race["median_s"][way] * 1e3
-    text = f"{spent_ms:.0f}" if spent_ms >= 100.0 else f"{spent_ms:.3g}"
-    if way in SIDES[1:]:  # these solve the same problem as the paper's way
-        times = race["median_s"][PAPER] / race["median_s"][way]
-        text += f" ({times:.0f}×)" if times >= 1.0 else " (slower)"
-    if wrong := race["failed_or_wrong"][way]:
-        text += f", {wrong} of {race['instances']} off"
-    return text
-
-
-def draw(races: Sequence[dict[str, Any]], path: Path) -> None:
-    counts = [race["topics"] for race in races]
-    ends: list[float] = []
-    with picture(path, dpi=120, figsize=(8, 5)) as (_, axes):
-        for name in sorted(races[0]["median_s"], key=lambda name: races[-1]["median_s"][name]):
-            spent_ms = [race["median_s"][name] * 1e3 for race in races]
-            style = "--" if name.startswith("whole") else "-"
-            (line,) = axes.loglog(counts, spent_ms, style, marker="o", markersize=4)
-            ends.append(max(spent_ms[-1], 1.6 * ends[-1] if ends else 0.0))  # so that labels do not overlap
-            axes.text(counts[-1] * 1.3, ends[-1], name, va="center", color=line.get_color())
-        axes.set_xlim(right=counts[-1] * 30)
-        axes.set(xlabel="topics", ylabel="median re-solve (ms)")
-        axes.set_title("Dividing the link again after the capacity moved")
-        axes.grid(visible=True, which="major", alpha=0.3)
+    text = f"{race['median_s'][way] * 1e3:.3g}, {race['p99_s'][way] * 1e3:.3g}"
+    wrong = race["failed_or_wrong"][way]
+    return f"{text}; {wrong} of {race['instances']} off" if wrong else text
 
 
 def main() -> None:
-    options = options_of(__doc__, "solve", quick="1 and 12 topics only", has_plot=True).parse_args()
+    options = options_of(__doc__, "solve", quick="1 and 12 topics only").parse_args()
     sizes = QUICK if options.quick else TURNS
     noted = conditions()
     races, footprints = [], {}
@@ -241,7 +195,7 @@ def main() -> None:
             shown.step(f"footprint of {backend}")
             footprints[str(backend)] = footprint(backend)
     document = {"conditions": noted, "races": races, "footprints": footprints}
-    keep(document, options, "solve", is_partial=options.quick, draw=partial(draw, races))
+    keep(document, options, "solve", is_partial=options.quick)
     print(report(document))
 
 

@@ -48,7 +48,7 @@ class Benchmark:
 #: Fuzz comes before reliability, because the table of reliability shows its findings.
 BENCHMARKS = (
     Benchmark(name="demo", lasts_s=110, quick_s=110),
-    Benchmark(name="solve", lasts_s=60, quick_s=15, has_plot=True),
+    Benchmark(name="solve", lasts_s=60, quick_s=15),
     Benchmark(name="estimate", lasts_s=520, quick_s=60, has_plot=True),
     Benchmark(name="swap", lasts_s=2900, quick_s=70),
     Benchmark(name="relay", lasts_s=360, quick_s=70, has_plot=True),

@@ -244,7 +244,7 @@ def make_snapshot() -> Snapshot:
             ticks_failed=1,
             ticks_late=12,
             solves_by_outcome=MappingProxyType(
-                {("osqp", "solved"): 8990, ("exact", "solved"): 10, ("osqp", "failed"): 9}
+                {("osqp", "solved"): 8990, ("closed_form", "solved"): 10, ("osqp", "failed"): 9}
             ),
             cross_check_disagreements=1,
             plans_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
 
 #: Memory that a back end adds to `arpd run`, which has numpy anyway (x86-64, Python 3.11, 12 topics).
-EXTRA_BYTES = {Backend.EXACT: 0, Backend.OSQP: 14 * 2**20, Backend.CVXPY: 82 * 2**20}
+EXTRA_BYTES = {Backend.CLOSED_FORM: 0, Backend.OSQP: 14 * 2**20, Backend.CVXPY: 82 * 2**20}
 _WORTH_A_WARNING = 0.01  # of the host's memory: OSQP below 1.4 GiB, cvxpy below 8 GiB
 
 
@@ -28,7 +28,8 @@ def warnings(settings: Settings, *, host_bytes: int) -> list[str]:
         return []
     return [
         (
-            f"program.backend: warning: {backend} takes {extra_bytes / 2**20:.0f} MiB more than {Backend.EXACT}, "
-            f"{100 * extra_bytes / host_bytes:.1f} % of this host's memory, for the same plans; write {Backend.EXACT}"
+            f"program.backend: warning: {backend} takes {extra_bytes / 2**20:.0f} MiB, "
+            f"{100 * extra_bytes / host_bytes:.1f} % of this host's memory; {Backend.CLOSED_FORM} takes none, "
+            "and gives the same rates to a millionth"
         )
     ]

@@ -25,7 +25,7 @@ _OK = "ok"
 _CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _NOT_APPLIED = ("failed", "refused", "timeout", "unreachable")
-_OUTCOMES = ("failed", "infeasible", "solved")
+_OUTCOMES = ("disagreed", "failed", "infeasible", "solved")
 _EFFECTS = ("awaiting_restart", "in_force")
 
 _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
@@ -42,7 +42,7 @@ _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
     ("arpd_ticks_late", "Ticks that began more than half a period late.", lambda t: t.ticks_late),
     (
         "arpd_cross_check_disagreements",
-        "Answers of a solver that the exact solver contradicted.",
+        "Answers of a solver that missed the budget by more than a millionth; the closed form answered instead.",
         lambda t: t.cross_check_disagreements,
     ),
     ("arpd_probes", "Probe trains and pings sent over the link.", lambda t: t.probes),
@@ -83,14 +83,14 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
     ),
     (
         "arpd_solves",
-        "Solves of the program, one for the link and one for memory; exact answers when another back end fails.",
+        "Solves of the program, one for the link and one for memory; closed_form answers when another back end fails.",
         "backend",
         tuple(Backend),
         lambda t: _solves(t, *_OUTCOMES),
     ),
     (
         "arpd_solve_failures",
-        "Solves without a usable answer; exact answered instead.",
+        "Solves without an answer; the closed form answered instead.",
         "backend",
         tuple(Backend),
         lambda t: _solves(t, "failed"),

@@ -38,7 +38,7 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.headroom": (0.5, {}),
     "link.packet_overhead": ("2ms", {}),
     "program.policy": ("uniform", {}),
-    "program.backend": ("exact", {}),
+    "program.backend": ("closed_form", {}),
     "program.deadline_slack": (3, {}),
     "program.memory_budget": ("64KiB", {}),
     "program.memory_reserve": ("511.5MiB", {"defaults": {"latency_budget": "none"}}),
@@ -314,7 +314,7 @@ def test_what_changed_is_logged_and_counted(load, caplog):
 
 
 def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeypatch, caplog):
-    """`exact` takes over at a start and at a reload, and the log says so."""
+    """The closed form answers at a start and at a reload, and the log says so."""
     monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
     cvxpy = load({"program": {"backend": "cvxpy"}})
     reloaded = daemon_of(load(document()))
@@ -323,5 +323,5 @@ def test_a_solver_that_is_not_installed_is_no_reason_not_to_govern(load, monkeyp
         now_s = 0.0
         while daemon.tick(now_s).plan.generation == 0:
             now_s += DT_S
-        assert daemon.snapshot.allocation.backend == "exact"
+        assert daemon.snapshot.allocation.backend == "closed_form"
     assert caplog.text.count("program.backend: cvxpy cannot be used") == 2

@@ -50,7 +50,7 @@ class Run:
         self.settings = Settings()
         self.participants = participants
         self.governor = Governor(self.settings)
-        self.program = Program.of(self.settings)
+        self.program = Program(self.settings)
         self.topics = topics
         self.silent = set()
         self.generation = generation

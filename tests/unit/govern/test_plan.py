@@ -17,7 +17,7 @@ from tests.sample_publishers import publisher
 
 PUBLISHER = publisher("/n", "/t")
 TOPIC = Topic(name="/t", wire_bytes=1200.0, packets=1, desired_rate_hz=20.0, min_rate_hz=2.0)
-PROGRAM = Program(settings=ProgramSettings(backend=Backend.EXACT), headroom=0.85)
+PROGRAM = Program(Settings(), backend=Backend.CLOSED_FORM)
 EMPTY = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
 
 

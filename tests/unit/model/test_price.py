@@ -11,12 +11,12 @@ from arpd.govern.plan import make_plan
 from arpd.model.allocation import Topic
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
-from arpd.model.settings import ProgramSettings, Settings
+from arpd.model.settings import Settings
 from arpd.solve.program import Program
 from tests.examples import examples
 from tests.sample_publishers import publisher
 
-PROGRAM = Program(settings=ProgramSettings(), headroom=0.85)
+PROGRAM = Program(Settings())
 MEMORY = 2.0**30
 PRICE = Price(share_per_weight=0.01, capacity_bytes_per_second=1e6, packet_overhead_s=1e-4)
 ROW = TopicPlan(rate_hz=100.0, min_rate_hz=2.0, deadline_ns=0, depth=1, weight=2.0, wire_bytes=900.0, packets=1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 
 import pytest
 from hypothesis import given
@@ -11,8 +10,9 @@ from hypothesis import strategies as st
 
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import AllocationStatus, Topic
-from arpd.model.settings import Backend, Policy, ProgramSettings, Settings
-from arpd.solve.eq4 import Eq4Problem, solve_eq4
+from arpd.model.settings import Backend, LinkSettings, Policy, ProgramSettings, Settings
+from arpd.solve import osqp_
+from arpd.solve.eq4 import Eq4Problem
 from arpd.solve.program import Program
 from tests.examples import examples
 
@@ -29,9 +29,9 @@ def robot(count=12, **fields):
     return [topic(f"/t{i:02}", **fields) for i in range(count)]
 
 
-def program(backend=Backend.EXACT, **fields):
+def program(backend=Backend.CLOSED_FORM, **link):
     policy = ProgramSettings(policy=Policy.UNIFORM, backend=backend)
-    return Program(**{"settings": policy, "headroom": 1.0, **fields})
+    return Program(Settings(program=policy, link=LinkSettings(headroom=1.0, **link)))
 
 
 def plan_of(allocation, topics):
@@ -44,13 +44,32 @@ def rates_under(allocation, topics):
     return [allocation.price.rate_hz(row) for row in plan_of(allocation, topics).topics.values()]
 
 
-def test_the_answer_is_that_of_the_published_program():
+@pytest.mark.parametrize("backend", Backend)
+def test_the_answer_is_that_of_the_published_program(backend):
     """The applied values are those of `arpd solve --rmax`."""
-    allocation = program().solve(1e6 / 3, robot(), AMPLE, crossing=40)
-    solution = solve_eq4(Eq4Problem(max_rate_hz=1e3 / 3, topics=40))
-    assert {(a.deadline_ns, a.depth_applied) for a in allocation.topics} == {
-        (solution.deadline_ns, solution.depth_applied)
-    }
+    allocation = program(backend).solve(1e6 / 3, robot(), AMPLE, crossing=40)
+    problem = Eq4Problem(max_rate_hz=1e3 / 3, topics=40)
+    period, depth = problem.applied(problem.vertex()[0])
+    assert {a.depth_applied for a in allocation.topics} == {depth}
+    assert [a.deadline_ns for a in allocation.topics] == pytest.approx([period] * 12, rel=1e-6)
+    assert allocation.backend is backend
+
+
+def test_a_wrong_back_end_changes_nothing(monkeypatch):
+    """The closed form answers for a solver that is wrong, and that is counted."""
+    monkeypatch.setattr(osqp_, "level", lambda *_: 0.05)
+    solver = program(Backend.OSQP)
+    assert solver.solve(1e6 / 3, robot(), AMPLE) == program().solve(1e6 / 3, robot(), AMPLE)
+    assert solver.outcomes == {("osqp", "disagreed"): 1, ("closed_form", "solved"): 1}
+
+
+@examples(50)
+@given(capacity=st.one_of(st.just(0.0), st.floats(1e2, 1e8)), share=st.floats(0.0, 1.0), crossing=st.integers(0, 40))
+def test_between_two_plans_the_price_is_the_same(capacity, share, crossing):
+    """The price alone is that of the whole answer."""
+    solver, topics = program(), robot()
+    quick = solver.price(capacity, topics, packet_overhead_s=0.0, share=share, crossing=crossing)
+    assert solver.solve(capacity, topics, AMPLE, share=share, crossing=crossing).price == quick
 
 
 @pytest.mark.parametrize(
@@ -59,7 +78,7 @@ def test_the_answer_is_that_of_the_published_program():
         (24.0, 1.0, ""),
         (18.0, 1.0, "rate reserve cut to 50%"),
         (12.0, 1.0, "rate reserve given up"),
-        (6.0, 0.5, "rate reserve given up; rate floor cut to 50%"),
+        (6.0, 0.5, "rate reserve given up; rate floor of weight 1 cut to 50%"),
     ],
 )
 def test_a_link_that_cannot_carry_rmin(max_rate_hz, rate_hz, words):
@@ -107,8 +126,8 @@ def test_link_and_memory_always_carry_it(topics, capacity, share, memory, crossi
     solver = program(packet_overhead_s=2e-4)
     allocation = solver.solve(capacity, topics, memory, share=share, crossing=crossing)
     assert sum(each.share for each in allocation.topics) <= share * (1 + 1e-9)
-    depth = Fraction(allocation.uniform.depth)
-    assert depth == 1 or sum(Fraction(each.slot_bytes) for each in topics) * depth <= Fraction(memory) * (1 + 10**-9)
+    depth = allocation.uniform.depth
+    assert depth == 1 or sum(each.slot_bytes for each in topics) * depth <= memory * (1 + 1e-6)
     assert 1 <= depth <= topics[0].max_depth
     assert depth >= topics[0].min_depth or allocation.status is AllocationStatus.DEGRADED
     assert len({each.depth_applied for each in allocation.topics}) == 1

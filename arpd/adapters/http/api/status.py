@@ -242,7 +242,7 @@ class Allocation(Part):
     degradation: str
     """Floors and reserves that do not fit, in words; empty if all fit."""
     backend: str
-    """Back end that answered, such as osqp or exact."""
+    """Back end that answered, such as osqp or closed_form."""
     solve_seconds: Amount | None
     """Duration of the solve (s)."""
     uniform: Uniform | None
@@ -267,9 +267,9 @@ class Totals(Part):
     ticks_late: Count
     """Ticks that began more than half a period late."""
     solves: dict[str, dict[str, Count]]
-    """Solver runs by back end, then by outcome (solved, infeasible, failed)."""
+    """Solver runs by back end, then by outcome (solved, infeasible, failed, disagreed)."""
     cross_check_disagreements: Count
-    """Answers of the back end that the exact solver contradicted."""
+    """Answers of the back end that missed the budget; the closed form answered instead."""
     levels: dict[str, Count]
     """Plans made, by cause."""
     refusals: dict[str, Count]

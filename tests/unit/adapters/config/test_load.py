@@ -66,7 +66,7 @@ def test_a_file_that_says_everything_becomes_the_settings(load):
     """Every key sets its own attribute, in base units."""
     text = """
 link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
-program: {backend: exact, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
+program: {backend: closed_form, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
 governor: {hold: 1s, dwell: 3s, debounce: 250ms}
 http: {host: "::1", port: 9000}
 graph: {sensing_topics: 11, actuation_topics: 1}
@@ -110,7 +110,7 @@ lost_after: 1min
             packet_overhead_s=1e-4,
         ),
         program=ProgramSettings(
-            backend=Backend.EXACT, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
+            backend=Backend.CLOSED_FORM, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
         ),
         governor=GovernorSettings(hold_s=1.0, dwell_s=3.0, debounce_s=0.25),
         http=HttpSettings(host="::1", port=9000),
@@ -440,7 +440,7 @@ def test_any_file_is_settings_or_faults(load, raw):
 
 def test_the_policy_is_one_of_two(load):
     """The link is divided per topic unless the file says uniform; then no topic has preferences of its own."""
-    assert load("program: {backend: exact}").program.policy is Policy.PER_TOPIC
+    assert load("program: {backend: closed_form}").program.policy is Policy.PER_TOPIC
     loaded = load("program: {policy: uniform}\ndefaults: {weight: 2}\ntopics: [{name: /a, weight: 9}]")
     assert loaded.program.policy is Policy.UNIFORM
     assert loaded.topic("/a") == loaded.topic("/b") == TopicSettings(weight=2.0, is_floor_inherited=True)

@@ -102,7 +102,7 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
     assert (planned["rate_hz"], planned["depth"], planned["deadline_ns"]) == (37.5, 10, 100_000_000)
     assert (topics["/diagnostics"]["planned"], topics["/diagnostics"]["share"]) == (None, None)
     assert (document["plan"]["publishers"], document["plan"]["confirmed"]) == (3, 2)
-    assert document["totals"]["solves"] == {"exact": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
+    assert document["totals"]["solves"] == {"closed_form": {"solved": 10}, "osqp": {"failed": 9, "solved": 8990}}
     assert document["link"]["available_bytes_per_second"] == 437_500.0
 
 

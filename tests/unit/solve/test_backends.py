@@ -1,0 +1,160 @@
+"""Who answers: the back end of the configuration, and the closed form where that fails."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.settings import Backend
+from arpd.solve import osqp_
+from arpd.solve.backends import Solver
+from arpd.solve.eq4 import Eq4Problem
+from arpd.solve.level import TOLERANCE, water_level, yielding
+from tests.examples import examples
+
+WEIGHTS, LOW, HIGH, BUDGET = np.array([1.0, 2.0]), np.array([0.1, 0.1]), np.array([0.9, 0.9]), 0.6
+LEVEL = 0.2
+
+
+@st.composite
+def divisions(draw):
+    """Draw weights and bounds, with ties and floors at ceilings, and a budget that floors fit and ceilings do not."""
+    rows = draw(
+        st.lists(
+            st.tuples(
+                st.one_of(st.sampled_from([1.0, 2.0]), st.floats(0.001, 1000.0)),
+                st.floats(1e-6, 1.0),
+                st.one_of(st.just(0.0), st.just(1.0), st.floats(0.0, 1.0)),
+            ),
+            min_size=1,
+            max_size=40,
+        )
+    )
+    weights, high, parts = (np.array(column) for column in zip(*rows, strict=True))
+    low = high * parts
+    return weights, low, high, float(low.sum() + draw(st.floats(0.0, 1.2)) * (high.sum() - low.sum()))
+
+
+@examples(200)
+@given(divisions())
+def test_the_closed_form_fills_the_budget(division):
+    """Σ clip(ν·w, low, high) is the budget, and ν is infinite only where all ceilings fit."""
+    weights, low, high, budget = division
+    level = water_level(*division)
+    if math.isinf(level):
+        assert high.sum() <= budget
+    else:
+        assert np.clip(level * weights, low, high).sum() == pytest.approx(budget, rel=1e-9, abs=1e-12)
+
+
+AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1.0, 2.0, 4.0, 16.0])), min_size=1, max_size=10)
+
+
+@given(AMOUNTS, st.integers(1, 500))
+def test_giving_up_takes_exactly_the_deficit_from_the_lightest_first(rows, deficit):
+    """The cut is the deficit or everything, and no class is cut before every lighter one is at 0."""
+    low, weights = np.array([float(amount) for amount, _ in rows]), np.array([weight for _, weight in rows])
+    heaviest, kept = yielding(weights, low, deficit)
+    taken = low[weights < heaviest].sum() + (1.0 - kept) * low[weights == heaviest].sum()
+    assert taken == pytest.approx(min(low.sum(), deficit))
+
+
+def broken(answer):
+    """Return a back end's function that returns an answer, or raises it."""
+
+    def function(*_):
+        if isinstance(answer, Exception | MemoryError):
+            raise answer
+        return answer
+
+    return function
+
+
+@pytest.mark.parametrize(
+    ("answer", "outcome"),
+    [
+        (LEVEL * (1 + 1e-5), "disagreed"),
+        (0.0, "disagreed"),
+        (math.inf, "disagreed"),
+        (math.nan, "failed"),
+        (RuntimeError("a bug"), "failed"),
+        (MemoryError(), "failed"),
+    ],
+    ids=repr,
+)
+def test_a_wrong_back_end_is_overruled_and_counted(monkeypatch, caplog, answer, outcome):
+    """The closed form answers; every fault is counted by its kind, and what a library raises is logged once."""
+    monkeypatch.setattr(osqp_, "level", broken(answer))
+    solver = Solver(Backend.OSQP)
+    for _ in range(3):
+        level, backend = solver.level(WEIGHTS, LOW, HIGH, BUDGET)
+        assert (level, backend) == (pytest.approx(LEVEL, rel=1e-12), Backend.CLOSED_FORM)
+    assert solver.outcomes == {("osqp", outcome): 3, ("closed_form", "solved"): 3}
+    assert len(caplog.records) == isinstance(answer, Exception)
+
+
+@pytest.mark.parametrize(
+    ("answer", "outcome"),
+    [((5.0, 200.0), "disagreed"), ((math.nan, 365.0), "failed"), ((7.0, math.nan), "failed"), (KeyError(), "failed")],
+    ids=repr,
+)
+def test_a_wrong_optimum_of_eq4_is_overruled_and_counted(monkeypatch, answer, outcome):
+    """A point that is not the vertex is replaced by it, also where it is feasible."""
+    monkeypatch.setattr(osqp_, "eq4", broken(answer))
+    solver = Solver(Backend.OSQP)
+    (rate_hz, depth), backend = solver.eq4(Eq4Problem(max_rate_hz=100, topics=12))
+    assert (int(rate_hz), int(depth), backend) == (7, 365, Backend.CLOSED_FORM)
+    assert solver.outcomes == {("osqp", outcome): 1, ("closed_form", "solved"): 1}
+
+
+def test_a_back_end_that_is_not_installed_is_counted(monkeypatch, caplog):
+    """The closed form answers, and the log names the key."""
+    monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
+    solver = Solver(Backend.CVXPY)
+    assert solver.level(WEIGHTS, LOW, HIGH, BUDGET)[1] is Backend.CLOSED_FORM
+    assert solver.outcomes == {("cvxpy", "failed"): 1, ("closed_form", "solved"): 1}
+    assert caplog.text.count("program.backend: cvxpy cannot be used") == 1
+
+
+def test_the_answer_of_a_back_end_counts(monkeypatch):
+    """What is within the tolerance is used as it is, and the back end has the credit."""
+    near = LEVEL * (1 + TOLERANCE / 2)
+    monkeypatch.setattr(osqp_, "level", broken(near))
+    solver = Solver(Backend.OSQP)
+    assert solver.level(WEIGHTS, LOW, HIGH, BUDGET) == (near, Backend.OSQP)
+    assert solver.outcomes == {("osqp", "solved"): 1}
+
+
+@pytest.mark.parametrize("budget", [2.0, 1.8, 1.8 * (1 - 1e-7), 0.2, 0.2 * (1 + 1e-7)])
+def test_nobody_is_asked_where_all_or_nothing_fits(monkeypatch, budget):
+    """With all ceilings ν is infinite, with the floors alone they are the answer; neither needs a solver."""
+    monkeypatch.setattr(osqp_, "level", broken(RuntimeError("asked")))
+    solver = Solver(Backend.OSQP)
+    level, backend = solver.level(WEIGHTS, LOW, HIGH, budget)
+    assert math.isinf(level) == (budget > 1.0)
+    assert np.clip(level * WEIGHTS, LOW, HIGH).sum() == pytest.approx(min(budget, 1.8), rel=TOLERANCE)
+    assert (backend, solver.outcomes) == (None, {})
+
+
+def test_osqp_writes_nothing(capfd):
+    """OSQP writes nothing to stdout, which belongs to ``--json``."""
+    osqp_.level(WEIGHTS, LOW, HIGH, BUDGET)
+    osqp_.level(np.array([1.0]), np.array([0.0]), np.array([1.0]), 0.5)
+    assert capfd.readouterr().out == ""
+
+
+def test_importing_the_program_loads_no_solver_library():
+    """Importing the program loads neither OSQP nor cvxpy, and a solver loads its own library alone."""
+    script = (
+        "import sys, arpd.solve.program\n"
+        "assert not {'osqp', 'cvxpy', 'scipy'} & set(sys.modules)\n"
+        "from arpd.solve.backends import Solver; Solver('osqp')\n"
+        "assert 'osqp' in sys.modules and 'cvxpy' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
