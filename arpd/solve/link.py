@@ -67,7 +67,8 @@ class Link:
         alone_hz = 1.0 / self.costs_s
         self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(alone_hz, rows.wishes_hz))
         self._is_wish = (rows.wishes_hz < alone_hz).tolist()
-        self.weights, self.floors_hz, self.budget = rows.weights, rows.floors_hz, share if capacity else 0.0
+        self.weights, self.floors_hz = rows.weights, rows.floors_hz
+        self.budget = share if capacity and share >= _LEAST_SHARE else 0.0
         self.low, self.high = self.costs_s * self.floors_hz, self.costs_s * self.ceilings_hz
         self.slots, self.min_depths, self.max_depths = rows.slots, rows.min_depths, rows.max_depths
         self.of_link_s, self.latencies_s = rows.max_depths * self.costs_s, rows.latencies_s

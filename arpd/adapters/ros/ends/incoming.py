@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rclpy.qos import QoSProfile
@@ -272,7 +273,8 @@ class Incoming:
                     planned=planned,
                     clock=self._clock,
                 )
-            ghost.offer = writer  # it may be alive now
+            # It may be alive now. Its ghost stays in its node, whatever an end that has just started calls that.
+            ghost.offer = replace(writer, node=ghost.offer.node)
             ghost.retune(planned)
             topic.gone_s.pop(writer.gid, None)
             topic.by_number[writer.number] = ghost
