@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from arpd.apply.progress import Progress
 from arpd.model.endpoints import Direction, PublisherState
 
 
@@ -17,8 +16,3 @@ def publisher(node: str, topic: str, **fields) -> PublisherState:
         "baseline_depth": 10,
     }
     return PublisherState(node=node, topic=topic, **{**neutral, **fields})
-
-
-def plan_transitions(publishers, plan, *, reason="test", lease_s=0.0):
-    """Return the steps from announced publishers to a plan, without earlier requests."""
-    return Progress().steps(publishers=publishers, plan=plan, reason=reason, lease_s=lease_s).transitions

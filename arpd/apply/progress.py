@@ -1,98 +1,84 @@
-"""How far a plan has come: which nodes must be asked for their rows."""
+"""How far a plan has come, by what nodes tell; and the plans that restore publishers."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from arpd.apply.transitions import has_lease, is_confirmed
-from arpd.model.plan import Transition
+from arpd.model.plan import QosPlan, TopicPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from arpd.model.endpoints import PublisherState
-    from arpd.model.plan import QosPlan, TopicPlan
-
-_Identity = tuple[str, str]  # node and topic
-
-
-class _Ask(NamedTuple):
-    generation: int
-    terms: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Steps:
-    """Transitions to send now, and the progress of the plan.
-
-    Invariant: any prefix of the steps leaves every publisher in its old or its new row. Their order does not matter to
-    the link, because the rates follow its price.
+class Progress:
+    """How far a plan has come.
 
     Parameters
     ----------
-    transitions : all rows of each node that has something to do, repeated until its publishers announce them
-    confirmed : publishers that need nothing more
+    missing : nodes that do not show the plan, or whose publishers do not show their rows
+    confirmed : publishers that show their row
     """
 
-    transitions: tuple[Transition, ...]
+    missing: frozenset[str]
     confirmed: int
 
 
-class Progress:
-    """Brings publishers to a plan: a node is asked for all its rows until it announces each.
+def progress(publishers: Iterable[PublisherState], plan: QosPlan, *, lease_s: float = 0.0) -> Progress:
+    """Return how far a plan has come.
 
-    No announcement shows the terms of the price. So a publisher has those of a plan whose generation it announces, and
-    those it was asked for since.
+    No snapshot shows the terms of the price. They are in force where the plan's generation is.
+
+    Parameters
+    ----------
+    publishers : all live ones; those without a row do not count
+    lease_s : silence after which nodes return to their own QoS, 0 = never (s)
     """
+    missing, confirmed = set(), 0
+    for publisher in publishers:
+        if (row := plan.topics.get(publisher.topic)) is None:
+            continue
+        has_row = is_confirmed(publisher, row)
+        confirmed += has_row
+        has_lease = math.isclose(publisher.lease_s, lease_s, rel_tol=1e-4)  # told with six digits, as rates are
+        if not (has_row and has_lease and publisher.generation == plan.generation):
+            missing.add(publisher.node)
+    return Progress(missing=frozenset(missing), confirmed=confirmed)
 
-    def __init__(self) -> None:
-        self._asked: dict[_Identity, _Ask] = {}
-        self._done: tuple[tuple[Sequence[PublisherState], QosPlan, float], Steps] | None = None
 
-    def steps(self, *, publishers: Sequence[PublisherState], plan: QosPlan, reason: str, lease_s: float = 0.0) -> Steps:
-        """Return the steps that may be taken now; called at every whole turn.
+def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
+    """Return whether a publisher shows the row in force.
 
-        Parameters
-        ----------
-        publishers : all live ones
-        plan : their rows; those without a row are left alone
-        reason : cause of the plan, in words
-        lease_s : silence after which nodes return to their own QoS, 0 = never (s)
-        """
-        if self._done is not None:
-            (before, its_plan, its_lease_s), steps = self._done
-            if publishers is before and plan is its_plan and lease_s == its_lease_s:
-                return steps
-        live = {(publisher.node, publisher.topic) for publisher in publishers}
-        self._asked = {identity: ask for identity, ask in self._asked.items() if identity in live}
-        rows = [(publisher, row) for publisher in publishers if (row := plan.topics.get(publisher.topic)) is not None]
-        nodes = {
-            publisher.node
-            for publisher, row in rows
-            if not self._is_settled(publisher, row, generation=plan.generation, lease_s=lease_s)
-        }
-        asked: dict[str, dict[str, TopicPlan]] = {}
-        for publisher, row in rows:
-            if publisher.node in nodes:
-                self._asked[publisher.node, publisher.topic] = _Ask(plan.generation, row.terms)
-                asked.setdefault(publisher.node, {})[publisher.topic] = row
-        step = partial(Transition, generation=plan.generation, reason=reason, lease_s=lease_s)
-        steps = Steps(
-            transitions=tuple(step(node=node, topics=topics) for node, topics in sorted(asked.items())),
-            confirmed=sum(is_confirmed(publisher, row) for publisher, row in rows),
-        )
-        self._done = None if steps.transitions else ((publishers, plan, lease_s), steps)
-        return steps
+    A publisher that refuses new QoS for good is confirmed by its ceiling: it is paced, and takes no more.
+    """
+    if not (publisher.rate_hz == row.rate_hz or math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=1e-4)):
+        return False
+    if publisher.refusal_reason.is_lasting:
+        return True
+    same_depth = publisher.keeps_all or publisher.depth == row.depth
+    return same_depth and publisher.deadline_ns == row.deadline_ns
 
-    def _is_settled(self, publisher: PublisherState, row: TopicPlan, *, generation: int, lease_s: float) -> bool:
-        """Return whether a publisher is known to have its row, with all terms."""
-        ask = self._asked.get((publisher.node, publisher.topic))
-        # A predecessor's terms are unknown, even where its QoS is the planned one; and who has no plan has no terms.
-        known = row.terms if publisher.generation == generation else ()
-        if ask is not None:
-            known = ask.terms if publisher.generation or not generation else ()
-            if publisher.generation < ask.generation:
-                return False
-        return known == row.terms and is_confirmed(publisher, row) and has_lease(publisher, lease_s)
+
+def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
+    """Return the plan that gives every publisher its application's QoS back, unpaced."""
+    rows = {publisher.topic: _own_qos(publisher, rate_hz=math.inf) for publisher in publishers}
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
+
+
+def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
+    """Return the plan that gives every publisher its application's QoS back, at the rate it has now."""
+    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.paced_rate_hz) for publisher in publishers}
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
+
+
+def _own_qos(publisher: PublisherState, *, rate_hz: float) -> TopicPlan:
+    return TopicPlan(
+        rate_hz=rate_hz,
+        min_rate_hz=0.0,
+        deadline_ns=publisher.baseline_deadline_ns,
+        depth=publisher.baseline_depth,
+    )

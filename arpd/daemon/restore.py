@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.apply.progress import Progress
-from arpd.apply.transitions import paced_restore_plan, restore_plan
+from arpd.apply.progress import paced_restore_plan, progress, restore_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
     from arpd.daemon.world import World
     from arpd.model.observation import Observation
 
-_RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is announced
+_RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is told
 _UNPACE_S = 3.0  # more for the rates, which need no swap
 
 
@@ -25,7 +24,7 @@ def restore(
     clock: Callable[[], float],
     wait: Callable[[], None],
 ) -> int:
-    """Restore every publisher that carries a plan, and wait for the announcements.
+    """Restore every publisher that carries a plan, and wait until the snapshots show it.
 
     The rates come last: on a link that cannot carry the applications' full traffic, no new writer could prove itself.
 
@@ -40,7 +39,6 @@ def restore(
     -------
     Number of publishers that did not confirm in time.
     """
-    progress = Progress()
     begun_s = clock()
     plan_of = paced_restore_plan
     while True:
@@ -51,13 +49,14 @@ def restore(
         # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
         publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
         generation = max([generation, *(publisher.generation for publisher in publishers)])
-        steps = progress.steps(publishers=publishers, plan=plan_of(publishers, generation=generation), reason="stop")
-        missing = len(publishers) - steps.confirmed
-        is_done, spent_s = not (missing or steps.transitions), now_s - begun_s
+        plan = plan_of(publishers, generation=generation)
+        come = progress(publishers, plan)
+        missing = len(publishers) - come.confirmed
+        is_done, spent_s = not (missing or come.missing), now_s - begun_s
         if plan_of is paced_restore_plan and (is_done or spent_s > _RESTORE_S):
             plan_of = restore_plan
             continue
         if is_done or spent_s > _RESTORE_S + _UNPACE_S:
             return missing
-        world.apply(steps.transitions, now_s=now_s)
+        world.apply(plan, lease_s=0.0, missing=come.missing, now_s=now_s)
         wait()

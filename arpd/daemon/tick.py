@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.apply.broadcast import Broadcast
-from arpd.apply.progress import Progress
+from arpd.apply.progress import progress
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
@@ -29,7 +29,7 @@ from arpd.solve.topics import Demand, memory_budget_bytes
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.apply.progress import Steps
+    from arpd.apply.progress import Progress
     from arpd.daemon.world import CapacityEstimator, World
     from arpd.model.allocation import Allocation, Topic
     from arpd.model.link import LinkEstimate, LinkState
@@ -87,7 +87,6 @@ class Daemon:
         self._demand = Demand()
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
-        self._progress = Progress()
         self._turns = Turns()
         self._link: LinkEstimate | None = None
         self._ticked_s = -math.inf  # the last tick that finished and was no glance
@@ -153,29 +152,24 @@ class Daemon:
         capacity, share = in_steps(lasting_capacity, self.settings.link.headroom * lasting_capacity)
         lasting = solve(capacity, share=share)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
-        steps = self._progress.steps(
-            publishers=observation.publishers,
-            plan=decision.plan,
-            reason=decision.reason,
-            lease_s=self.settings.lease_s,
-        )
+        come = progress(observation.publishers, decision.plan, lease_s=self.settings.lease_s)
         if not observation.active_daemon:
             self._send(now_s, decision.price, link, budget=budget, divided=rates)
-            self._world.apply(steps.transitions, now_s=now_s)
+            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
         self._report(
             now_s,
             observation=observation,
             link=link,
             allocation=rates,
             decision=decision,
-            steps=steps,
+            come=come,
         )
         self._turns.note(
             now_s,
             facts=facts,
             publishers=observation.publishers,
             took_s=self._clock() - began_s,
-            is_settled=not steps.transitions,
+            is_settled=not come.missing,
         )
         self._ticked_s = now_s
         return decision
@@ -245,7 +239,6 @@ class Daemon:
         topics: Sequence[Topic],
     ) -> Decision:
         if observation.active_daemon:
-            self._progress = Progress()  # what the other daemon asks for is unknown
             self._world.stand_by()
             return self._governor.stand_by()
         return self._governor.decide(
@@ -282,7 +275,7 @@ class Daemon:
         link: LinkEstimate,
         allocation: Allocation,
         decision: Decision,
-        steps: Steps,
+        come: Progress,
     ) -> None:
         finished_s, configuration = self._clock(), self.configuration
         picture = Snapshot(
@@ -300,7 +293,7 @@ class Daemon:
             settings=self.settings,
             config_path=configuration.path,
             config_error=configuration.error,
-            confirmed=steps.confirmed,
+            confirmed=come.confirmed,
             lease_s=self.settings.lease_s,
             config_loaded_at_s=configuration.loaded_at_s,
             keys_awaiting_restart=configuration.awaiting_restart,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Mapping
 
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Glance, Observation
-    from arpd.model.plan import Transition
+    from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings, LinkSettings
@@ -27,11 +27,17 @@ class World(Protocol):
     def set_price(self, price: Price) -> None:
         """Send the price of the link to every publisher."""
 
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Carry out the steps of a plan; called at every whole turn until the endpoints announce it."""
+    def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
+        """Send the plan to the nodes if some do not show it; called at every whole turn.
+
+        Parameters
+        ----------
+        lease_s : silence after which nodes return to their own QoS, 0 = never (s)
+        missing : nodes that do not show it
+        """
 
     def stand_by(self) -> None:
-        """Take back the plans that were sent, because another daemon drives the robot; called at every whole turn."""
+        """Take back the plan that was sent, because another daemon drives the robot; called at every whole turn."""
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
@@ -40,7 +46,7 @@ class World(Protocol):
         """Take new pinned topic counts."""
 
     def results(self) -> Mapping[str, int]:
-        """Count the plans sent, by result."""
+        """Count the answers to plans, by result."""
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""

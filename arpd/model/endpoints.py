@@ -1,4 +1,4 @@
-"""Publishers that arpd re-tunes: their counters, settings and announcements."""
+"""Publishers that arpd re-tunes: their counters and settings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+    from arpd.model.plan import PlanAnswer
+    from arpd.model.relay import RelaySummary
 
 
 class Direction(StrEnum):
@@ -33,26 +36,11 @@ class RefusalReason(StrEnum):
     UNMATCHED = "unmatched"
     INCOMPATIBLE = "incompatible"
     FAILED = "failed"
-    OTHER = "other"  # the announcer has an older or newer version
 
     @property
     def is_lasting(self) -> bool:
         """True when depth and deadline stay as they are for good."""
         return self in {RefusalReason.MIDDLEWARE, RefusalReason.TRANSIENT_LOCAL}
-
-    @classmethod
-    def told(cls, name: str | None, *, words: str) -> RefusalReason:
-        """Return the reason that an announcement gives; a refusal for an unknown reason counts as passing.
-
-        Parameters
-        ----------
-        name : reason as announced, None from an announcer that gives none
-        words : refusal in words, empty = nothing is refused
-        """
-        if not words:
-            return cls.NONE
-        reason = next((reason for reason in cls if reason == name), cls.OTHER)
-        return cls.OTHER if reason is cls.NONE else reason
 
 
 class Refusal(NamedTuple):
@@ -202,7 +190,7 @@ class FlowState:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PublisherState(FlowState):
-    """Announcement of one AdaptivePublisher, joined with what the graph says of its readers.
+    """What a node tells of one AdaptivePublisher, joined with what the graph says of its readers.
 
     Parameters
     ----------
@@ -215,7 +203,7 @@ class PublisherState(FlowState):
     lacks_profile : True when it says that its process runs without arpd's Fast DDS profile
     remote_readers : participants on other hosts that read the topic
     requested_deadline_ns : tightest deadline that a reader requests, 0 when none does
-    announced_at_s : when the announcement arrived, by the monotonic clock; ``inf`` before one did (s)
+    announced_at_s : when the node told it, by the monotonic clock; ``inf`` before it did (s)
     """
 
     node: str
@@ -235,10 +223,28 @@ class PublisherState(FlowState):
     announced_at_s: float = math.inf
 
     def age_s(self, now_s: float) -> float:
-        """Return the time since the announcement (s)."""
+        """Return the time since the node told it (s)."""
         return max(0.0, now_s - self.announced_at_s)
 
     @property
     def copies(self) -> int:
         """Times that each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
         return max(1, self.remote_readers)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NodeSnapshot:
+    """What a node tells once a second.
+
+    Parameters
+    ----------
+    node : its full name
+    answer : to the daemon's plans
+    publishers : fields of the `PublisherState` of each, without those that the graph shows
+    relay : summary of the relay that this node belongs to
+    """
+
+    node: str
+    answer: PlanAnswer
+    publishers: Sequence[Mapping[str, Any]] = ()
+    relay: RelaySummary | None = None

@@ -21,8 +21,7 @@ class MessageKind(StrEnum):
 
     PUBLISHERS = "publishers"
     REPORTS = "reports"
-    HEARTBEATS = "claims"
-    RELAY_SUMMARIES = "relay_summaries"
+    PRICES = "prices"  # of other daemons
 
 
 class MessageRefusal(StrEnum):
@@ -30,7 +29,6 @@ class MessageRefusal(StrEnum):
 
     SIZE = "size"  # longer than any honest message
     MALFORMED = "malformed"  # cannot be decoded, or has impossible values
-    SOURCE = "source"  # the graph shows nobody who could have sent it
     RATE = "rate"  # more often than any honest sender
     QUOTA = "quota"  # the source has as many entries as it may have, or none is free
     UNANSWERED = "unanswered"  # a report that answers no probe of this daemon
@@ -73,14 +71,14 @@ class Observation:
     peers : peers in the graph, None = not known; with none left, silence is no outage
     rmw : the middleware of ROS, empty where there is none
     rmw_refusal : why its publishers are only paced, empty when QoS swaps are on
-    other_daemons : hosts of the other daemons in the ROS domain
-    active_daemon : host of the active daemon when that is another one, else empty
+    other_daemons : where the other daemons in the ROS domain are, in words
+    active_daemon : where the active daemon is when that is another one, else empty
     radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
     peer_clocks : clocks of the peers against this host's, by peer; those that nothing tells are missing
     taken : messages refused, and endpoints not confirmed
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
-    is_relay_silent : True when that end should tell, and has told nothing for 3.5 s
+    is_relay_silent : True when that end should tell, and has told nothing for 4.5 s
     domain : ROS domain in which publishers and peers are looked for, None without ROS
     remote_participants : processes across the link, each of which hears of every writer that comes or goes
     """

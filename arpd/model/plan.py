@@ -1,10 +1,10 @@
-"""Plans: the QoS of every publisher, and the steps that lead there."""
+"""Plans: the QoS of every publisher."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,7 +57,7 @@ class TopicPlan:
 
     @property
     def terms(self) -> tuple[float, ...]:
-        """What the price needs besides the ceiling; no announcement shows it."""
+        """What the price needs besides the ceiling; no snapshot shows it."""
         return self.min_rate_hz, self.weight, self.wire_bytes, self.packets
 
 
@@ -73,24 +73,23 @@ class QosPlan:
     level_bytes_per_second: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Transition:
-    """One atomic step of a node towards a plan, with all that is now asked of its publishers.
+class PlanAnswer(NamedTuple):
+    """A node's answer to plans: which one is in force, and which one it refused last, and why.
 
     Parameters
     ----------
-    node : fully qualified node name
-    generation : plan generation the step belongs to
-    topics : topic name → row to set on its publisher
-    reason : cause of the plan, in words
+    generation : of the plan in force, 0 = none
     lease_s : silence of the daemon after which the node returns to its own QoS, 0 = never (s)
+    refused, refusal : generation of the refused plan, and why; empty after a plan was taken
     """
 
-    node: str
-    generation: int
-    topics: Mapping[str, TopicPlan]
-    reason: str
+    generation: int = 0
     lease_s: float = 0.0
+    refused: int = 0
+    refusal: str = ""
+
+
+NO_PLAN = PlanAnswer()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,8 +114,8 @@ class Decision:
     refusals: tuple[str, ...] = ()
 
 
-# Endpoints may announce any generation, but no plan gets one above this: every parameter, announcement and metric can
-# hold it. At this number generations no longer tell plans apart; everything else continues.
+# Nodes may tell any generation, but no plan gets one above this: every message and metric can hold it. At this number
+# generations no longer tell plans apart; everything else continues.
 MOST_GENERATION = 2**53
 
 

@@ -65,9 +65,7 @@ class PeerAdmission:
         self._newest = 0
         self._heard_s: dict[str, float] = {}
         self._peers: int | None = None
-        self._limiter = SourceRateLimiter(
-            rate_hz=_REPORTS_HZ, burst=_REPORTS_BURST, strangers_hz=_REPORTS_HZ, strangers_burst=_REPORTS_BURST
-        )
+        self._limiter = SourceRateLimiter(rate_hz=_REPORTS_HZ, burst=_REPORTS_BURST)
 
     def number(self, probe: int) -> int:
         """Return the number of a probe on the wire; reports may answer it from now on."""
@@ -106,10 +104,7 @@ class PeerAdmission:
     def _has_room(self, name: str, now_s: float) -> bool:
         self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= _SILENT_S}
         most = _MOST_PEERS if self._peers is None else min(_MOST_PEERS, max(1, self._peers))
-        if name not in self._heard_s:
-            if len(self._heard_s) >= most:
-                return False
-            self._heard_s[name] = now_s
-            self._limiter.know(self._heard_s)
+        if name not in self._heard_s and len(self._heard_s) >= most:
+            return False
         self._heard_s[name] = now_s
         return True

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable
+    from collections.abc import Hashable
 
+
+_MOST_SOURCES = 1000  # as many nodes as any robot has
+_SILENT_S = 10.0  # then a source gives up its place
 _LOG_AGAIN_S = 60.0
 _MOST_LOGGED = 32  # things in that time: invented names must not fill the log
 
@@ -33,32 +36,29 @@ class TokenBucket:
 
 
 class SourceRateLimiter:
-    """Limits every known source to its own rate, and all other sources together to one rate.
+    """Limits every source to its own rate, so a sender that floods takes nothing from the others.
 
-    So a sender with a thousand invented names takes nothing from the known sources.
+    Sources are bounded: while more send, those that come late share one rate.
 
     Parameters
     ----------
-    rate_hz, burst : limit of every known source
-    strangers_hz, strangers_burst : limit of all others together
+    rate_hz, burst : limit of each
     """
 
-    def __init__(self, *, rate_hz: float, burst: float, strangers_hz: float, strangers_burst: float) -> None:
+    def __init__(self, *, rate_hz: float, burst: float) -> None:
         self._rate_hz, self._burst = rate_hz, burst
-        self._known: dict[str, TokenBucket] = {}
-        self._strangers = TokenBucket(strangers_hz, strangers_burst)
+        self._heard: dict[Hashable, tuple[TokenBucket, float]] = {}  # with the time of the last message (s)
+        self._late = TokenBucket(rate_hz, burst)
 
-    def know(self, sources: Iterable[str]) -> None:
-        """Replace the known sources; those that remain keep their spent budget."""
-        self._known = {source: self._known.get(source) or TokenBucket(self._rate_hz, self._burst) for source in sources}
-
-    def knows(self, source: str) -> bool:
-        """Return whether a source is known."""
-        return source in self._known
-
-    def lets_pass(self, source: str, now_s: float) -> bool:
+    def lets_pass(self, source: Hashable, now_s: float) -> bool:
         """Return whether one more message of a source may pass now."""
-        return self._known.get(source, self._strangers).take(now_s)
+        if source not in self._heard and len(self._heard) >= _MOST_SOURCES:
+            self._heard = {known: heard for known, heard in self._heard.items() if now_s - heard[1] < _SILENT_S}
+            if len(self._heard) >= _MOST_SOURCES:
+                return self._late.take(now_s)
+        bucket, _ = self._heard.get(source) or (TokenBucket(self._rate_hz, self._burst), now_s)
+        self._heard[source] = bucket, now_s
+        return bucket.take(now_s)
 
 
 class OncePerMinute:

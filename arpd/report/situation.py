@@ -333,9 +333,9 @@ def _queue(snapshot: Snapshot) -> str:
 
 def standing_by(snapshot: Snapshot) -> Finding | None:
     """Return the finding for a robot that another daemon drives, None where this one drives it."""
-    if not (host := snapshot.observation.active_daemon):
+    if not (where := snapshot.observation.active_daemon):
         return None
-    why = f"another arpd daemon, on {host}, has run for longer and drives this robot"
+    why = f"another arpd daemon, on {where}, drives this robot"
     return Finding(Condition.STANDING_BY, why)
 
 

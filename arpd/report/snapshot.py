@@ -31,7 +31,7 @@ class Totals:
     cross_check_disagreements : answers of the back end that missed the budget
     plans_by_cause : plans made, by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``budget``)
-    applies_by_result : plans sent to nodes, by result (``ok``, ``refused``, ``timeout``, ``unreachable``)
+    applies_by_result : answers of nodes to plans, by result (``ok``, ``refused``, ``timeout``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
     reports : peer reports received
     reloads_by_result : configuration reloads (``ok``, ``failed``)

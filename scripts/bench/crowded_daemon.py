@@ -17,7 +17,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from arpd.adapters.http.service import serving
 from arpd.adapters.systemd.notify import Notifier
@@ -30,9 +30,9 @@ from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.settings import HttpSettings, LinkSettings, Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Mapping
 
-    from arpd.model.plan import Transition
+    from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
@@ -113,20 +113,22 @@ class Crowd:
             source_rate_hz=publisher.source_rate_hz * self._random.uniform(0.98, 1.02),
         )
 
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:  # noqa: ARG002 - as the world has it
-        """Let every node announce what the plan asks of it."""
-        asked: dict[tuple[str, str], dict[str, Any]] = {
-            (step.node, topic): {
-                "generation": step.generation,
-                "rate_hz": row.rate_hz,
-                "depth": row.depth,
-                "deadline_ns": row.deadline_ns,
-            }
-            for step in transitions
-            for topic, row in step.topics.items()
-        }
-        if asked:
-            self._publishers = [replace(each, **asked.get((each.node, each.topic), {})) for each in self._publishers]
+    def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:  # noqa: ARG002
+        """Let every node show what the plan asks of it."""
+        if missing:
+            self._publishers = [
+                each
+                if (row := plan.topics.get(each.topic)) is None
+                else replace(
+                    each,
+                    generation=plan.generation,
+                    lease_s=lease_s,
+                    rate_hz=row.rate_hz,
+                    depth=row.depth,
+                    deadline_ns=row.deadline_ns,
+                )
+                for each in self._publishers
+            ]
 
     def set_price(self, price: Price) -> None:
         """Ignore the price."""

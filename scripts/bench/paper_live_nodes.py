@@ -85,7 +85,7 @@ class PacedSensor(Sensor):
         return {"index": self.index, "left": left, "first": self.first, "sent": sent}
 
     def _state(self) -> Any:
-        return self.publisher.state(generation=0)
+        return self.publisher.state()
 
 
 def sense(orders: Orders, name: str) -> None:
@@ -138,7 +138,7 @@ def plan(orders: Orders) -> None:
         spent = spin(orders, executor, lambda: (sum(len(each.numbers) for each in arrivals), len(answered)))
         answer(
             arrived=[each.kept(order, f"arrived-{index}") for index, each in enumerate(arrivals)],
-            sent=commanded.state(generation=0).published,
+            sent=commanded.state().published,
             spent=spent,
         )
         next_order(orders)

@@ -49,11 +49,11 @@ class Adaptive:
 
     def ended(self) -> int:
         """Return the number of swaps that have ended."""
-        swaps = self._publisher.state(generation=0).swaps_by_result
+        swaps = self._publisher.state().swaps_by_result
         return sum(count for key, count in swaps.items() if key != "undelivered")
 
     def results(self) -> dict[str, int]:
-        state = self._publisher.state(generation=0)
+        state = self._publisher.state()
         return {**state.swaps_by_result, **({"withheld": state.withheld} if state.withheld else {})}
 
 

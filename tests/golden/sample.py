@@ -204,7 +204,7 @@ def make_snapshot() -> Snapshot:
             taken=Taken(
                 refused={
                     (MessageKind.REPORTS, MessageRefusal.UNANSWERED): 7,
-                    (MessageKind.PUBLISHERS, MessageRefusal.SOURCE): 2,
+                    (MessageKind.PUBLISHERS, MessageRefusal.RATE): 2,
                 },
                 pending=3,
             ),

@@ -1,20 +1,18 @@
-"""What publishers announce, as the daemon puts it together from statuses and numbers, for tests without a daemon."""
+"""What nodes tell of their publishers, as the daemon puts it together, for tests without a daemon."""
 
 import threading
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.announcement import from_status, tag_of
-from arpd.adapters.ros.counters import decode_counters
-from arpd.adapters.ros.names import COUNTERS_TOPIC, PUBLISHERS_TOPIC
-from arpd.observe.registry import Endpoints
+from arpd.adapters.ros.names import PUBLISHERS_TOPIC
+from arpd.adapters.ros.node_snapshot import decode_snapshot
+from arpd.observe.nodes import Nodes
 
 
 class Announced:
-    """Hears all announcements of publishers.
+    """Hears the snapshots of all nodes.
 
     Parameters
     ----------
@@ -23,20 +21,23 @@ class Announced:
     """
 
     def __init__(self, node, on_news=lambda _states: None):
-        self._endpoints = Endpoints(3.5)
-        self._endpoints.see(lambda _node, _topic: True, 0.0)
+        self._nodes = Nodes()
         self._lock = threading.Lock()
         self._on_news = on_news
-        self.answers = {}
-        self.bytes = self.statuses = 0
-        node.create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, self._on_statuses, QoSProfile(depth=100))
-        node.create_subscription(UInt8MultiArray, COUNTERS_TOPIC, self._on_counters, QoSProfile(depth=100))
+        qos = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(UInt8MultiArray, PUBLISHERS_TOPIC, self._on_snapshot, qos)
 
     @property
     def states(self):
         """All live publishers."""
         with self._lock:
-            return self._endpoints.live(time.monotonic())
+            return self._nodes.live(time.monotonic())
+
+    @property
+    def answers(self):
+        """Answers to plans, by node."""
+        with self._lock:
+            return self._nodes.answers
 
     @property
     def last(self):
@@ -47,23 +48,9 @@ class Announced:
         state = self.last
         return state is not None and all(getattr(state, key) == value for key, value in values.items())
 
-    def _on_statuses(self, message):
+    def _on_snapshot(self, message):
+        snapshot = decode_snapshot(bytes(message.data))
         with self._lock:
-            for status in message.status:
-                state = from_status(status)
-                self._endpoints.note(state, time.monotonic(), tag_of(status))
-                self.statuses += 1
-        self._tell(state.node)
-
-    def _on_counters(self, message):
-        counters = decode_counters(bytes(message.data))
-        self.answers[counters.node] = counters.answer
-        common = {"generation": counters.answer.generation, "lease_s": counters.lease_s}
-        with self._lock:
-            self._endpoints.note_rows(
-                counters.node, counters.incarnation, counters.rows, common=common, now_s=time.monotonic()
-            )
-        self._tell(counters.node)
-
-    def _tell(self, node):
-        self._on_news([state for state in self.states if state.node == node])
+            self._nodes.note(snapshot.node.encode(), snapshot, time.monotonic())
+            self._nodes.see(lambda _node, _topic: True)
+        self._on_news([state for state in self.states if state.node == snapshot.node])

@@ -30,5 +30,9 @@ class PriceSender:
         self._publisher.publish(Float64MultiArray(data=numbers))
 
     @property
+    def handle(self):
+        return self._publisher.handle
+
+    @property
     def listeners(self):
         return self._publisher.get_subscription_count()

@@ -1,72 +1,85 @@
 """Daemons of one ROS domain, over real topics."""
 
-import threading
-import time
-
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64MultiArray
+import rclpy
 
-from arpd.adapters.ros.daemons import Daemons, to_status
-from arpd.adapters.ros.names import DAEMONS_TOPIC, PRICE_TOPIC
+from arpd.adapters.ros.graph import writers_of
+from arpd.adapters.ros.listeners import OtherDaemons
+from arpd.adapters.ros.names import PRICE_TOPIC
 from arpd.adapters.ros.raw_reader import ReadingThread
-from arpd.observe.leader import LEAST_STARTED_NS, DaemonHeartbeat
+from arpd.adapters.ros.rcl import rcl
+from arpd.adapters.ros.refused_messages import RefusedMessages
+from arpd.model.observation import MessageKind, MessageRefusal
+from tests.ros.clock import SkippingClock
+from tests.ros.domain import DOMAIN
+from tests.ros.price import PriceSender
 
 pytestmark = pytest.mark.ros
-LIE = DaemonHeartbeat(started_ns=LEAST_STARTED_NS, token="0" * 32, host="robot")
+
+
+class Daemon:
+    """What a daemon knows of the others, and its price, which it sends while it drives."""
+
+    def __init__(self, node, clock):
+        self._node = node
+        self.send = PriceSender(node)
+        self.guid = rcl().gid_of(self.send.handle)
+        self.refused = RefusedMessages()
+        self.heard = OtherDaemons(
+            node, self.guid, tells_hosts=True, thread=ReadingThread.of(node.context), refused=self.refused, clock=clock
+        )
+
+    def beat(self):
+        self.heard.see(writers_of(self._node, PRICE_TOPIC))
+        if not self.heard.active_daemon():
+            self.send()
+        return self.heard
 
 
 @pytest.fixture
-def beating(background):
-    """Make a daemon's side of a node, whose heartbeats go on until the returned function is called."""
-
-    def start(node, **options):
-        daemons, ended = Daemons(node, thread=ReadingThread.of(node.context), **options), threading.Event()
-
-        def beat(stopping):
-            while not (ended.is_set() or stopping.wait(0.1)):
-                daemons.step(time.monotonic())
-
-        background(beat)
-        return daemons, ended.set
-
-    return start
+def clock():
+    return SkippingClock()
 
 
-def test_the_elder_drives_and_is_succeeded(ros, beating, eventually):
-    """The older of two daemons is active; when it is gone, the younger one is."""
-    first, second = ros.node("first"), ros.node("second")
-    for node in (first, second):
-        node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-    elder, end = beating(first, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
-    younger, _ = beating(second, wall_clock_ns=lambda: LEAST_STARTED_NS + 2)
-    eventually("each knows the other", lambda: elder.others() and younger.active_daemon())
-    assert elder.active_daemon() == ""
-    end()
-    eventually("the elder is forgotten", lambda: not younger.others())
-    assert younger.active_daemon() == ""
+@pytest.fixture
+def daemons(ros, clock):
+    """Two daemons in participants of their own, as in processes of their own; the one with the lower GUID first."""
+    elsewhere = rclpy.Context()
+    rclpy.init(context=elsewhere, domain_id=DOMAIN)
+    found = [Daemon(ros.node("arpd"), clock), Daemon(rclpy.create_node("arpd", context=elsewhere), clock)]
+    yield sorted(found, key=lambda daemon: daemon.guid)
+    rclpy.try_shutdown(context=elsewhere)
 
 
-def test_who_sends_no_price_is_no_daemon(ros, beating, eventually, background):
-    """Heartbeats of a node without a price do not make it the active daemon."""
-    driver = ros.node("driver")
-    driver.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-    received = []
-    daemons, _ = beating(driver, wall_clock_ns=lambda: LEAST_STARTED_NS + 1)
-    note = daemons._leader.note
-    daemons._leader.note = lambda heartbeat, now_s: received.append(heartbeat) or note(heartbeat, now_s)
-    liar = ros.node("liar")
-    heartbeats = liar.create_publisher(DiagnosticArray, DAEMONS_TOPIC, 10)
+def test_the_one_with_the_lowest_guid_drives_and_is_succeeded(daemons, clock, eventually):
+    """Of two daemons one drives while its price is heard, whoever came first; then the other one does."""
+    lower, higher = daemons
+    eventually("the other stands by", lambda: (lower.beat(), higher.beat())[1].active_daemon() == "this host")
+    assert lower.beat().others == higher.beat().others == ("this host",)
+    assert lower.heard.active_daemon() == ""
 
-    def beat(stopping):
-        while not stopping.wait(0.2):
-            heartbeats.publish(DiagnosticArray(status=[to_status(LIE)]))
+    def succeeds():
+        clock.skip(5.0)
+        return higher.beat().active_daemon() == ""
 
-    background(beat)
-    eventually("six heartbeats of the liar arrive", lambda: received.count(LIE) > 5)
-    assert (daemons.active_daemon(), daemons.others()) == ("", ())
-    liar.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-    eventually("it counts with a price", lambda: daemons.active_daemon() == "robot")
+    eventually("it is succeeded", succeeds)
+
+
+def test_what_is_no_price_is_no_daemon(daemons, eventually):
+    """Numbers that are no price are counted and change nothing."""
+    lower, higher = daemons
+
+    def is_refused():
+        lower.send.send([1.0])
+        lower.send.send([1.0] * 1000)
+        return higher.refused.counts
+
+    eventually("both are refused", lambda: len(is_refused()) == 2)
+    assert set(higher.refused.counts) == {
+        (MessageKind.PRICES, MessageRefusal.MALFORMED),
+        (MessageKind.PRICES, MessageRefusal.SIZE),
+    }
+    assert higher.heard.active_daemon() == ""

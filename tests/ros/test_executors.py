@@ -31,7 +31,7 @@ HELLO = "hello"
 
 
 def state(publisher):
-    return publisher.state(generation=0)
+    return publisher.state()
 
 
 def switched(publisher):

@@ -9,10 +9,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.daemon_messages import plan_qos
-from arpd.adapters.ros.plan_message import encode_plan
 from arpd.model.plan import TopicPlan
 from tests.ros.clock import SkippingClock
+from tests.ros.plans import Plans
 from tests.ros.price import TERMS, PriceSender, costing
 
 pytestmark = pytest.mark.ros
@@ -39,11 +38,10 @@ def publisher(node, clock):
 @pytest.fixture
 def send_plan(ros, publisher, eventually):
     """Send a plan and wait until the publisher has it."""
-    plans = ros.node("planner").create_publisher(String, "/arpd/plan/talker", plan_qos())
+    plans = Plans(ros.node("planner"))
 
     def send(generation, lease_s):
-        plan = encode_plan(generation=generation, lease_s=lease_s, publishers={TOPIC: ROW})
-        plans.publish(String(data=plan))
+        plans(generation, {TOPIC: ROW}, lease_s=lease_s)
         eventually("the plan is in force", lambda: publisher.plan == ROW)
 
     return send
@@ -58,7 +56,7 @@ def send_price(ros, publisher, eventually):
     def until_in_force(rate_hz):
         def is_in_force():
             send(costing(rate_hz))  # again and again, because its topic is best effort
-            return publisher.state(generation=0).paced_rate_hz == pytest.approx(rate_hz)
+            return publisher.state().paced_rate_hz == pytest.approx(rate_hz)
 
         eventually("the price is in force", is_in_force)
 
@@ -79,7 +77,7 @@ def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(clock, publisher
         return (publisher.plan.depth, publisher.plan.rate_hz) == (10, math.inf)
 
     eventually("the plan ends", has_ended)
-    eventually("the price ends", lambda: publisher.state(generation=0).paced_rate_hz == math.inf)
-    assert publisher._shared._grant.generation == 0
+    eventually("the price ends", lambda: publisher.state().paced_rate_hz == math.inf)
+    assert publisher._shared._answer.generation == 0
     send_plan(generation=1, lease_s=LEASE_S)  # another daemon, without knowledge of its predecessor
     send_price(50.0)

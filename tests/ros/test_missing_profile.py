@@ -17,19 +17,20 @@ REPO = Path(__file__).parents[2]
 PROCESS = """
 import sys, time
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import String
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import String, UInt8MultiArray
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.announcement import from_status
 from arpd.adapters.ros.names import PUBLISHERS_TOPIC
+from arpd.adapters.ros.node_snapshot import decode_snapshot
 
 rclpy.init()
 nodes = [rclpy.create_node(name) for name in ("one", "two")]
 publishers = [AdaptivePublisher(node, String, f"/{node.get_name()}", 5) for node in nodes]
 heard = {}
 def hear(message):
-    heard.update({status.name: from_status(status).lacks_profile for status in message.status})
-nodes[0].create_subscription(DiagnosticArray, PUBLISHERS_TOPIC, hear, 10)
+    heard.update({row["topic"]: row["lacks_profile"] for row in decode_snapshot(bytes(message.data)).publishers})
+qos = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+nodes[0].create_subscription(UInt8MultiArray, PUBLISHERS_TOPIC, hear, qos)
 until_s = time.monotonic() + 60.0
 while len(heard) < 2 and time.monotonic() < until_s:
     for node in nodes:
@@ -58,12 +59,12 @@ def run(tmp_path, **variables):
 def test_a_process_without_the_profile_says_so_once(tmp_path):
     """Of two nodes one warns, with the line that mends it; both announce it."""
     announced, log = run(tmp_path)
-    assert announced == "[('/one: /one', True), ('/two: /two', True)]"
+    assert announced == "[('/one', True), ('/two', True)]"
     assert log.count("export FASTRTPS_DEFAULT_PROFILES_FILE=") == 1, log
 
 
 def test_a_process_with_the_profile_says_nothing(tmp_path):
     """It neither warns nor announces anything."""
     announced, log = run(tmp_path, **{PROFILE_VARIABLES[0]: str(FASTDDS_PROFILE)})
-    assert announced == "[('/one: /one', False), ('/two: /two', False)]"
+    assert announced == "[('/one', False), ('/two', False)]"
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in log

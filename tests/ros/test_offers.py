@@ -51,7 +51,7 @@ class Writer:
 
 
 def state(publisher):
-    return publisher.state(generation=0)
+    return publisher.state()
 
 
 def test_who_serves_many_topics_waits_for_no_second_write_that_blocks(make, clock, monkeypatch, eventually):

@@ -92,7 +92,7 @@ def send_price(ros, publisher, eventually):
 
 
 def state(publisher):
-    return publisher.state(generation=0)
+    return publisher.state()
 
 
 def is_paced_at(publisher, rate_hz):

@@ -11,7 +11,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.apply.transitions import is_confirmed
+from arpd.apply.progress import is_confirmed
 from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import TopicPlan
 
@@ -20,7 +20,7 @@ ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=500_000_000, depth=40)
 
 
 def announced(publisher):
-    return publisher.state(generation=1)
+    return publisher.state()
 
 
 def test_a_latched_publisher_is_settled_by_its_rate(ros):

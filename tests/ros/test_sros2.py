@@ -168,7 +168,7 @@ def wait_for_plan(node):
 
     def is_tuned():
         shared = getattr(node, "_arpd_NodePublishers", None)
-        return shared is not None and shared._grant.generation
+        return shared is not None and shared._answer.generation
 
     def all_opened():
         found = {name: opened(node, name) for name in (*PROCESSES, "driver")}

@@ -38,7 +38,7 @@ def make(node, qos, **options):
 
 
 def state(publisher):
-    return publisher.state(generation=0)
+    return publisher.state()
 
 
 def retune(publisher, **changes):

@@ -20,11 +20,8 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
-from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.names import plan_topic
-from arpd.adapters.ros.plan_message import encode_plan
-from arpd.adapters.ros.relay import default_node_name
+from arpd.adapters.ros.names import PUBLISHERS_TOPIC
 from arpd.adapters.ros.world import RosControl
 from arpd.apply.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, wrap
 from arpd.apply.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
@@ -32,6 +29,7 @@ from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.ros.ends_world import ROBOT, Counter, TwoEnds, is_whole, numbers
+from tests.ros.plans import Plans
 from tests.ros.price import TERMS
 from tests.waiting import eventually as insist
 
@@ -249,10 +247,8 @@ def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking,
     received = listen(far, "/planned")
     eventually("samples arrive", lambda: len(received) > 20)
     daemon = ends.link_side().node("daemon")
-    plans = daemon.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
     row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=400, **TERMS)
-    plan = encode_plan(generation=1, lease_s=0.0, publishers={"/planned": row})
-    plans.publish(String(data=plan))
+    Plans(daemon)(1, {"/planned": row})
 
     def offered():
         return [info.qos_profile.deadline.nanoseconds for info in far.get_publishers_info_by_topic("/planned")]
@@ -488,9 +484,8 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     background(shoot)
     eventually("sets arrive", lambda: len(stamps[topics[0]]) > 50)
     relay = ends.link_side().node("planner")
-    plans = relay.create_publisher(String, plan_topic(f"/{default_node_name(platform.node())}"), plan_qos())
     row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
-    plans.publish(String(data=encode_plan(generation=1, lease_s=0.0, publishers={"/stereo": row})))
+    Plans(relay)(1, {"/stereo": row})
     first = stamps[topics[0]]
     # Two sets a second are fewer than the camera takes on any machine.
     eventually("the group is thinned", lambda: len(first) > 5 and first[-1] - first[-5] > 8)
@@ -561,16 +556,15 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
     relay = eventually("the daemon sees what crosses", lambda: shows(lambda relay: relay.to_ceddp.wanted == 1))
     assert (relay.is_reachable, relay.other_host, relay.fault) == (True, platform.node(), "")
     assert (relay.to_ceddp.offered, relay.to_robot.offered, relay.to_ceddp.refused) == (1, 0, {})
-    eventually("one end alone tells it", lambda: node.count_publishers("/arpd/relay/summary") == 1)
     ends.end("ceddp")
     eventually("the daemon sees who is silent", lambda: shows(lambda relay: not relay.is_reachable))
-    liar = node.create_publisher(UInt8MultiArray, "/arpd/relay/summary", BEST_EFFORT)
+    liar = node.create_publisher(UInt8MultiArray, PUBLISHERS_TOPIC, BEST_EFFORT)
 
     def is_refused():
         liar.publish(UInt8MultiArray(data=b"{}"))
-        return seen().taken.refused.get((MessageKind.RELAY_SUMMARIES, MessageRefusal.MALFORMED))
+        return seen().taken.refused.get((MessageKind.PUBLISHERS, MessageRefusal.MALFORMED))
 
-    eventually("a false summary is refused", is_refused)
+    eventually("a false snapshot is refused", is_refused)
     ends.end("robot")
     eventually("the daemon sees that the relay ended", lambda: seen().is_relay_silent)
     assert seen().relay is None

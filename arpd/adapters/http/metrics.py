@@ -74,7 +74,7 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
     ),
     (
         "arpd_other_daemons",
-        "Other arpd daemons in the ROS domain; only the one that has run longest drives the robot.",
+        "Other arpd daemons in the ROS domain; only one of them drives the robot.",
         lambda s: len(s.observation.other_daemons),
     ),
     (

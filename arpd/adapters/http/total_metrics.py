@@ -24,7 +24,7 @@ _OK = "ok"
 # Known label values start at zero, so that rate() sees their first increase.
 _CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
-_NOT_APPLIED = ("failed", "refused", "timeout", "unreachable")
+_NOT_APPLIED = ("refused", "timeout")
 _OUTCOMES = ("disagreed", "failed", "infeasible", "solved")
 _EFFECTS = ("awaiting_restart", "in_force")
 

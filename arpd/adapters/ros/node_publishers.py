@@ -1,25 +1,29 @@
-"""The shared half of one node's AdaptivePublishers: plan, price and announcement."""
+"""The shared half of one node's AdaptivePublishers: plan, price, and the snapshot for the daemon."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
+from array import array
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from arpd.adapters.ros.announcer import Announcer
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import UInt8MultiArray
+
 from arpd.adapters.ros.attached import attached
 from arpd.adapters.ros.bounds import checked_row
 from arpd.adapters.ros.daemon_messages import DaemonMessages
-from arpd.adapters.ros.events import InvalidHandle
-from arpd.adapters.ros.grant import Grant
+from arpd.adapters.ros.events import InvalidHandle, no_publisher_events
+from arpd.adapters.ros.names import PUBLISHERS_TOPIC
+from arpd.adapters.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
 from arpd.adapters.ros.profile import missing_here, warn_once
 from arpd.adapters.ros.rmw import current_rmw
 from arpd.adapters.ros.writing_thread import WritingThread
 from arpd.apply.endpoint.queue import PacedQueue, Whole
-from arpd.model.plan import TopicPlan
+from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -27,13 +31,18 @@ if TYPE_CHECKING:
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from arpd.adapters.ros.plan_message import NodePlan
+    from arpd.adapters.ros.plan_message import PlanMessage
     from arpd.model.endpoints import PublisherState, WriterQos
     from arpd.model.price import Price
+    from arpd.model.relay import RelaySummary
 
+_TELL_S = 1.0
+# Least time between two snapshots: 0.2 s, and what keeps a thousand publishers whose swaps end at any moment cheap.
+_EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
+_NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _CHECK_S, _RETRY_S = 1.0, 0.1
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
-_WARN_EVERY_S = 5.0
+_WARN_EVERY_S, _WARN_OF_MANY_S = 5.0, 60.0
 _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
 
 
@@ -56,43 +65,56 @@ class Paced(Protocol):
     def payload_bytes(self) -> float:
         """Mean size of a sample."""
 
+    @property
+    def has_refused(self) -> bool:
+        """Whether it refused a part of what was requested last."""
+
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
 
-    def state(self, *, generation: int, lease_s: float, lacks_profile: bool) -> PublisherState:
-        """Return the state to announce."""
+    def state(self) -> PublisherState:
+        """Return the state to tell the daemon, without the plan's generation and lease."""
 
 
 class NodePublishers:
-    """Tunes and announces all AdaptivePublishers of one node; the first of them makes it.
+    """Tunes all AdaptivePublishers of one node, and tells the daemon of them; the first of them makes it.
 
-    The participant's own threads read plans and the price, and announce: nothing depends on the node's executor, and no
-    callback of the application delays a rate.
+    The participant's own threads read plan and price, and send a snapshot: once a second, which is also the node's
+    sign of life, and soon after news. Nothing depends on the node's executor, and no callback of the application delays
+    a rate.
 
     Attributes
     ----------
     thread : writes the samples of all nodes of the participant, and serves their publishers
+    relay : summary to send along; None = this node is no end of a relay, or not the one that tells
     """
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
+        self._name = node.get_fully_qualified_name()
         self._clock = clock
         self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
+        self.relay: RelaySummary | None = None
         self._publishers: dict[str, Paced] = {}
         self._warned: set[str] = set()  # topics that make others wait
-        self._rows: Mapping[str, Mapping[str, Any]] = {}  # of the plan in force, also of topics that are not there yet
+        self._rows: Mapping[str, Any] = {}  # of the plan in force, also of topics that are not there yet
+        self._answer = NO_PLAN
+        self._heard_s = -math.inf  # last sign of the daemon
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
         self._check_s = clock()
-        self._grant = Grant(clock=clock)
+        self._told_s = -math.inf
+        self._has_news = False
         # Only Fast DDS has profiles, and only its writers can be swapped.
         self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
         if self._lacks_profile:
             warn_once(node.get_logger(), missing)
         self._lock = threading.RLock()  # guards plan, price and who has them
-        self._announcer: Announcer[Paced] = Announcer(node, self._state_of)
+        self._snapshots = node.create_publisher(
+            UInt8MultiArray, PUBLISHERS_TOPIC, _NEWEST, event_callbacks=no_publisher_events()
+        )
         self._messages = DaemonMessages(
             node, self, warn=lambda words: node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
         )
@@ -113,14 +135,12 @@ class NodePublishers:
         """
         topic = publisher.topic_name
         if topic in self._publishers:
-            raise ValueError(
-                f"{self._node.get_fully_qualified_name()} already has an AdaptivePublisher on {topic}; "
-                "a plan has one row for both"
-            )
+            raise ValueError(f"{self._name} already has an AdaptivePublisher on {topic}; a plan has one row for both")
         with self._lock:
             self._publishers = {**self._publishers, topic: publisher}
             self._show_price(publisher)
             self._give_row(publisher)
+        self.hurry()
 
     def release(self, publisher: Paced) -> None:
         """Forget a publisher."""
@@ -128,13 +148,13 @@ class NodePublishers:
         with self._lock:
             self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
 
-    def note_swap(self, publisher: Paced) -> None:
-        """Announce a publisher soon, because a swap of it has ended; for any thread."""
-        self._announcer.hurry(publisher)
+    def hurry(self) -> None:
+        """Send a snapshot soon, because a swap has ended, for example; for any thread."""
+        self._has_news = True
         self.thread.wake(self)
 
     def service(self, now_s: float) -> float:
-        """Announce what is due; return when to call again (s)."""
+        """Do what is due; return when to call again (s)."""
         try:
             if now_s >= self._check_s:
                 self._check_s = now_s + _CHECK_S
@@ -142,20 +162,48 @@ class NodePublishers:
                     self._note_silence(now_s)
                     self._expire_plan()
                 self._warn_of_large()
-            if now_s >= self._announcer.due_s:
-                answer, lease_s = self._grant.answer, self._grant.lease.granted_s
-                self._announcer.turn(now_s, self._publishers.values(), answer=answer, lease_s=lease_s)
+            if now_s >= self._tell_s:
+                self._told_s, self._has_news = now_s, False
+                self._tell()
         except InvalidHandle:
             if not self._has_node:
                 self._messages.destroy()
                 raise
             return now_s + _RETRY_S  # only a publisher was destroyed, between two looks
-        except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the announcements
+        except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the snapshots
             self._node.get_logger().error(
-                f"announcements failed: {error}; arpd tries again", throttle_duration_sec=_WARN_EVERY_S
+                f"the daemon could not be told of the publishers: {error}; arpd tries again",
+                throttle_duration_sec=_WARN_EVERY_S,
             )
             return now_s + _RETRY_S
-        return min(self._check_s, self._announcer.due_s)
+        return min(self._check_s, self._tell_s)
+
+    @property
+    def _tell_s(self) -> float:
+        """When the next snapshot is due (s)."""
+        early_s = _EARLY_S + _EARLY_S_PER_PUBLISHER * len(self._publishers)
+        return self._told_s + (min(_TELL_S, early_s) if self._has_news else _TELL_S)
+
+    def _tell(self) -> None:
+        states = []
+        for publisher in self._publishers.values():
+            with suppress(InvalidHandle):  # another thread has just destroyed it
+                states.append(publisher.state())
+        if len(states) > MOST_OF_NODE:
+            self._node.get_logger().warning(
+                f"{len(states)} publishers in one node: arpd manages {MOST_OF_NODE}, and not "
+                f"{states[MOST_OF_NODE].topic}, for example; make another node for the rest",
+                throttle_duration_sec=_WARN_OF_MANY_S,
+                skip_first=False,
+            )
+        message = encode_snapshot(
+            self._name,
+            states[:MOST_OF_NODE],
+            answer=self._answer,
+            lacks_profile=self._lacks_profile,
+            relay=self.relay,
+        )
+        self._snapshots.publish(UInt8MultiArray(data=array("B", message)))
 
     @property
     def _has_node(self) -> bool:
@@ -166,21 +214,15 @@ class NodePublishers:
         except InvalidHandle:
             return False
 
-    def _state_of(self, publisher: Paced) -> PublisherState:
-        grant = self._grant
-        return publisher.state(
-            generation=grant.generation, lease_s=grant.lease.granted_s, lacks_profile=self._lacks_profile
-        )
-
     def take_price(self, price: Price) -> None:
         """Take the price of the link."""
         with self._lock:
             self._price = price
-            self._grant.lease.renew(self._clock())
+            self._heard_s = self._clock()
             self._show_price(*self._publishers.values())
 
     def _note_silence(self, now_s: float) -> None:
-        if self._grant.lease.is_silent(now_s, for_s=_SILENT_S):
+        if now_s - self._heard_s > _SILENT_S:
             self._show_price(*self._publishers.values())
 
     def _warn_of_large(self) -> None:
@@ -202,21 +244,21 @@ class NodePublishers:
         To one without a plan a price only says that a daemon is there, which will plan it. Silence ends that.
         """
         price = self._price
-        if is_silent := self._grant.lease.is_silent(self._clock(), for_s=_SILENT_S):
+        if is_silent := self._clock() - self._heard_s > _SILENT_S:
             price = None if price is None else replace(price, is_stale=True)
         for publisher in publishers:
             publisher.set_price(None if is_silent and not publisher.plan.weight else price)
 
     def _expire_plan(self) -> None:
         """Return every publisher to its application's QoS when the lease has run out."""
-        grant = self._grant
-        if grant.generation == 0 or not grant.lease.is_over(self._clock()):
+        lease_s = self._answer.lease_s
+        if not (self._answer.generation and lease_s) or self._clock() - self._heard_s <= lease_s:
             return
         self._node.get_logger().warning(
-            f"no sign of arpd for {grant.lease.granted_s:g} s: the publishers return to their own QoS",
+            f"no sign of arpd for {lease_s:g} s: the publishers return to their own QoS",
             throttle_duration_sec=_WARN_EVERY_S,
         )
-        grant.end()
+        self._answer = NO_PLAN  # the next daemon may begin with any generation
         self._rows = {}
         for publisher in self._publishers.values():
             own = publisher.baseline
@@ -225,43 +267,47 @@ class NodePublishers:
         self._price = None
         self._show_price(*self._publishers.values())
 
-    def take_plan(self, plan: NodePlan, crc: int) -> None:
-        """Take all rows of a plan for this node's publishers, or none of them; the next announcement has the answer."""
-        if not plan.publishers:
-            return
+    def take_plan(self, plan: PlanMessage) -> None:
+        """Take all rows of a plan for this node's publishers, or none of them; the next snapshot has the answer."""
         with self._lock:
             try:
-                self._grant.check(plan)
-                rows = [
-                    (publisher, checked_row(topic, row, publisher.baseline))
-                    for topic, publisher in self._publishers.items()
-                    if (row := plan.publishers.get(topic)) is not None
-                ]
+                rows = self._checked_rows(plan)
             except ValueError as refusal:
-                self.refuse_plan(crc, str(refusal))
+                self._answer = self._answer._replace(refused=plan.generation, refusal=str(refusal))
+                self.hurry()
                 return
-            is_repeated = self._grant.take(plan, crc)
-            self._rows = plan.publishers
+            self._answer = PlanAnswer(plan.generation, plan.lease_s)
+            self._heard_s = self._clock()  # a plan is a sign of the daemon
+            self._rows = plan.rows
             for publisher, wanted in rows:
-                if is_repeated or wanted != publisher.plan:  # the daemon repeats a plan when a swap failed, for example
+                # The daemon repeats a plan when a swap failed, for example.
+                if wanted != publisher.plan or publisher.has_refused:
                     self._retune(publisher, wanted)
-        self._tell_answer()
+        self.hurry()
 
-    def refuse_plan(self, crc: int, words: str) -> None:
-        """Answer that a plan is refused, and why."""
-        self._grant.refuse(crc, words)
-        self._tell_answer()
+    def _checked_rows(self, plan: PlanMessage) -> list[tuple[Paced, TopicPlan]]:
+        """Return the rows of this node's publishers.
 
-    def _tell_answer(self) -> None:
-        self._announcer.hurry_answer()
-        self.thread.wake(self)
+        Raises
+        ------
+        ValueError
+            If the plan is refused.
+        """
+        if plan.generation < (in_force := self._answer.generation):
+            raise ValueError(f"generation {plan.generation} is older than {in_force}, the plan in force")
+        return [
+            (publisher, checked_row(topic, plan.rows[topic], publisher.baseline))
+            for topic, publisher in self._publishers.items()
+            if topic in plan.rows
+        ]
 
     def _give_row(self, publisher: Paced) -> None:
         """Give a new publisher its row of the plan in force, which its node has answered for it too."""
         topic = publisher.topic_name
-        if self._grant.generation and (row := self._rows.get(topic, {})).get("weight"):
+        if topic in self._rows:
             with suppress(ValueError):  # the row of a predecessor with other QoS
-                self._retune(publisher, checked_row(topic, row, publisher.baseline))
+                if (row := checked_row(topic, self._rows[topic], publisher.baseline)).weight:
+                    self._retune(publisher, row)
 
     def _retune(self, publisher: Paced, plan: TopicPlan) -> None:
         publisher.retune(plan)

@@ -55,9 +55,9 @@ class Peer:
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        from arpd.adapters.ros import probe_messages, serialized  # noqa: PLC0415 - ROS is checked in control_node
+        from arpd.adapters.ros import probe_messages, raw_reader  # noqa: PLC0415 - ROS is checked in control_node
 
-        self._octets = serialized.octets
+        self._octets = raw_reader.octets
         self._messages = probe_messages
         self._publish = publish
         self._reader = reader

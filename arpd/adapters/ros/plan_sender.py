@@ -1,141 +1,115 @@
-"""Plans on their way to nodes: one message per node with all of its rows, repeated until the node answers."""
+"""The plan on its way to the nodes: one message for all, sent again until their snapshots show it."""
 
 from __future__ import annotations
 
 import logging
+import math
+from array import array
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from rclpy.exceptions import NameValidationException
-from std_msgs.msg import String
+from std_msgs.msg import UInt8MultiArray
 
 from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.events import no_publisher_events
-from arpd.adapters.ros.names import plan_topic
-from arpd.adapters.ros.plan_message import crc_of, encode_plan
+from arpd.adapters.ros.names import PLAN_TOPIC
+from arpd.adapters.ros.plan_message import encode_plan
+from arpd.model.plan import NO_PLAN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Collection, Mapping
 
-    from arpd.adapters.ros.plan_message import PlanAnswer
-    from arpd.model.plan import TopicPlan, Transition
+    from arpd.model.plan import PlanAnswer, QosPlan
 
 log = logging.getLogger(__name__)
 
-_TIMEOUT_S = 2.5  # a node answers with its next announcement, a second later at most
-_MAX_BACKOFF_S = 12.0
-_ACCEPTED_S = 6.0  # an accepted plan leads to a swap of three to four seconds, and then an announcement
-_LEAST_S = 0.2  # between two messages to a node
-_MOST_NODES = 500  # writers kept; the one used longest ago goes
-
-
-class _Asked(NamedTuple):
-    """All that is now asked of a node."""
-
-    generation: int
-    lease_s: float
-    publishers: Mapping[str, TopicPlan]
-
-
-@dataclass(slots=True)
-class _Node:
-    publisher: Any
-    asked: _Asked | None = None
-    message: Any = None
-    crc: int = 0
-    sent_at_s: float = 0.0
-    next_at_s: float = 0.0
-    backoff_s: float = _TIMEOUT_S
-    is_awaited: bool = False  # its answer is missing
+# The middleware repeats what is lost, so a message is sent again mostly for a swap that failed: after the three to four
+# seconds that a swap takes, and its snapshot.
+_AGAIN_S, _MOST_AGAIN_S = 6.0, 12.0
+_LEAST_S = 0.2  # between two messages
 
 
 class PlanSender:
-    """Sends transitions as plan messages, and remembers the answers that it waits for.
+    """Sends the plan when it is new, and while nodes do not show it, after a growing time.
 
-    The caller repeats a transition at every whole turn until the node announces its settings; this class decides when
-    to send the plan again. New rows are sent at once, and unconfirmed ones after a growing back-off. A node that starts
-    later finds its last plan, which the writer keeps for it.
+    A node that starts later finds the last plan, which the writer keeps.
 
     Parameters
     ----------
-    node : rclpy node of the writers
-    answer_of : returns a node's last answer
+    node : rclpy node of the writer
     """
 
-    def __init__(self, node: Any, *, answer_of: Callable[[str], PlanAnswer]) -> None:
+    def __init__(self, node: Any) -> None:
         self._ros = node
-        self._answer_of = answer_of
-        self._nodes: dict[str, _Node] = {}
-        self._waiting: set[str] = set()  # nodes that owe an answer
+        self._writer: Any = None
+        self._sent: tuple[QosPlan, float] | None = None  # with its lease
+        self._sent_s = -math.inf
+        self._again_s = _AGAIN_S
+        self._awaited: set[str] = set()  # nodes that owe an answer
         self._results: Counter[str] = Counter()
 
     @property
     def results(self) -> Mapping[str, int]:
-        """Answers so far, by result: ``ok``, ``refused``, ``timeout``, ``unreachable``, ``failed``."""
+        """Answers of nodes so far, by result: ``ok``, ``refused``, ``timeout``."""
         return dict(self._results)
 
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Send what is new or due again; returns at once."""
-        for name in tuple(self._waiting):
-            self._read_answers(name, self._nodes[name], now_s)
-        for transition in transitions:
-            name = transition.node
-            asked = _Asked(transition.generation, float(transition.lease_s), transition.topics)
-            try:
-                node = self._nodes.pop(name) if name in self._nodes else self._new(name)
-                self._nodes[name] = node  # the one used last at the end
-                self._send_if_due(name, node, asked, now_s)
-            except (RuntimeError, ValueError, NameValidationException) as error:  # rclpy documents none
-                self._results["failed"] += 1
-                log.warning("%s: its plan cannot be sent: %s", name, error)
+    def apply(
+        self,
+        plan: QosPlan,
+        *,
+        lease_s: float,
+        missing: Collection[str],
+        answers: Mapping[str, PlanAnswer],
+        now_s: float,
+    ) -> None:
+        """Send the plan if it is new or due again; returns at once.
+
+        Parameters
+        ----------
+        lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
+        missing : nodes that do not show the plan yet
+        answers : last answers of all nodes
+        """
+        self._read(answers)
+        if not missing:
+            return
+        is_new = self._sent is None or (plan.generation, plan.topics, lease_s) != (
+            self._sent[0].generation,
+            self._sent[0].topics,
+            self._sent[1],
+        )
+        if now_s - self._sent_s < (_LEAST_S if is_new else self._again_s):
+            return
+        if not is_new and (silent := sorted(self._awaited)):
+            self._results["timeout"] += len(silent)
+            log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
+        self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
+        self._sent, self._sent_s, self._awaited = (plan, lease_s), now_s, set(missing)
+        if self._writer is None:
+            self._writer = self._ros.create_publisher(
+                UInt8MultiArray, PLAN_TOPIC, plan_qos(), event_callbacks=no_publisher_events()
+            )
+        message = encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)
+        self._writer.publish(UInt8MultiArray(data=array("B", message)))
 
     def forget(self) -> None:
-        """Take back all plans: their writers go, with what they kept for nodes that start later."""
-        for node in self._nodes.values():
-            self._ros.destroy_publisher(node.publisher)
-        self._nodes.clear()
-        self._waiting.clear()
+        """Take the plan back: its writer goes, with what it kept for nodes that start later."""
+        if self._writer is not None:
+            self._ros.destroy_publisher(self._writer)
+        self._writer = self._sent = None
+        self._awaited.clear()
 
-    def _new(self, name: str) -> _Node:
-        while len(self._nodes) >= _MOST_NODES:
-            oldest = next(iter(self._nodes))
-            self._waiting.discard(oldest)
-            self._ros.destroy_publisher(self._nodes.pop(oldest).publisher)
-        publisher = self._ros.create_publisher(
-            String, plan_topic(name), plan_qos(), event_callbacks=no_publisher_events()
-        )
-        return _Node(publisher)
-
-    def _send_if_due(self, name: str, node: _Node, asked: _Asked, now_s: float) -> None:
-        if node.asked is None or (asked != node.asked and now_s >= node.sent_at_s + _LEAST_S):
-            text = encode_plan(generation=asked.generation, lease_s=asked.lease_s, publishers=asked.publishers)
-            node.asked, node.message, node.crc = asked, String(data=text), crc_of(text)
-            node.backoff_s = _TIMEOUT_S
-        elif now_s < node.next_at_s:
+    def _read(self, answers: Mapping[str, PlanAnswer]) -> None:
+        if self._sent is None:
             return
-        node.sent_at_s, node.next_at_s = now_s, now_s + node.backoff_s
-        node.backoff_s = min(2 * node.backoff_s, _MAX_BACKOFF_S)
-        node.publisher.publish(node.message)
-        node.is_awaited = True
-        self._waiting.add(name)
-
-    def _read_answers(self, name: str, node: _Node, now_s: float) -> None:
-        answer = self._answer_of(name)
-        if node.asked is not None and answer.crc == node.crc:
-            if answer.refusal:
+        generation = self._sent[0].generation
+        for node in tuple(self._awaited):
+            answer = answers.get(node, NO_PLAN)
+            if answer.refusal and answer.refused == generation:
                 self._results["refused"] += 1
-                log.warning("%s refused plan %d: %r", name, node.asked.generation, answer.refusal)
-                node.is_awaited = False
-            elif answer.generation == node.asked.generation:
+                log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
+            elif answer.generation == generation:
                 self._results["ok"] += 1
-                node.next_at_s = max(node.next_at_s, node.sent_at_s + _ACCEPTED_S)
-                node.is_awaited = False
-        if node.is_awaited and now_s - node.sent_at_s >= _TIMEOUT_S:
-            is_there = node.publisher.get_subscription_count() > 0
-            self._results["timeout" if is_there else "unreachable"] += 1
-            words = "answer" if is_there else "receive"
-            log.warning("%s did not %s its plan within %.1f s", name, words, _TIMEOUT_S)
-            node.is_awaited = False
-        if not node.is_awaited:
-            self._waiting.discard(name)
+            else:
+                continue
+            self._awaited.discard(node)

@@ -261,8 +261,13 @@ class AdaptivePublisher:
         finally:
             self._thread.release(self._flow.lane)
 
-    def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
-        """Return the settings in force, for the announcement; called about once a second."""
+    @property
+    def has_refused(self) -> bool:
+        """True when it refused a part of what was requested last."""
+        return bool(self._refusal.words or self._clamp.words)
+
+    def state(self) -> PublisherState:
+        """Return the settings in force, for the daemon; called about once a second."""
         refusal = self._refusal if self._refusal.words else self._clamp
         self._warn_of_refusals()
         return PublisherState(
@@ -272,12 +277,9 @@ class AdaptivePublisher:
             direction=Direction.LOCAL,
             baseline_depth=self._baseline.depth,
             baseline_deadline_ns=self._baseline.deadline_ns,
-            generation=generation,
-            lease_s=lease_s,
             refusal=refusal.words,
             refusal_reason=refusal.reason,
             keeps_all=self._keeps_all,
-            lacks_profile=lacks_profile,
             **self._flow.state().counted(),
         )
 
@@ -342,7 +344,7 @@ class AdaptivePublisher:
         return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
-        self._shared.note_swap(self)
+        self._shared.hurry()
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:

@@ -15,6 +15,7 @@ import logging
 import math
 import os
 import select
+import struct
 import sys
 import threading
 import time
@@ -46,6 +47,8 @@ _LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made wher
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
 _FLOOD_S = 3.0
+
+_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 
 
 class Sample(NamedTuple):
@@ -331,3 +334,21 @@ class RawReader(Source):
                 self._node.handle, self._msg_type, self.name, self._qos.get_c_qos_profile()
             )
         self._open(handle)
+
+
+def octets(data: bytes) -> bytes:
+    """Return the content of a serialized UInt8MultiArray without dimensions; arpd's have none.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no such array.
+    """
+    try:
+        dimensions, _offset, size = struct.unpack_from(_ORDER[data[1]] + "III", data, 4)
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("no UInt8MultiArray") from fault
+    held = data[16 : 16 + size]
+    if dimensions or len(held) != size:
+        raise ValueError("a UInt8MultiArray with dimensions, or cut off")
+    return held

@@ -18,31 +18,30 @@ from arpd.adapters.host.interface import InterfaceReader, MemoryReader, read_spe
 from arpd.adapters.host.netlink import read_backlog
 from arpd.adapters.host.radio import Radio
 from arpd.adapters.ros.crossing import Graph, read_graph
-from arpd.adapters.ros.daemons import Daemons
 from arpd.adapters.ros.events import InvalidHandle
 from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.listeners import Announcements, CounterMessages
+from arpd.adapters.ros.listeners import NodeSnapshots, OtherDaemons
 from arpd.adapters.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
 from arpd.adapters.ros.plan_sender import PlanSender
 from arpd.adapters.ros.price_message import encode_price
 from arpd.adapters.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.adapters.ros.raw_reader import RawReader, ReadingThread
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, octets
+from arpd.adapters.ros.rcl import rcl
 from arpd.adapters.ros.refused_messages import RefusedMessages
-from arpd.adapters.ros.relay_summaries import RelaySummaries
 from arpd.adapters.ros.rmw import Rmw, current_rmw
-from arpd.adapters.ros.serialized import octets
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.observation import Glance, MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
+from arpd.observe.nodes import SILENT_S, Nodes
 from arpd.observe.peer_clocks import PeerClocks
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from arpd.adapters.ros.raw_reader import Sample
-    from arpd.model.plan import Transition
+    from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.settings import GraphSettings
 
@@ -70,7 +69,7 @@ class RosControl:
     interface : the robot's link interface
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
-    has_two_ends : whether a relay with two ends is configured, whose end on this host sends summaries
+    has_two_ends : whether a relay with two ends is configured, whose end on this host tells of it
     rmw : the middleware; this process's own when None
     randomness : gives the first number of a probe
 
@@ -127,8 +126,9 @@ class RosControl:
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         self.thread = ReadingThread.of(node.context)
         shared: dict[str, Any] = {"thread": self.thread, "refused": self._refused, "clock": clock}
-        self._publishers = Announcements(node, **shared)
-        self._counters = CounterMessages(node, self._publishers, **shared)
+        self._snapshots = NodeSnapshots(node, **shared)
+        self._nodes = Nodes()  # of the thread that ticks
+        self._shows_writer: Callable[[str, str], bool] | None = None  # in the graph that the nodes have not seen yet
         self._report_reader = RawReader(
             node,
             UInt8MultiArray,
@@ -139,9 +139,11 @@ class RosControl:
             most_bytes=MOST_REPORT_BYTES,
             refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
         )
-        self._sender = PlanSender(node, answer_of=self._publishers.answer_of)
-        self._daemons = Daemons(node, **shared)
-        self._relay = RelaySummaries(node, **shared) if has_two_ends else None
+        self._sender = PlanSender(node)
+        own = rcl().gid_of(self._price_publisher.handle)
+        self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts, **shared)
+        self._has_two_ends = has_two_ends
+        self._began_s = clock()
         # In a thread: the tick must stay short, and so must the reading of messages.
         PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
 
@@ -152,8 +154,7 @@ class RosControl:
     # -- observe
 
     def observe(self, now_s: float) -> Observation:
-        """Return everything one tick sees; a heartbeat leaves if it is time."""
-        self._daemons.step(now_s)
+        """Return everything one tick sees."""
         with self._lock:
             reports, self._reports = tuple(self._reports), []
             self._peers_heard = {
@@ -161,10 +162,14 @@ class RosControl:
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
+        self._snapshots.drain(self._nodes)
+        if (shows_writer := self._shows_writer) is not None:
+            self._shows_writer = None
+            self._nodes.see(shows_writer)
         graph = self._graph
         publishers = self._join(now_s)
         pinned = self._graph_settings
-        relay, is_relay_silent = (None, False) if self._relay is None else self._relay.newest(now_s)
+        relay = self._nodes.relay(now_s) if self._has_two_ends else None
         sensing, actuation = self._crossing_counts
         return Observation(
             now_s=now_s,
@@ -177,14 +182,14 @@ class RosControl:
             peers=graph.peers,
             rmw=self._rmw.name,
             rmw_refusal=self._rmw.refusal,
-            other_daemons=self._daemons.others(),
+            other_daemons=self._daemons.others,
             active_daemon=self._daemons.active_daemon(),
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
-            taken=Taken(refused=self._refused.counts, pending=self._publishers.pending),
+            taken=Taken(refused=self._refused.counts, pending=self._nodes.pending),
             relay=relay,
-            is_relay_silent=is_relay_silent,
+            is_relay_silent=self._has_two_ends and relay is None and now_s - self._began_s > SILENT_S,
             domain=self._domain,
             remote_participants=graph.remote_participants,
         )
@@ -204,7 +209,7 @@ class RosControl:
     def _join(self, now_s: float) -> tuple[PublisherState, ...]:
         """Return the live publishers with what the graph shows of them; what did not change is not made again."""
         if now_s >= self._endpoints_until_s:
-            self._endpoints = self._publishers.live(now_s, self._fields_of)
+            self._endpoints = self._nodes.live(now_s, self._fields_of)
             self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(self._endpoints)
         return self._endpoints
 
@@ -214,12 +219,12 @@ class RosControl:
         """Send the price to every publisher; best effort, because the caller repeats it."""
         self._price_publisher.publish(Float64MultiArray(data=encode_price(price)))
 
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Send a plan to its nodes; returns at once."""
-        self._sender.apply(transitions, now_s=now_s)
+    def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
+        """Send the plan to the nodes if some do not show it; returns at once."""
+        self._sender.apply(plan, lease_s=lease_s, missing=missing, answers=self._nodes.answers, now_s=now_s)
 
     def stand_by(self) -> None:
-        """Take back the plans that were sent: a node that starts must not find those of a daemon that stands by."""
+        """Take back the plan that was sent: a node that starts must not find that of a daemon that stands by."""
         self._sender.forget()
 
     def probe(self, request: ProbeRequest) -> None:
@@ -239,7 +244,7 @@ class RosControl:
         self._probe_bytes += sum(probe_wire_bytes(len(packet.data)) for packet in packets)
 
     def results(self) -> Mapping[str, int]:
-        """Count plans sent to nodes by result."""
+        """Count the answers of nodes to plans, by result."""
         return self._sender.results
 
     def probes_sent(self) -> tuple[int, int]:
@@ -273,7 +278,7 @@ class RosControl:
 
     def _read_graph(self) -> None:
         if (changes := self._view.look()) != self._changes:
-            graph = read_graph(self._view, self._rmw, first=self._publishers.topics)
+            graph = read_graph(self._view, self._rmw, first=self._nodes.topics)
             self._changes = changes
             if graph != self._graph:
                 directions = [crossing.direction for crossing in graph.crossings.values()]
@@ -282,8 +287,8 @@ class RosControl:
         graph = self._graph
         with self._lock:
             self._peer_admission.see(graph.peers or 0)
-        self._publishers.see(graph.announcers, graph.shows_writer)
-        self._counters.see(graph.announcers)
+        self._shows_writer = graph.shows_writer
+        self._daemons.see(self._view.writers(PRICE_TOPIC))
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,10 +16,11 @@ from arpd.model.observation import Glance, MemoryState, Observation
 from arpd.model.probing import PeerReport
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
+from arpd.observe.nodes import SILENT_S
 from arpd.observe.receiver import Receiver, ReportSchedule
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from random import Random
 
     from arpd.adapters.sim.ends import SimulatedEnd
@@ -27,21 +29,20 @@ if TYPE_CHECKING:
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.timeline import Timeline
     from arpd.model.endpoints import PublisherState
-    from arpd.model.plan import TopicPlan, Transition
+    from arpd.model.plan import QosPlan, TopicPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
 
 RELAY, PLANNER = "/arpd_relay", "/planner"
 _ON_HOST_S = 0.001
-_ANNOUNCE_S = 1.0
-_STALE_S = 3.5  # as in arpd.adapters.ros.world
+_TELL_S = 1.0
 _SILENT_S = 5.0  # as in arpd.adapters.ros.node_publishers
-_BACKOFF_S = (1.5, 12.0)  # first and longest, as in arpd.adapters.ros.plan_sender
+_AGAIN_S = (1.5, 12.0)  # first and longest: nothing here repeats what is lost, as DDS does
 _PEER_CLOCK_S = 3.217  # the CEDDP's clock is ahead by this, because nothing may depend on equal clocks
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
-_REPORT_BYTES, _PRICE_BYTES, _ANNOUNCEMENT_BYTES, _PARAMETERS_BYTES = 230, 210, 900, 700  # on the wire
+_REPORT_BYTES, _PRICE_BYTES, _SNAPSHOT_BYTES, _PLAN_BYTES = 230, 210, 500, 700  # on the wire
 
 
 class Managed(Protocol):
@@ -72,9 +73,6 @@ class _Node:
     lease_s: float = 0.0
     price: Price | None = None
     price_at_s: float = -1e9
-    asked_generation: int = -1
-    asked_at_s: float = -1e9
-    backoff_s: float = _BACKOFF_S[0]
     announced: tuple[PublisherState, ...] = ()
     announced_at_s: float = -1e9
 
@@ -130,6 +128,7 @@ class SimulatedWorld:
         self._random = random
         self._reports: list[PeerReport] = []
         self._results: Counter[str] = Counter()
+        self._asked_generation, self._asked_at_s, self._again_s = -1, -math.inf, _AGAIN_S[0]
         self._probes = 0
         self._probe_bytes = 0
         self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
@@ -137,7 +136,7 @@ class SimulatedWorld:
         by_direction = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         if end is not None:
             by_direction[Direction.LOCAL] = []
-            timeline.every(_ANNOUNCE_S, self._summarise, first_s=timeline.now_s + self._random.random())
+            timeline.every(_TELL_S, self._summarise, first_s=timeline.now_s + self._random.random())
         self._nodes = {
             RELAY: _Node(
                 name=RELAY, publishers=by_direction[Direction.SENSING] + by_direction[Direction.LOCAL], is_remote=False
@@ -147,7 +146,7 @@ class SimulatedWorld:
         self._counts = {direction: len(publishers) for direction, publishers in by_direction.items()}
         for node in self._nodes.values():
             first_s = self._timeline.now_s + self._random.random()
-            self._timeline.every(_ANNOUNCE_S, partial(self._announce, node), first_s=first_s)
+            self._timeline.every(_TELL_S, partial(self._tell, node), first_s=first_s)
         self._report_alarm = Alarm(self._timeline, self._look)
         if has_peer:
             self._report_alarm.set(self._peer.schedule.due_s)
@@ -165,7 +164,7 @@ class SimulatedWorld:
             publishers=tuple(
                 state
                 for node in self._nodes.values()
-                if now_s - node.announced_at_s <= _STALE_S
+                if now_s - node.announced_at_s <= SILENT_S
                 for state in node.announced
             ),
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=2 * 2**30),
@@ -201,16 +200,15 @@ class SimulatedWorld:
         for node in self._nodes.values():
             self._reach(node, _PRICE_BYTES, partial(self._on_price, node, price))
 
-    def apply(self, transitions: Iterable[Transition], *, now_s: float) -> None:
-        """Send new transitions at once, and unconfirmed ones again after a growing back-off."""
-        for transition in transitions:
-            node = self._nodes[transition.node]
-            is_newer = transition.generation > node.asked_generation
-            if not is_newer and now_s - node.asked_at_s < node.backoff_s:
-                continue
-            node.backoff_s = _BACKOFF_S[0] if is_newer else min(2 * node.backoff_s, _BACKOFF_S[1])
-            node.asked_generation, node.asked_at_s = transition.generation, now_s
-            self._reach(node, _PARAMETERS_BYTES, partial(self._on_parameters, node, transition))
+    def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
+        """Send a new plan at once, and an unconfirmed one again after a growing time."""
+        is_newer = plan.generation > self._asked_generation
+        if not missing or (not is_newer and now_s - self._asked_at_s < self._again_s):
+            return
+        self._again_s = _AGAIN_S[0] if is_newer else min(2 * self._again_s, _AGAIN_S[1])
+        self._asked_generation, self._asked_at_s = plan.generation, now_s
+        for node in self._nodes.values():
+            self._reach(node, _PLAN_BYTES, partial(self._on_plan, node, plan, lease_s))
 
     def stand_by(self) -> None:
         """Do nothing: no other daemon is simulated."""
@@ -230,7 +228,7 @@ class SimulatedWorld:
         self._graph = graph
 
     def results(self) -> Mapping[str, int]:
-        """Return the plans sent, by result."""
+        """Return the answers to plans, by result."""
         return dict(self._results)
 
     @property
@@ -255,17 +253,17 @@ class SimulatedWorld:
         for publisher in node.publishers:
             publisher.set_price(price)
 
-    def _on_parameters(self, node: _Node, transition: Transition) -> None:
-        if transition.generation < node.generation:
+    def _on_plan(self, node: _Node, plan: QosPlan, lease_s: float) -> None:
+        if plan.generation < node.generation:
             self._results["refused"] += 1
             return
         self._results["ok"] += 1
-        node.generation, node.lease_s = transition.generation, transition.lease_s
-        by_name = {publisher.state(generation=0).topic: publisher for publisher in node.publishers}
-        for topic, row in transition.topics.items():
-            by_name[topic].retune(row)
+        node.generation, node.lease_s = plan.generation, lease_s
+        for publisher in node.publishers:
+            if (row := plan.topics.get(publisher.state(generation=0).topic)) is not None:
+                publisher.retune(row)
 
-    def _announce(self, node: _Node) -> None:
+    def _tell(self, node: _Node) -> None:
         now_s = self._timeline.now_s
         if node.price is not None and now_s - node.price_at_s > _SILENT_S:
             for publisher in node.publishers:
@@ -273,13 +271,13 @@ class SimulatedWorld:
         states = tuple(
             replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
         )
-        deliver = partial(self._on_announcement, node, states)
+        deliver = partial(self._on_snapshot, node, states)
         if node.is_remote:
-            self._down.send(_ANNOUNCEMENT_BYTES, 1, deliver)
+            self._down.send(_SNAPSHOT_BYTES, 1, deliver)
         else:
             self._timeline.at(now_s + _ON_HOST_S, deliver)
 
-    def _on_announcement(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
+    def _on_snapshot(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
         now_s = node.announced_at_s = self._timeline.now_s
         node.announced = tuple(replace(state, announced_at_s=now_s) for state in states)
 

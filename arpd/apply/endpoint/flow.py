@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # history of the writer or a reader.
 _CATCH_UP = 0.5
 _LEAST_CATCH_UP_HZ = 10.0
-# A first plan takes about 2.5 s: an announcement, the governor's debounce and the message of the plan.
+# A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
 _PATIENCE_S = 4.0
 _NO_LOCK = nullcontext()
 W = TypeVar("W", bound=Writer)

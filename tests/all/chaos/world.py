@@ -24,15 +24,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.adapters.ros.daemon_messages import plan_qos
 from arpd.adapters.ros.graph import deadline_ns_of
-from arpd.adapters.ros.names import plan_topic
-from arpd.adapters.ros.plan_message import crc_of, encode_plan
 from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
-from arpd.model.plan import TopicPlan
+from arpd.model.plan import PlanAnswer, TopicPlan
 from scripts.bench.child import number_of, sample_of
 from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from tests.ros.announced import Announced
+from tests.ros.plans import Plans
 from tests.waiting import PATIENCE_S, eventually
 
 REPO = Path(__file__).resolve().parents[3]
@@ -117,13 +115,13 @@ class World:
         self._workdir = workdir
         self._stack = ExitStack()
         self._announcements = defaultdict(list)  # topic → all states announced
-        self._planners = {}  # node → publisher of its plans
         self._generations = itertools.count(1)
         self._starts = 0
 
     def __enter__(self):
         self._node = self.node("observer")
         self._heard = Announced(self._node, self._on_news)
+        self._plans = Plans(self._node)
         return self
 
     def __exit__(self, *failure):
@@ -245,12 +243,8 @@ class World:
         """Send a node a newer plan of all these publishers, as a daemon does, and wait until it is taken."""
         row = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=deadline_ns, depth=depth)
         generation = next(self._generations)
-        text = encode_plan(generation=generation, lease_s=0.0, publishers=dict.fromkeys(topics, row))
-        if node not in self._planners:
-            self._planners[node] = self._node.create_publisher(String, plan_topic(node), plan_qos())
-        self._planners[node].publish(String(data=text))
-        taken = (generation, crc_of(text), "")
-        eventually(f"{node} takes the plan", lambda: self._heard.answers.get(node) == taken)
+        self._plans(generation, dict.fromkeys(topics, row))
+        eventually(f"{node} takes the plan", lambda: self._heard.answers.get(node) == PlanAnswer(generation))
 
     def _on_news(self, states):
         for state in states:

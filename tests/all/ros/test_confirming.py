@@ -11,7 +11,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.adapters.ros.world import RosControl
-from arpd.apply.progress import Progress
+from arpd.apply.progress import progress
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
@@ -27,7 +27,6 @@ class Planner:
 
     def __init__(self, node):
         self._control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
-        self._progress = Progress()
         self._generation = 0
 
     def publishers(self):
@@ -43,9 +42,9 @@ class Planner:
         time.sleep(0.1)
         began_s = time.monotonic()
         while (now_s := time.monotonic()) < began_s + 20.0:
-            steps = self._progress.steps(publishers=self.publishers(), plan=plan, reason="test")
-            self._control.apply(steps.transitions, now_s=now_s)
-            if steps.confirmed == len(RATES_HZ):
+            come = progress(self.publishers(), plan)
+            self._control.apply(plan, lease_s=0.0, missing=come.missing, now_s=now_s)
+            if come.confirmed == len(RATES_HZ):
                 return now_s - began_s
             time.sleep(0.1)
         raise AssertionError("the plan was not confirmed")

@@ -72,7 +72,7 @@ def play(world):
         "ROS_DOMAIN_ID": str(DOMAIN),
     }
     rogue = subprocess.Popen(
-        [sys.executable, HERE / "rogue.py", "/talker", TOPIC], env=environment, stdin=subprocess.PIPE, text=True
+        [sys.executable, HERE / "rogue.py", TOPIC], env=environment, stdin=subprocess.PIPE, text=True
     )
     try:
         daemon = world.daemon(link={"interface": "lo", "initial_capacity": f"{CAPACITY_MBIT}mbit"})
@@ -123,7 +123,7 @@ def test_nothing_invented_is_planned_for(outcome):
     """No publisher, peer or daemon counts that the graph does not show."""
     last = outcome.seen[-1]
     assert [row["topic"] for row in outcome.status["topics"]] == [TOPIC]
-    assert last["arpd_other_daemons"] == last["arpd_standing_by"] == 0
+    assert last["arpd_standing_by"] == 0
     assert last["arpd_peer_reports_total"] == 0
     assert last["arpd_plan_generation"] < 10
     assert last["arpd_link_capacity_bytes_per_second"] * 8e-6 <= CAPACITY_MBIT
@@ -147,7 +147,6 @@ def test_every_refusal_is_counted_and_few_are_logged(outcome):
     """Each kind of refusal is counted; the log names each source once a minute."""
     counts = outcome.seen[-1]
     for kind, reason in [
-        ("publishers", "source"),
         ("publishers", "rate"),
         ("publishers", "size"),
         ("publishers", "malformed"),
@@ -155,7 +154,8 @@ def test_every_refusal_is_counted_and_few_are_logged(outcome):
         ("reports", "unanswered"),
         ("reports", "size"),
         ("reports", "malformed"),
-        ("claims", "size"),
+        ("prices", "malformed"),
+        ("prices", "size"),
     ]:
         assert counts[f'arpd_messages_refused_total{{kind="{kind}",reason="{reason}"}}'] > 0, (kind, reason)
     assert counts["arpd_endpoints_pending"] > 0

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.adapters.ros.world import RosControl
-from arpd.apply.progress import Progress
+from arpd.apply.progress import progress
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from tests.ros.child import child
@@ -26,14 +26,13 @@ class Planner:
 
     def __init__(self, node):
         self._control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
-        self._progress = Progress()
-        self.observation = self.steps = self.plan = None
+        self.observation = self.come = self.plan = None
 
     def intend(self, generation, **fields):
         row = TopicPlan(**{"rate_hz": 50.0, "min_rate_hz": 0.1, "deadline_ns": 0, "depth": 10, **fields})
         topics = {publisher.topic: row for publisher in self.observation.publishers}
         self.plan = QosPlan(generation=generation, topics=topics, level_bytes_per_second=1.0)
-        self.steps = None
+        self.come = None
 
     @property
     def results(self):
@@ -41,17 +40,15 @@ class Planner:
 
     @property
     def is_in_force(self):
-        return self.steps is not None and self.steps.confirmed == ALL and not self.steps.transitions
+        return self.come is not None and self.come.confirmed == ALL and not self.come.missing
 
     def tick(self):
         now_s = time.monotonic()
         self.observation = seen = self._control.observe(now_s)
         if (plan := self.plan) is None:
             return
-        steps = self._progress.steps(publishers=seen.publishers, plan=plan, reason="test")
-        self._control.apply(steps.transitions, now_s=now_s)
-        if plan is self.plan:
-            self.steps = steps
+        self.come = progress(seen.publishers, plan)
+        self._control.apply(plan, lease_s=0.0, missing=self.come.missing, now_s=now_s)
 
 
 @pytest.fixture
@@ -64,7 +61,7 @@ def wait_until(planner, condition, timeout_s=60.0):
     """Tick as the daemon does until a condition holds; return the time it took (s)."""
     begun_s = time.monotonic()
     while not condition():
-        assert time.monotonic() - begun_s < timeout_s, planner.steps and planner.steps.confirmed
+        assert time.monotonic() - begun_s < timeout_s, planner.come and planner.come.confirmed
         planner.tick()
         time.sleep(1 / TICKS_HZ)
     return time.monotonic() - begun_s
@@ -91,7 +88,6 @@ def test_a_thousand_publishers_are_found_planned_and_confirmed(ros, talkers):
 
 def measure(planner):
     """Return the processor time of this process a second while nothing happens (s)."""
-    time.sleep(8.0)  # until statuses of the swaps have come
     begun_s, cpu_s = time.monotonic(), time.process_time()
     while time.monotonic() - begun_s < MEASURED_S:
         planner.tick()

@@ -115,8 +115,8 @@ class World(QuietWorld):
             radio_bytes_per_second=next((rate for at_s, rate in reversed(RADIO) if now_s >= at_s), None),
         )
 
-    def apply(self, transitions, *, now_s):
-        self.sent += ((now_s, step.topics, step.lease_s) for step in transitions)
+    def apply(self, plan, *, lease_s, missing, now_s):
+        self.sent += ((now_s, plan.topics, lease_s) for _node in missing)
 
 
 def document(key=None):

@@ -45,18 +45,19 @@ class World(QuietWorld):
             active_daemon=self.active_daemon,
         )
 
-    def apply(self, transitions, *, now_s):
-        for step in transitions:
-            if step.node in self._deaf or (step.node, step.topics) in self.sent:
+    def apply(self, plan, *, lease_s, missing, now_s):
+        assert lease_s == 0.0
+        for node in missing:
+            if node in self._deaf or (node, plan.topics) in self.sent:
                 continue
-            self.sent.append((step.node, step.topics))
-            self._pending.append((now_s + 1.0, lambda step=step: self._announce(step)))
+            self.sent.append((node, plan.topics))
+            self._pending.append((now_s + 1.0, lambda: self._take(plan)))
 
-    def _announce(self, step):
-        for row in step.topics.values():
+    def _take(self, plan):
+        for row in plan.topics.values():
             self.writer = replace(
                 self.writer,
-                generation=step.generation,
+                generation=plan.generation,
                 rate_hz=row.rate_hz,
                 paced_rate_hz=row.rate_hz,
                 depth=row.depth,

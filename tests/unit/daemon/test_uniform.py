@@ -53,16 +53,16 @@ class World(QuietWorld):
             peers=0,
         )
 
-    def apply(self, transitions, *, now_s):
-        for step in transitions:
-            for name, row in step.topics.items():
-                self.publishers[name] = replace(
-                    self.publishers[name],
-                    generation=step.generation,
-                    rate_hz=row.rate_hz,
-                    depth=row.depth,
-                    deadline_ns=row.deadline_ns,
-                )
+    def apply(self, plan, *, lease_s, missing, now_s):
+        for name, row in plan.topics.items() if missing else ():
+            self.publishers[name] = replace(
+                self.publishers[name],
+                generation=plan.generation,
+                lease_s=lease_s,
+                rate_hz=row.rate_hz,
+                depth=row.depth,
+                deadline_ns=row.deadline_ns,
+            )
 
 
 class Robot:

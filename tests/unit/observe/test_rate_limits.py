@@ -12,16 +12,10 @@ from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import PeerReport, Train
 from arpd.observe.peer_reports import Ceiling, PeerAdmission
 from arpd.observe.rate_limits import SourceRateLimiter, TokenBucket
-from arpd.observe.registry import MOST, MOST_OF_NODE, Endpoints
 from tests.examples import examples
-from tests.sample_publishers import publisher
 
 REPORT = PeerReport(peer="ceddp", received_at_s=0.0, interval_s=0.1, rx_bytes=1000, rx_packets=2, last_probe=0)
 HIGH = 1e12
-
-
-def everybody(_node, _topic):
-    return True
 
 
 # -- rates
@@ -37,17 +31,18 @@ def test_a_bucket_lets_its_rate_and_its_burst_through(times, rate_hz, burst):
     assert passed >= min(len(times), burst)
 
 
-def test_a_flood_of_names_takes_nothing_from_those_that_are_known():
-    """Invented names share one rate; the known node keeps its own."""
-    limiter = SourceRateLimiter(rate_hz=2.0, burst=2.0, strangers_hz=5.0, strangers_burst=5.0)
-    limiter.know(["/honest"])
+def test_a_flood_takes_nothing_from_the_others():
+    """Each source has its own rate, and those beyond the bound share one."""
+    limiter = SourceRateLimiter(rate_hz=2.0, burst=2.0)
     passed = 0
     for tick in range(100):
         now_s = tick / 10
-        passed += sum(limiter.lets_pass(f"/invented{tick}_{k}", now_s) for k in range(100))
         if tick % 10 == 0:
-            assert limiter.lets_pass("/honest", now_s)
-    assert passed <= 5 + 5 * 10
+            assert limiter.lets_pass("honest", now_s)
+        passed += sum(limiter.lets_pass("flood", now_s) for _ in range(100))
+    assert passed <= 2 + 2 * 10
+    assert sum(limiter.lets_pass(f"invented{k}", 10.0) for k in range(5000)) < 1010
+    assert limiter.lets_pass("honest", 10.0)
 
 
 def test_a_refusal_is_said_once_a_minute_and_always_counted(caplog):
@@ -55,89 +50,15 @@ def test_a_refusal_is_said_once_a_minute_and_always_counted(caplog):
     now_s = 0.0
     refusals = RefusedMessages(clock=lambda: now_s)
     for now_s in (0.0, 1.0, 59.0, 61.0, 62.0):
-        refusals.note(MessageKind.HEARTBEATS, MessageRefusal.RATE, f"at {now_s:g} s")
+        refusals.note(MessageKind.PRICES, MessageRefusal.RATE, f"at {now_s:g} s")
     assert [message.rpartition(": ")[2] for message in caplog.messages] == ["at 0 s", "at 61 s"]
     for k in range(10_000):
         refusals.note(MessageKind.REPORTS, MessageRefusal.QUOTA, "a lie", source=f"liar-{k}")
     assert len(caplog.messages) < 50
     assert refusals.counts == {
-        (MessageKind.HEARTBEATS, MessageRefusal.RATE): 5,
+        (MessageKind.PRICES, MessageRefusal.RATE): 5,
         (MessageKind.REPORTS, MessageRefusal.QUOTA): 10_000,
     }
-
-
-# -- endpoints
-
-
-def test_an_endpoint_counts_once_the_graph_shows_it():
-    """An endpoint is pending until the graph shows it, or until it falls silent."""
-    endpoints = Endpoints(3.5)
-    endpoints.note(publisher("/n", "/real"), 0.0)
-    endpoints.note(publisher("/n", "/invented"), 0.0)
-    assert (endpoints.live(0.1), endpoints.pending) == ((), 2)
-    endpoints.see(lambda _node, topic: topic == "/real", 0.5)
-    assert [state.topic for state in endpoints.live(0.6)] == ["/real"]
-    assert endpoints.pending == 1
-    assert (endpoints.live(4.0), endpoints.pending) == ((), 0)
-
-
-def test_a_shown_endpoint_outlives_a_flood():
-    """While a flood displaces announcements, shown endpoints are kept for longer, and invented ones are not."""
-    endpoints = Endpoints(3.5)
-    endpoints.see(lambda node, _topic: node == "/honest", 0.0)
-    endpoints.note(publisher("/honest", "/t"), 0.0)
-    endpoints.note(publisher("/invented", "/t"), 0.0)
-    assert len(endpoints.live(9.0, is_flooded=True)) == 1
-    assert endpoints.pending == 0
-    assert not endpoints.live(9.1)
-
-
-def test_a_node_has_a_bounded_number_of_entries():
-    """A node that announces without end takes no entry of others, and keeps its own."""
-    endpoints = Endpoints(3.5)
-    endpoints.see(everybody, 0.0)
-    noted = [endpoints.note(publisher("/loud", f"/t{k}"), 0.0) for k in range(2 * MOST_OF_NODE)]
-    assert noted == [True] * MOST_OF_NODE + [False] * MOST_OF_NODE
-    assert endpoints.note(publisher("/loud", "/t0"), 1.0)
-    assert endpoints.note(publisher("/quiet", "/t"), 1.0)
-    assert endpoints.note(publisher("/loud", "/late"), 1.0) is False
-    endpoints.live(4.0)  # forgets what was not repeated
-    assert endpoints.note(publisher("/loud", "/late"), 4.0)
-
-
-def test_inventions_give_way_to_what_the_graph_shows():
-    """When invented endpoints fill all entries, a real one replaces one of them; real ones stay."""
-    endpoints = Endpoints(3.5)
-    endpoints.see(lambda node, _topic: node == "/honest", 0.0)
-    assert endpoints.note(publisher("/honest", "/first"), 0.0)
-    taken = sum(endpoints.note(publisher(f"/invented{k}", "/t"), 0.1) for k in range(2 * MOST))
-    assert taken == MOST - 1
-    assert endpoints.note(publisher("/honest", "/second"), 0.2)
-    assert [state.topic for state in endpoints.live(0.3)] == ["/first", "/second"]
-
-
-@examples(40)
-@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans(), st.floats(0, 4)), max_size=60))
-def test_nothing_lives_that_is_not_both_shown_and_announced(events):
-    """At any order of events, a live endpoint was shown in the last 10 s and announced itself lately."""
-    endpoints = Endpoints(3.5)
-    now_s, shown_s, announced_s = 0.0, {}, {}
-    shown: frozenset[Any] = frozenset()
-    for node, topic, is_graph, pause_s in events:
-        now_s += pause_s
-        key = (f"/n{node}", f"/t{topic}")
-        shown_s.update(dict.fromkeys(shown, now_s))
-        if is_graph:
-            shown = shown ^ {key}
-            endpoints.see(lambda *known, shown=shown: known in shown, now_s)
-        else:
-            endpoints.note(publisher(*key), now_s)
-            announced_s[key] = now_s
-        live = {(state.node, state.topic) for state in endpoints.live(now_s)}
-        for key in live:
-            assert now_s - announced_s[key] <= 3.5
-            assert key in shown or now_s - shown_s[key] <= 10.0
-        assert {key for key in shown if now_s - announced_s.get(key, -9.0) <= 3.5} <= live
 
 
 # -- reports

@@ -20,17 +20,16 @@ from arpd.adapters.ros.ends.ghosts import GhostNodes
 from arpd.adapters.ros.ends.incoming import Incoming
 from arpd.adapters.ros.ends.link_thread import LinkThread
 from arpd.adapters.ros.ends.outgoing import Outgoing
-from arpd.adapters.ros.ends.summaries import Summaries
+from arpd.adapters.ros.ends.summary import summary
 from arpd.adapters.ros.ends.survey import Survey
 from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.adapters.ros.node_publishers import NodePublishers
+from arpd.adapters.ros.raw_reader import RawReader, ReadingThread, Sample, octets
 from arpd.adapters.ros.rcl import rcl
-from arpd.adapters.ros.serialized import octets
 from arpd.apply.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
-from arpd.apply.relay.partner import Partner
+from arpd.apply.relay.partner import EVERY_S, Partner
 from arpd.apply.relay.selection import Selection, far_name, robot_name
 from arpd.apply.relay.status import MOST_NAMED, status_line
-from arpd.model.relay import RelaySummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -142,14 +141,12 @@ class End:
             robot_name=self._robot_name,
             clock=clock,
         )
-        # For the daemon on the robot.
-        self._summaries = None if is_far else Summaries(link_node, self.link, self.incoming, self.outgoing, self._calls)
         self._readers = [
             self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, lambda sample: self._arrived.append(sample.data)),
             self._listen(link_node, f"/arpd/relay/{other}/small", _SMALL, self.incoming.deliver_together),
             self._listen(link_node, f"/arpd/relay/{other}/alive", _SIGNS, self._hear_sign),
         ]
-        self._status = ""
+        self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         self.link.start()
 
     def close(self) -> None:
@@ -339,18 +336,22 @@ class End:
 
     def _report(self, now_s: float) -> None:
         status = self.status_line(now_s)
-        if status != self._status:
-            self._status = status
+        is_news, self._status = status != self._status, status
+        if is_news:
             self._on_change(status)
-        if self._summaries is not None and self._summaries.is_due(now_s, status):
-            here = replace(self._told, refused=self._refused)
-            end = RelaySummary(
+        if not self._is_far and (is_news or now_s >= self._summary_s):
+            self._summary_s, told = now_s + EVERY_S, NodePublishers.of(self._link_node)
+            told.relay = summary(
+                replace(self._told, refused=self._refused),
+                self._partner.state,
+                counted=(self.incoming, self.outgoing, self._calls, self.link),
                 is_reachable=self._partner.is_reachable(now_s),
                 fault=self._fault,
                 strangers=tuple(self._others),
                 types_differ=self._differ,
             )
-            self._summaries.send(now_s, here=here, there=self._partner.state, status=status, end=end)
+            if is_news:
+                told.hurry()
 
     def status_line(self, now_s: float) -> str:
         """Return one line for ``systemctl status``."""

@@ -90,6 +90,11 @@ class LinkTopic:
 
     # -- what `NodePublishers` calls
 
+    @property
+    def has_refused(self) -> bool:
+        """It takes every plan."""
+        return False
+
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
         self.plan = plan
@@ -101,8 +106,8 @@ class LinkTopic:
             self._price = price
             self._settle()
 
-    def state(self, *, generation: int, lease_s: float = 0.0, lacks_profile: bool = False) -> PublisherState:
-        """Return the settings in force and the counters, for the announcement."""
+    def state(self) -> PublisherState:
+        """Return the settings in force and the counters, for the daemon."""
         flow = replace(self._lane.state(self._clock()), blocked_s=self._thread.held_s)
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
@@ -110,9 +115,6 @@ class LinkTopic:
             type_name=type_name_of(UInt8MultiArray),
             direction=Direction.LOCAL,
             baseline_depth=self.baseline.depth,
-            generation=generation,
-            lease_s=lease_s,
-            lacks_profile=lacks_profile,
             **flow.counted(),
         )
 

@@ -2,15 +2,16 @@
 
 import math
 import re
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_DEPTH, MOST_RATE_HZ, check_grant, checked_row
+from arpd.adapters.ros.bounds import LEAST_DEADLINE_NS, MOST_DEPTH, ROW_FIELDS, checked_row
 from arpd.adapters.ros.names import INFINITE_NS
 from arpd.model.endpoints import WriterQos
-from arpd.model.plan import MOST_GENERATION, TopicPlan
+from arpd.model.plan import TopicPlan
 from tests.examples import examples
 
 OWN = WriterQos(depth=10, deadline_ns=0)
@@ -24,8 +25,8 @@ ROW = {
     "packets": 1,
 }
 FLOATS = {
-    "rate_hz": lambda value: 0 <= value <= MOST_RATE_HZ or value == math.inf,
-    "min_rate_hz": lambda value: 0 <= value <= MOST_RATE_HZ,
+    "rate_hz": lambda value: 0 <= value <= 1e6,
+    "min_rate_hz": lambda value: 0 <= value <= 1e6,
     "weight": lambda value: value == 0 or 1e-6 <= value <= 1e6,
     "wire_bytes": lambda value: value == 0 or 1 <= value <= 1e12,
 }
@@ -34,17 +35,20 @@ INTEGERS = {
     "deadline_ns": lambda value: value == 0 or value >= LEAST_DEADLINE_NS,
     "packets": lambda value: 0 <= value <= 10**9,
 }
-IN_FORCE = 7
+
+
+def checked(row, own=OWN):
+    return checked_row("/t", [row[name] for name in ROW_FIELDS], own)
 
 
 def assert_taken_or_refused(field, value, *, fits):
     """Assert that a row with this value becomes the same plan, or that the refusal names topic and field."""
     row = {**ROW, field: value}
     if fits:
-        assert checked_row("/t", row, OWN) == TopicPlan(**row)
+        assert checked(row) == TopicPlan(**row)
     else:
-        with pytest.raises(ValueError, match=rf"^/t: {field} = {re.escape(str(value))} is "):
-            checked_row("/t", row, OWN)
+        with pytest.raises(ValueError, match=rf"^/t: {field} = '?{re.escape(str(value)[:40])}'? is "):
+            checked(row)
 
 
 @pytest.mark.parametrize("field", FLOATS)
@@ -67,34 +71,20 @@ def test_the_application_s_own_qos_is_always_allowed():
     """A plan may return to a depth and a deadline beyond the bounds when the application chose them."""
     own = WriterQos(depth=MOST_DEPTH + 1, deadline_ns=LEAST_DEADLINE_NS - 1)
     row = {**ROW, "depth": own.depth, "deadline_ns": own.deadline_ns}
-    assert checked_row("/t", row, own) == TopicPlan(**row)
-    with pytest.raises(ValueError, match=r"^/t: depth"):
-        checked_row("/t", row, OWN)
+    assert checked(row, own) == TopicPlan(**row)
+    with pytest.raises(ValueError, match=r"^/t: d"):
+        checked(row)
 
 
-@pytest.mark.parametrize("value", [INFINITE_NS, 2**64])
-def test_an_infinite_deadline_is_none(value):
-    """What ROS 2 takes for no deadline, and more, becomes 0."""
-    assert checked_row("/t", {**ROW, "deadline_ns": value}, OWN).deadline_ns == 0
-
-
-@examples(60)
-@given(lease_s=st.floats())
-def test_a_lease_is_within_bounds_or_refused_by_name(lease_s):
-    """Any float is taken, or the plan is refused by the name of its lease."""
-    if lease_s == 0 or 5 <= lease_s <= 1e9:
-        check_grant(generation=IN_FORCE, lease_s=lease_s, in_force=IN_FORCE)
-    else:
-        with pytest.raises(ValueError, match=r"^lease_s = .+ is outside"):
-            check_grant(generation=IN_FORCE, lease_s=lease_s, in_force=IN_FORCE)
+def test_what_is_infinite_is_read_as_such():
+    """No rate is an infinite one, and what ROS 2 takes for no deadline becomes 0."""
+    row = checked({**ROW, "rate_hz": None, "deadline_ns": INFINITE_NS})
+    assert (row.rate_hz, row.deadline_ns) == (math.inf, 0)
 
 
 @examples(60)
-@given(generation=st.integers())
-def test_a_generation_is_neither_older_nor_too_large(generation):
-    """Any generation from the one in force to the greatest is taken, another one is refused with its number."""
-    if IN_FORCE <= generation <= MOST_GENERATION:
-        check_grant(generation=generation, lease_s=0.0, in_force=IN_FORCE)
-    else:
-        with pytest.raises(ValueError, match=rf"^generation {generation} is "):
-            check_grant(generation=generation, lease_s=0.0, in_force=IN_FORCE)
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(), st.lists, max_leaves=8))
+def test_any_row_is_read_or_refused(row):
+    """Whatever stands for a row, only a plan comes out."""
+    with suppress(ValueError):
+        assert isinstance(checked_row("/t", row, OWN), TopicPlan)

@@ -1,36 +1,30 @@
-"""Times and answers of plan messages, over a node that only keeps them."""
+"""When the plan is sent, and what its answers count as, over a node that only keeps the messages."""
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.plan_message import PlanAnswer, crc_of
 from arpd.adapters.ros.plan_sender import PlanSender
-from arpd.model.plan import TopicPlan, Transition
+from arpd.model.plan import NO_PLAN, PlanAnswer, QosPlan, TopicPlan
 
 ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=20, weight=2.0, wire_bytes=1500.5, packets=3)
-STEP = Transition(node="/n", generation=3, topics={"/t": ROW}, reason="test", lease_s=4.0)
+PLAN = QosPlan(generation=3, topics={"/t": ROW}, level_bytes_per_second=1.0)
 
 
 class Node:
-    """A node whose plans the test receives and answers."""
+    """A node that keeps what it should publish."""
 
     def __init__(self):
-        self.texts = []
-        self.readers = 1
-        self.last_answer = PlanAnswer()
+        self.messages = []
 
     def create_publisher(self, _kind, _topic, _qos, **_events):
         return self
 
     def publish(self, message):
-        self.texts.append(message.data)
+        self.messages.append(bytes(message.data))
 
-    def get_subscription_count(self):
-        return self.readers
-
-    def answer(self, refusal=""):
-        return PlanAnswer(3, crc_of(self.texts[-1]), refusal)
+    def destroy_publisher(self, _publisher):
+        self.messages.clear()
 
 
 @pytest.fixture
@@ -39,22 +33,48 @@ def node():
 
 
 @pytest.fixture
-def sender(node):
-    return PlanSender(node, answer_of=lambda _name: node.last_answer)
+def send(node):
+    """Let the sender have a turn; return how many messages it has sent so far."""
+    sender = PlanSender(node)
+
+    def send(now_s, *, plan=PLAN, missing=("/n",), answer=NO_PLAN):
+        sender.apply(plan, lease_s=4.0, missing=missing, answers={"/n": answer}, now_s=now_s)
+        return len(node.messages)
+
+    send.sender = sender
+    return send
 
 
-@pytest.mark.parametrize(
-    ("is_answered", "expected_s"), [(False, [0.0, 2.5, 7.5, 17.5]), (True, [0.0, 6.0, 12.0])], ids=["no", "yes"]
-)
-def test_an_unconfirmed_plan_is_repeated_after_a_while(node, sender, is_answered, expected_s):
-    """Without an answer a plan is repeated with growing back-off; an accepted one after the time of a swap."""
-    sent_s = []
-    for tick in range(180):
-        before = len(node.texts)
-        sender.apply([STEP], now_s=tick / 10)
-        if len(node.texts) > before:
-            sent_s.append(tick / 10)
-            if is_answered:
-                node.last_answer = node.answer()
-    assert sent_s == expected_s
-    assert len(set(node.texts)) == 1
+def test_an_unconfirmed_plan_is_sent_again_after_a_while(node, send):
+    """The same message goes out until the nodes show it, after 6 s and then 12 s; then it rests."""
+    counts = [send(tick / 10) for tick in range(320)]
+    assert [counts.index(number) / 10 for number in sorted({*counts})] == [0.0, 6.0, 18.0, 30.0]
+    assert len(set(node.messages)) == 1
+    assert send.sender.results == {"timeout": 3}
+    assert {send(tick, missing=(), answer=PlanAnswer(3)) for tick in range(40, 100)} == {4}
+    assert send.sender.results == {"timeout": 3, "ok": 1}
+
+
+def test_a_new_plan_does_not_wait(send):
+    """Other rows, or another lease, go out at once, but not more than five times a second."""
+    send(0.0)
+    other = QosPlan(generation=4, topics={}, level_bytes_per_second=1.0)
+    assert [send(now_s, plan=other) for now_s in (0.1, 0.2, 0.3)] == [1, 2, 2]
+
+
+def test_an_answer_counts_once(send):
+    """A refusal of this plan counts, and one of another does not."""
+    send(0.0)
+    send(0.5, answer=PlanAnswer(2, 0.0, 1, "too old"))
+    assert send.sender.results == {}
+    for now_s in (1.0, 1.5):
+        send(now_s, answer=PlanAnswer(2, 0.0, 3, "/t: depth"))
+    assert send.sender.results == {"refused": 1}
+
+
+def test_a_plan_that_is_taken_back_is_sent_anew(node, send):
+    """Who stands by leaves no plan behind, and sends it again when it drives."""
+    send(0.0)
+    send.sender.forget()
+    assert not node.messages
+    assert send(1.0) == 1

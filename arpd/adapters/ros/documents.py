@@ -1,0 +1,75 @@
+"""JSON documents as messages, compressed where that is shorter; and strict readers of their values. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from typing import Any
+
+MOST_INTEGER = 2**63 - 1
+_ZLIB = 0x78  # its first byte; JSON begins otherwise
+
+
+def pack(document: Any) -> bytes:
+    """Return a document as the bytes of a message."""
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode(errors="replace")
+    return min(text, zlib.compress(text), key=len)
+
+
+def unpack(data: bytes, *, most_bytes: int) -> dict[str, Any]:
+    """Return the object that a message holds.
+
+    Parameters
+    ----------
+    most_bytes : of its text
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no JSON object, or a longer one.
+    """
+    try:
+        if data[:1] == bytes((_ZLIB,)):
+            expand = zlib.decompressobj()
+            data = expand.decompress(data, most_bytes + 1)
+        if len(data) > most_bytes:
+            raise ValueError(f"a document of more than {most_bytes} bytes")
+        document = json.loads(data, parse_constant=_refuse_constant)
+    except (zlib.error, RecursionError) as fault:
+        raise ValueError(f"no document: {fault}") from fault
+    if not isinstance(document, dict):
+        raise ValueError("no object of JSON")  # noqa: TRY004 - a message may hold anything, so it is no type error
+    return document
+
+
+def integer(name: str, value: Any, *, least: int = 0, most: int = MOST_INTEGER) -> int:
+    """Return an integer within bounds.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message names it.
+    """
+    if type(value) is not int or not least <= value <= most:
+        raise ValueError(f"{name} = {str(value)[:40]!r} is no integer from {least} to {most}")
+    return value
+
+
+def number(name: str, value: Any, *, most: float) -> float:
+    """Return a number from 0 to ``most``; nothing stands for infinity where that is allowed.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message names it.
+    """
+    if value is None and most == math.inf:
+        return math.inf
+    if type(value) not in {int, float} or not 0 <= value <= most:
+        raise ValueError(f"{name} = {str(value)[:40]!r} is no number from 0 to {most:g}")
+    return float(min(value, 1e300)) if type(value) is int else value
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")

@@ -1,0 +1,127 @@
+"""Nodes that tell of their publishers, as far as the graph shows them; pure, in seconds of one monotonic clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.endpoints import PublisherState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from arpd.model.endpoints import NodeSnapshot
+    from arpd.model.plan import PlanAnswer
+    from arpd.model.relay import RelaySummary
+
+MOST_PUBLISHERS = 2000  # of all nodes together: more than any robot has
+MOST_NODES = 500
+SILENT_S = 4.5  # four snapshots missed: the node is gone
+
+
+@dataclass(slots=True)
+class _Node:
+    snapshot: NodeSnapshot
+    at_s: float
+    shown: set[str] = field(default_factory=set)  # topics that the graph has shown it to write
+    states: list[PublisherState] | None = None  # made of all this when somebody asks
+
+
+class Nodes:
+    """Last snapshot of every node, by the GUID of the writer that sent it: a node that restarts has another one.
+
+    A publisher counts once the graph has shown its node on the topic, so an invented one never counts. Publishers are
+    bounded per node by the size of a snapshot, and here in all.
+    """
+
+    def __init__(self) -> None:
+        self._nodes: dict[bytes, _Node] = {}  # the one heard last at the end
+        self._live: tuple[PublisherState, ...] | None = None  # None when something changed since
+        self._live_until_s = -math.inf  # until then time alone changes nothing
+        self._known_of: Any = None
+        self._is_shown: Callable[[str, str], bool] = lambda _node, _topic: False
+
+    @property
+    def pending(self) -> int:
+        """Number of publishers that the graph has not shown."""
+        return sum(len(node.snapshot.publishers) - len(node.shown) for node in self._nodes.values())
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Topics of all publishers; for any thread."""
+        return frozenset(row["topic"] for node in tuple(self._nodes.values()) for row in node.snapshot.publishers)
+
+    @property
+    def answers(self) -> Mapping[str, PlanAnswer]:
+        """Answers to plans, by node."""
+        return {node.snapshot.node: node.snapshot.answer for node in self._nodes.values()}
+
+    def note(self, writer: bytes, snapshot: NodeSnapshot, now_s: float) -> bool:
+        """Note a snapshot; return False when there is no room for it."""
+        before, node = self._nodes.pop(writer, None), _Node(snapshot, now_s)
+        if before is not None and before.snapshot.node == snapshot.node:
+            node.shown = before.shown.intersection(row["topic"] for row in snapshot.publishers)
+        self._live = None
+        self._look(node)
+        if node.shown:  # what the graph never showed gives way to it
+            for other in [other for other, each in self._nodes.items() if not each.shown]:
+                if self._has_room(snapshot):
+                    break
+                del self._nodes[other]
+        if not self._has_room(snapshot):
+            return False
+        self._nodes[writer] = node
+        return True
+
+    def _has_room(self, snapshot: NodeSnapshot) -> bool:
+        publishers = sum(len(node.snapshot.publishers) for node in self._nodes.values())
+        return publishers + len(snapshot.publishers) <= MOST_PUBLISHERS and len(self._nodes) < MOST_NODES
+
+    def see(self, is_shown: Callable[[str, str], bool]) -> None:
+        """Note what the graph shows now, as a function of node and topic."""
+        self._is_shown = is_shown
+        for node in self._nodes.values():
+            self._look(node)
+
+    def live(
+        self, now_s: float, known_of: Callable[[str, str], Mapping[str, Any]] = lambda _node, _topic: {}
+    ) -> tuple[PublisherState, ...]:
+        """Return the publishers of the nodes heard lately, sorted by node and topic.
+
+        It is the same tuple until something arrives, expires, or the graph changes.
+
+        Parameters
+        ----------
+        known_of : returns further fields of a node's publisher on a topic; another function may return others
+        """
+        if self._live is not None and known_of is self._known_of and now_s <= self._live_until_s:
+            return self._live
+        self._nodes = {writer: node for writer, node in self._nodes.items() if now_s - node.at_s <= SILENT_S}
+        found: dict[tuple[str, str], PublisherState] = {}
+        for node in sorted(self._nodes.values(), key=lambda node: node.at_s):
+            if node.states is None or known_of is not self._known_of:
+                node.states = [
+                    # 4 µs; `dataclasses.replace` takes twice that.
+                    PublisherState(**{**row, "announced_at_s": node.at_s, **known_of(node.snapshot.node, row["topic"])})
+                    for row in node.snapshot.publishers
+                    if row["topic"] in node.shown
+                ]
+            # Of a node that restarted, and its predecessor, what was told last counts.
+            found.update(((state.node, state.topic), state) for state in node.states)
+        self._known_of = known_of
+        self._live_until_s = min((node.at_s for node in self._nodes.values()), default=math.inf) + SILENT_S
+        self._live = tuple(state for _, state in sorted(found.items(), key=lambda pair: pair[0]))
+        return self._live
+
+    def _look(self, node: _Node) -> None:
+        topics = {row["topic"] for row in node.snapshot.publishers} - node.shown
+        if new := {topic for topic in topics if self._is_shown(node.snapshot.node, topic)}:
+            node.shown |= new
+            node.states = self._live = None
+
+    def relay(self, now_s: float) -> RelaySummary | None:
+        """Return the newest summary of a relay, None when none was told lately."""
+        recent = (node for node in self._nodes.values() if node.snapshot.relay and now_s - node.at_s <= SILENT_S)
+        newest = max(recent, key=lambda node: node.at_s, default=None)
+        return None if newest is None else newest.snapshot.relay
