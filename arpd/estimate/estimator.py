@@ -388,7 +388,6 @@ class Estimator:
             cautious_ratio=self._capacities.cautious_ratio(capacity) if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             is_resting=self._idle.is_resting,
-            look_s=self._schedule.ping_s,
             age_s=age_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,

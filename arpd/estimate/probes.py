@@ -51,7 +51,6 @@ class ProbeSchedule:
         self._trains = 0
         self._is_confirming = False
         self._probes = 0
-        self.ping_s = PING_S
         self.quiet_s = 0.0
 
     def wanted(
@@ -90,7 +89,7 @@ class ProbeSchedule:
             ping_s = max(ping_s, RESTING_PING_S)
         if is_idle:
             ping_s = PING_MOST_S
-        self.ping_s, self.quiet_s = ping_s, _QUIET_PINGS * ping_s
+        self.quiet_s = _QUIET_PINGS * ping_s
         share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
         budget = share * capacity_bytes_per_second
         is_surprised = surprise_bytes_per_second is not None

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
 _TARGET_S = 0.03  # a queue up to this, above what one large message explains, may stay
 _DRAIN_S = 0.15  # a longer one is to be gone after about so long
-# And after so many pings at the soonest: what is integrated with a delay d and a gain 1/T swings where d/T > π/2.
-_DRAIN_LOOKS = 1.6
 _LEAST = 0.1  # part that goes on beside any queue: small topics need no more, and the queue is gone almost as soon
 _OUT, _OUT_HALF_S, _OUT_MOST_S = 0.05, 1.0, 10.0  # part that goes on in an outage, halved every second
 _LEVEL_S, _MOVES_S = 1.0, 6.0
@@ -52,8 +50,7 @@ class Budget:
             return part * headroom * available
         self._carried_at_s = now_s
         queue_s = max(link.standing_delay_s, link.queue_delay_s - link.queue_allowance_s)
-        drain_s = max(_DRAIN_S, _DRAIN_LOOKS * link.look_s)
-        drained = max(_LEAST, 1.0 + (_TARGET_S - queue_s) / drain_s)
+        drained = max(_LEAST, 1.0 + (_TARGET_S - queue_s) / _DRAIN_S)
         share = headroom + (1.0 - headroom) * _SPENT * self._unrest(now_s, available)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
             self._past.append((now_s, available))

@@ -82,13 +82,6 @@ def test_a_queue_that_one_message_explains_costs_nothing():
     assert allowed(queue_delay_s=0.4, queue_allowance_s=0.1) < 0.8 * C
 
 
-def test_a_queue_that_is_seldom_looked_at_drains_slowly():
-    """The queue is to be gone after more than one ping, because a loop that overtakes its feedback swings."""
-    seldom, often = ({"queue_allowance_s": 0.0, "queue_delay_s": 0.11, "look_s": look_s} for look_s in (0.5, 0.05))
-    assert allowed(**seldom) == pytest.approx(0.8 * C)
-    assert allowed(**often) < 0.5 * C
-
-
 def test_in_an_outage_there_is_none():
     """A link that carries nothing has no budget, at any capacity that it had."""
     assert allowed(state=LinkState.OUTAGE) == 0.0
