@@ -24,8 +24,8 @@ def add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, 
         help="check a configuration file",
         description="""\
 Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
-what would be right. A line with "warning:" is no fault: the key costs this host much memory. Exits 0 without faults,
-78 with.""",
+what would be right. A line with "warning:" is no fault: the key costs this host much memory, or the minimum rates do
+not fit the link. Exits 0 without faults, 78 with.""",
         epilog="""\
 examples:
   arpd check                                 checks /etc/arpd/arpd.yaml
@@ -64,8 +64,8 @@ def _check(options: argparse.Namespace) -> int:
             raise
         print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
         return error.exit_code
-    is_robot = not (options.far or options.no_interfaces)
-    warned = [f"{options.file}: {warning}" for warning in _warnings(settings)] if is_robot else []
+    found = [] if options.far else _warnings(settings, is_here=not options.no_interfaces)
+    warned = [f"{options.file}: {warning}" for warning in found]
     if options.json:
         document = {"ok": True, "file": str(options.file), "warnings": warned, "settings": flatten(settings)}
         print(json.dumps(document, indent=2))
@@ -76,11 +76,12 @@ def _check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _warnings(settings: Settings) -> list[str]:
-    from arpd.adapters.config.advice import warnings
+def _warnings(settings: Settings, *, is_here: bool) -> list[str]:
+    from arpd.adapters.config.advice import floor_warnings, warnings
     from arpd.adapters.host.interface import MemoryReader
 
-    return warnings(settings, host_bytes=MemoryReader().read().total_bytes)
+    of_host = warnings(settings, host_bytes=MemoryReader().read().total_bytes) if is_here else []
+    return of_host + floor_warnings(settings)
 
 
 def _list_interfaces() -> list[str] | None:

@@ -1,4 +1,4 @@
-"""Facts of `arpd doctor`, gathered from this computer and from the daemon, and the judgements on them."""
+"""Facts of `arpd doctor`, gathered from this computer and from the daemon, and the list of its checks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from arpd import __version__
 from arpd.adapters.config.domain import local_domain
@@ -17,22 +17,21 @@ from arpd.adapters.ros import installation
 from arpd.adapters.ros.profile import profile_line
 from arpd.adapters.ros.rmw import rmw_of
 from arpd.adapters.systemd.services import service_states
-from arpd.cli.client import DaemonAddress, find, number, rows, text
-from arpd.cli.no_daemon import host_of, is_here
-from arpd.model.errors import ConfigError, DaemonUnreachableError
+from arpd.cli.options import host_of, is_here
+from arpd.model.errors import ArpdError, ConfigError, UsageError
 from arpd.model.settings import AUTO, Settings
 from arpd.report import health_host, health_link
-from arpd.report.health import Judgement, Unknown, unknown
-from arpd.report.health_host import Unit
-from arpd.report.health_link import PeerClock
+from arpd.report.health import Facts, NotKnownError, PeerClock, Unit, Unknown, unknown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
+    from arpd.adapters.http.api.status import Status
     from arpd.adapters.systemd.services import ServiceState
-    from arpd.report.health_host import NetworkLimits, PythonRos
-    from arpd.report.health_link import HeardDiscovery, RadioState
+    from arpd.cli.client import DaemonAddress
+    from arpd.report.health import Finding, HeardDiscovery, NetworkLimits, PythonRos, RadioState
 
+_Fact = TypeVar("_Fact")
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
 UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
 _UNITS_OF_CEDDP = {"arpd-peer", "arpd-relay-far"}
@@ -85,48 +84,88 @@ class Senses:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Checkup:
-    """All judgements on one computer."""
+    """All findings on one computer, by the name of the check."""
 
     is_far: bool
     interface: str
-    judgements: tuple[Judgement, ...]
+    findings: Mapping[str, Finding]
+
+
+_CHECKS: tuple[Callable[[Facts], Finding | None], ...] = (
+    health_link.clock,
+    health_link.power_save,
+    health_link.signal,
+    health_link.region,
+    health_link.mtu,
+    health_host.receive_buffers,
+    health_host.fragments,
+    health_link.discovery,
+    health_link.transports,
+    health_host.profile,
+    health_host.ros,
+    health_host.numpy,
+    health_host.rmw,
+    health_host.versions,
+    health_host.units,
+    health_host.configuration,
+)
 
 
 def check_up(asked: Asked, senses: Senses) -> Checkup:
-    """Read everything, and judge it."""
+    """Read everything, and check it."""
+    facts = gather(asked, senses)
+    findings = {}
+    for check in _CHECKS:
+        try:
+            found = check(facts)
+        except NotKnownError as error:
+            found = unknown(str(error))
+        if found is not None:
+            findings[check.__name__.replace("_", " ")] = found
+    return Checkup(is_far=facts.is_far, interface=facts.interface, findings=findings)
+
+
+def gather(asked: Asked, senses: Senses) -> Facts:
+    """Read every fact."""
     url_host = host_of(asked.daemon.url)
     is_remote = bool(url_host) and not is_here(asked.daemon.url, is_own_address=senses.is_own_address)
-    installed = _installed(senses.units())
-    is_far = asked.is_far or is_remote or _is_ceddp(installed)
+    units = _installed(senses.units())
+    is_far = asked.is_far or is_remote or _is_ceddp(units)
     settings, faults = _configuration(asked.config_path, is_far=is_far)
     status = _status(asked, settings, is_far=is_far, is_remote=is_remote)
     relay = settings.relay
     other = (url_host if is_remote else relay.robot) if is_far else relay.ceddp
-    interface = asked.interface
-    if not interface:
-        told = "" if is_far or isinstance(status, Unknown) else text(status, "interface")
-        configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
-        interface = _interface(senses, names=(told, configured), other=other)
-    heard = _heard(asked, senses, interface)
-    pythons, distros = senses.ros(), senses.distros()
-    judgements = (
-        *health_link.judge_clock(_clocks(status), is_synchronised=senses.is_clock_synchronised(), is_far=is_far),
-        *_of_interface(senses, interface, other),
-        health_host.judge_buffers(limits := senses.limits()),
-        health_host.judge_fragments(limits),
-        health_link.judge_discovery(heard, interface=interface, has_two_ends=relay.link_domain is not None),
-        health_link.judge_transports(heard),
-        health_host.judge_profile(_lacking(status), line=profile_line()),
-        health_host.judge_ros(pythons[0], distro=senses.environment.get("ROS_DISTRO", ""), installed=distros),
-        health_host.judge_numpy([one for one in pythons if not isinstance(one, Unknown)], installed=distros),
-        _rmw(status, pythons[0]),
-        health_host.judge_versions(
-            __version__, status if isinstance(status, Unknown) else text(status, "version"), is_far=is_far
-        ),
-        *health_host.judge_units(installed),
-        health_host.judge_configuration(str(asked.config_path), faults, is_far=is_far),
+    told = "" if is_far or isinstance(status, Unknown) else status.interface
+    configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
+    interface = asked.interface or _interface(senses, names=(told, configured), other=other)
+    without, pythons = Unknown(_WITHOUT_INTERFACE), senses.ros()
+    told_rmw = None if isinstance(status, Unknown) else status.rmw
+    own_rmw = "" if isinstance(pythons[0], Unknown) else pythons[0].rmw
+    return Facts(
+        is_far=is_far,
+        interface=interface,
+        has_two_ends=relay.link_domain is not None,
+        config_path=str(asked.config_path),
+        faults=faults,
+        version=__version__,
+        daemon_version=_of(status, lambda told: told.version),
+        clocks=_of(status, _clocks),
+        is_clock_synchronised=senses.is_clock_synchronised(),
+        lacking=_of(status, lambda told: sorted({each.node for each in told.topics if each.lacks_profile})),
+        profile_line=profile_line(),
+        rmw=told_rmw.name if told_rmw else own_rmw,
+        rmw_refusal=told_rmw.refusal if told_rmw else rmw_of(own_rmw).refusal if own_rmw else "",
+        rmw_is_the_daemons=told_rmw is not None,
+        radios=_radios(senses, interface) if interface else without,
+        mtu_bytes=senses.mtu(interface) if interface else without,
+        route_mtu_bytes=senses.route_mtu(other) if other else None,
+        limits=senses.limits(),
+        heard=_heard(asked, senses, interface),
+        pythons=pythons,
+        distro=senses.environment.get("ROS_DISTRO", ""),
+        distros=senses.distros(),
+        units=units,
     )
-    return Checkup(is_far=is_far, interface=interface, judgements=judgements)
 
 
 def _installed(states: Mapping[str, ServiceState]) -> list[Unit] | Unknown:
@@ -162,7 +201,7 @@ def _configuration(path: Path, *, is_far: bool) -> tuple[Settings, list[str] | U
         return Settings(), error.faults
 
 
-def _status(asked: Asked, settings: Settings, *, is_far: bool, is_remote: bool) -> dict[str, Any] | Unknown:
+def _status(asked: Asked, settings: Settings, *, is_far: bool, is_remote: bool) -> Status | Unknown:
     daemon = asked.daemon
     if is_far and not is_remote:
         return Unknown("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
@@ -171,29 +210,18 @@ def _status(asked: Asked, settings: Settings, *, is_far: bool, is_remote: bool) 
         daemon = replace(daemon, url=f"http://{host}:{settings.http.port}")
     try:
         status = daemon.status()
-    except DaemonUnreachableError as error:
+    except UsageError:
+        raise
+    except ArpdError as error:
         hint = " On the CEDDP, name the robot with --url" if not is_remote and str(error).endswith("?") else ""
         return Unknown(f"{error}{hint}")
-    return status if "link" in status else Unknown(f"the daemon at {daemon.url} has not finished a tick")
+    return status or Unknown(f"the daemon at {daemon.url} has not finished a tick")
 
 
 def _interface(senses: Senses, *, names: Iterable[str], other: str | None) -> str:
     """Return the first of these interfaces that is here, else that of the route to the other end, else a guess."""
     named = next((name for name in names if name and index_of(name) is not None), "")
     return named or (senses.interface_to(other) if other else None) or senses.likeliest_interface() or ""
-
-
-def _of_interface(senses: Senses, interface: str, other: str | None) -> Iterator[Judgement]:
-    if not interface:
-        yield unknown(health_link.POWER_SAVE, _WITHOUT_INTERFACE)
-        yield unknown(health_link.MTU, _WITHOUT_INTERFACE)
-        return
-    radios = {name: radio for name in (interface, *senses.radios_beneath(interface)) if (radio := senses.radio(name))}
-    for name in radios or [interface]:
-        yield from health_link.judge_radio(name, radios.get(name))
-    yield health_link.judge_mtu(
-        interface, senses.mtu(interface), route_bytes=senses.route_mtu(other) if other else None
-    )
 
 
 def _heard(asked: Asked, senses: Senses, interface: str) -> HeardDiscovery | Unknown:
@@ -206,56 +234,28 @@ def _heard(asked: Asked, senses: Senses, interface: str) -> HeardDiscovery | Unk
     return senses.listen(interface, domain_id, asked.listen_s)
 
 
-def _clocks(status: dict[str, Any] | Unknown) -> list[PeerClock] | Unknown:
-    peers = _told(status, "peers", "clock_offset_seconds")
-    if isinstance(peers, Unknown):
-        return peers
+def _of(status: Status | Unknown, read: Callable[[Status], _Fact]) -> _Fact | Unknown:
+    return status if isinstance(status, Unknown) else read(status)
+
+
+def _clocks(status: Status) -> list[PeerClock]:
     return [
-        PeerClock(
-            peer=text(peer, "peer"),
-            offset_s=number(peer, "clock_offset_seconds"),
-            uncertainty_s=number(peer, "clock_uncertainty_seconds"),
-        )
-        for peer in peers
+        PeerClock(peer=peer.peer, offset_s=peer.clock_offset_seconds, uncertainty_s=peer.clock_uncertainty_seconds)
+        for peer in status.peers
     ]
 
 
-def _lacking(status: dict[str, Any] | Unknown) -> list[str] | Unknown:
-    topics = _told(status, "topics", "lacks_profile")
-    if isinstance(topics, Unknown):
-        return topics
-    return sorted({text(topic, "node") for topic in topics if topic["lacks_profile"] is True})
+def _radios(senses: Senses, interface: str) -> dict[str, RadioState]:
+    return {name: radio for name in (interface, *senses.radios_beneath(interface)) if (radio := senses.radio(name))}
 
 
-def _told(status: dict[str, Any] | Unknown, name: str, key: str) -> list[dict[str, Any]] | Unknown:
-    """Return the objects of a list in the status, unless the daemon is one that does not tell a key of them."""
-    if isinstance(status, Unknown):
-        return status
-    found = rows(status, name)
-    if all(key in row for row in found):
-        return found
-    return Unknown(f"the daemon is an older one ({text(status, 'version')}), which does not tell it")
-
-
-def _rmw(status: dict[str, Any] | Unknown, python: PythonRos | Unknown) -> Judgement:
-    """Judge the daemon's middleware, or, without a daemon, that of this shell."""
-    if not isinstance(status, Unknown) and find(status, "rmw") is not None:
-        return health_host.judge_rmw(text(status, "rmw", "name"), text(status, "rmw", "refusal"), is_of_daemon=True)
-    name = "" if isinstance(python, Unknown) else python.rmw
-    return health_host.judge_rmw(name, rmw_of(name).refusal if name else None, is_of_daemon=False)
-
-
-def _system_ros(
-    *,
-    own: str = sys.executable,
-    system: Path = installation.SYSTEM_PYTHON,
-    distros: Callable[[], list[str]] = installation.installed_distros,
-    read: Callable[[str], PythonRos | Unknown] = installation.read_ros,
-) -> list[PythonRos | Unknown]:
+def _system_ros() -> list[PythonRos | Unknown]:
     """Return what the system's Python finds, where that is another one and ROS comes from apt.
 
     The Python of a virtual environment is a link to the system's, but in another folder, and has other packages.
     """
-    folder, file = Path(own).parent.resolve(), Path(own).resolve()
-    is_another = system.exists() and (folder, file) != (system.parent.resolve(), system.resolve())
-    return [read(str(system))] if is_another and distros() else []
+    own, system = Path(sys.executable), installation.SYSTEM_PYTHON
+    is_another = (own.parent.resolve(), own.resolve()) != (system.parent.resolve(), system.resolve())
+    if not (system.exists() and is_another and installation.installed_distros()):
+        return []
+    return [installation.read_ros(str(system))]

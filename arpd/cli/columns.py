@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import textwrap
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from arpd.cli.client import number
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
@@ -50,16 +49,6 @@ def wrapped(text: str, width: int, *, indent: int, most: int = 2) -> list[str]:
         placeholder=" …",
         break_on_hyphens=False,
     )
-
-
-_DAY_S = 86_400.0
-
-
-def clock(event: dict[str, Any], now_s: float | None = None) -> str:
-    """Return the local time of an event."""
-    at_s = number(event, "unix_time_seconds")
-    is_recent = at_s is not None and (now_s is None or abs(now_s - at_s) < _DAY_S)
-    return wall_clock(at_s, "%H:%M:%S" if is_recent else "%b %d %H:%M")
 
 
 def wall_clock(unix_time_s: float | None, pattern: str = "%H:%M:%S") -> str:

@@ -14,7 +14,7 @@ from arpd.model.quantities import format_duration, format_number, format_rate, f
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from arpd.adapters.sim.link import LinkModel
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _MBIT = 1e6 / 8  # bytes
 _WAYS = ("arpd", "without", "oracle")
+_WAY = max(map(len, _WAYS))
 _MOST_EVENTS = 25
 
 
@@ -54,33 +55,24 @@ class Asked:
 
 def comparison_tables(asked: Asked, comparison: Comparison) -> str:
     """Lay out the three ways side by side: overall, per topic, and what arpd did when."""
-    summaries = _summaries(asked, comparison)
     found = events(comparison.arpd)
+    rates: dict[str, Callable[[TopicResult], str]] = {
+        "delivered Hz": lambda topic: format_number(topic.received / asked.duration_s),
+        "lost %": lambda topic: f"{100 * topic.loss_ratio:.2f}",
+    }
+    delays: dict[str, Callable[[TopicResult], str]] = {
+        "latency p50, ms": lambda topic: _milliseconds(topic.latency_p50_s),
+        "latency p99, ms": lambda topic: _milliseconds(topic.latency_p99_s),
+        "age p99, ms": lambda topic: _milliseconds(topic.age_p99_s),
+    }
     lines = [
         *_head(asked, comparison),
         "",
-        *_overall(summaries),
+        *_overall(_summaries(asked, comparison)),
         "",
-        *_topics(
-            asked,
-            comparison,
-            before=("source Hz", lambda topic: format_number(topic.source_rate_hz, digits=4)),
-            blocks={
-                "delivered Hz": lambda topic: format_number(topic.received / asked.duration_s),
-                "lost %": lambda topic: f"{100 * topic.loss_ratio:.2f}",
-            },
-        ),
+        *_topics(asked, comparison, rates),
         "",
-        *_topics(
-            asked,
-            comparison,
-            before=None,
-            blocks={
-                "latency p50, ms": lambda topic: _milliseconds(topic.latency_p50_s),
-                "latency p99, ms": lambda topic: _milliseconds(topic.latency_p99_s),
-                "age p99, ms": lambda topic: _milliseconds(topic.age_p99_s),
-            },
-        ),
+        *_topics(asked, comparison, delays),
         "",
         f"what arpd did ({len(found)} events)" if found else "arpd made no plan",
         *aligned([_event_cells(event) for event in found[:_MOST_EVENTS]] or [("",)], words=2),
@@ -210,39 +202,18 @@ def _overall(summaries: dict[str, Summary]) -> list[str]:
     )
 
 
-def _topics(
-    asked: Asked,
-    comparison: Comparison,
-    *,
-    before: tuple[str, Callable[[TopicResult], str]] | None,
-    blocks: dict[str, Callable[[TopicResult], str]],
-) -> list[str]:
-    """Lay out numbers per topic over the whole run, one block of three ways per number."""
-    ways = list(comparison.ways.values())
-    gap = ("  ",)
-    first = () if before is None else (before[0],)
-    rows: list[tuple[str, ...]] = [
-        ("", *("" for _ in first), *(cell for title in blocks for cell in (*gap, "", "", ""))),
-        ("topic, whole run", *first, *(cell for _ in blocks for cell in (*gap, *_WAYS))),
-    ]
-    for topic, *same in zip(asked.robot, *(way.topics for way in ways), strict=True):
+def _topics(asked: Asked, comparison: Comparison, blocks: dict[str, Callable[[TopicResult], str]]) -> list[str]:
+    """Lay out numbers per topic over the whole run, three ways per number."""
+
+    def three(cells: Iterable[str]) -> str:
+        return " " + " ".join(cell.rjust(_WAY) for cell in cells)
+
+    rows = [("", "source", *blocks), ("topic, whole run", "Hz", *(three(_WAYS) for _ in blocks))]
+    for topic, *results in zip(asked.robot, *(way.topics for way in comparison.ways.values()), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""
-        cells = [] if before is None else [before[1](same[0])]
-        for cell in blocks.values():
-            cells += [*gap, *(cell(each) for each in same)]
-        rows.append((short_name(topic.name) + arrow, *cells))
-    _, titles, *lines = aligned(rows, words=0)
-    return [_over(titles, list(blocks)), titles, *lines]
-
-
-def _over(titles: str, names: Sequence[str]) -> str:
-    """Write each block's name above its three columns."""
-    line, at = "", 0
-    for name in names:
-        begin = titles.index("arpd", at)
-        at = titles.index("oracle", begin) + len("oracle")
-        line = line.ljust(at - len(name)) + name if at - len(name) > begin else line.ljust(begin) + name
-    return line
+        cells = (three(map(cell, results)) for cell in blocks.values())
+        rows.append((short_name(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells))
+    return aligned(rows, words=0)
 
 
 def _event_cells(event: LinkEvent) -> tuple[str, ...]:

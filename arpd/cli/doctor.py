@@ -1,4 +1,4 @@
-"""`arpd doctor`: names what about this computer harms a robot on Wi-Fi, and the line that mends it."""
+"""`arpd doctor`: finds what about this computer harms a robot on Wi-Fi, and prints the fix."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import argparse
 import json
 import shutil
 import sys
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli.client import add_address, address
 from arpd.cli.columns import WITHOUT_END, wrapped
+from arpd.cli.options import DEFAULT_URL, add_address, within
 from arpd.cli.progress import progress
 from arpd.report.health import Health
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from arpd.cli.checkup import Checkup
 
 _LISTEN_S = 6.0  # a participant announces itself every three seconds
@@ -30,10 +30,10 @@ def add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser], *,
         "doctor",
         help="find what about this computer harms a robot on Wi-Fi",
         description="""\
-Look for what harms a robot on Wi-Fi, on either end of the link, and name the line that mends each: clocks that differ
-between the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost
-for want of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers
-without arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units that do not run, faults of the
+Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: clocks that differ between
+the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost for want
+of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers without
+arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units that do not run, faults of the
 configuration.
 
 It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
@@ -51,44 +51,29 @@ exit codes: 0 nothing to do (a check may not have been possible), 1 something to
     )
     add_address(parser)
     parser.add_argument(
-        "--config", type=_path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
+        "--config", type=Path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
     )
     parser.add_argument("--far", action="store_true", help="this computer is the CEDDP; --url of a robot implies it")
     parser.add_argument("--interface", metavar="NAME", default="", help="interface of the link here (default: find it)")
     parser.add_argument(
         "--listen",
-        type=_seconds,
+        type=within(0.0, _MOST_LISTEN_S, parse=float),
         default=_LISTEN_S,
         metavar="SECONDS",
         help="time to listen to discovery, 0 = do not (default %(default)g)",
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="show what is fine, too")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.set_defaults(handler=lambda options: _doctor(options, default_url=parser.get_default("url")))
+    parser.set_defaults(handler=_doctor)
 
 
-def _path(word: str) -> Path:
-    from pathlib import Path
-
-    return Path(word)
-
-
-def _seconds(word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= _MOST_LISTEN_S:
-        raise argparse.ArgumentTypeError(f"{word!r} is no time; write 0..{_MOST_LISTEN_S:g} seconds")
-    return value
-
-
-def _doctor(options: argparse.Namespace, *, default_url: str) -> int:
+def _doctor(options: argparse.Namespace) -> int:
     from arpd.cli.checkup import Asked, Senses, check_up
+    from arpd.cli.client import address
 
     asked = Asked(
         daemon=address(options),
-        has_own_url=options.url != default_url,
+        has_own_url=options.url != DEFAULT_URL,
         config_path=options.config,
         interface=options.interface,
         is_far=options.far,
@@ -103,24 +88,16 @@ def _doctor(options: argparse.Namespace, *, default_url: str) -> int:
         width = shutil.get_terminal_size((WITHOUT_END, WITHOUT_END)).columns
         sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack a character
         print("\n".join(lines(found, width=width, is_verbose=options.verbose)))
-    return 1 if any(each.health is Health.WRONG for each in found.judgements) else 0
+    return 1 if any(each.health is Health.WRONG for each in found.findings.values()) else 0
 
 
 def document(found: Checkup) -> dict[str, Any]:
     """Return a checkup as a JSON document."""
     return {
-        "ok": not any(each.health is Health.WRONG for each in found.judgements),
+        "ok": not any(each.health is Health.WRONG for each in found.findings.values()),
         "end": "ceddp" if found.is_far else "robot",
         "interface": found.interface or None,
-        "checks": [
-            {
-                "check": each.about,
-                "health": str(each.health),
-                "text": each.text,
-                "remedies": list(each.remedies),
-            }
-            for each in found.judgements
-        ],
+        "checks": [{"check": about, **asdict(each)} for about, each in found.findings.items()],
     }
 
 
@@ -132,23 +109,23 @@ def lines(found: Checkup, *, width: int = WITHOUT_END, is_verbose: bool = False)
     width : no sentence is wider; a remedy stays in one line, so that it can be copied (columns)
     is_verbose : whether what is fine is shown, too
     """
-    by_health = {health: [each for each in found.judgements if each.health is health] for health in Health}
+    wrong, unsure, fine = (
+        {about: each for about, each in found.findings.items() if each.health is health}
+        for health in (Health.WRONG, Health.UNKNOWN, Health.FINE)
+    )
     shown: list[str] = []
-    for each in by_health[Health.WRONG]:
-        shown += _sentence(f"wrong: {each.about}: {each.text}", width)
+    for about, each in wrong.items():
+        shown += _sentence(f"wrong: {about}: {each.text}", width)
         shown += [f"    {remedy}" for remedy in each.remedies]
-    reasons: dict[str, list[str]] = {}
-    for each in by_health[Health.UNKNOWN]:
-        reasons.setdefault(each.text, []).append(each.about)
-    for why, about in reasons.items():
-        shown += _sentence(f"not known: {', '.join(about)}: {why}", width)
+    for why in dict.fromkeys(each.text for each in unsure.values()):
+        alike = ", ".join(about for about, each in unsure.items() if each.text == why)
+        shown += _sentence(f"not known: {alike}: {why}", width)
     if is_verbose:
-        for each in by_health[Health.FINE]:
-            shown += _sentence(f"fine: {each.about}: {each.text}", width)
-    wrong, fine, unsure = (len(by_health[health]) for health in (Health.WRONG, Health.FINE, Health.UNKNOWN))
-    parts = [count(wrong, "thing") + " to do"] if wrong else []
-    parts += [f"{count(fine, 'check')} fine"]
-    parts += [f"{unsure} not known"] if unsure else []
+        for about, each in fine.items():
+            shown += _sentence(f"fine: {about}: {each.text}", width)
+    parts = [count(len(wrong), "thing") + " to do"] if wrong else []
+    parts += [f"{count(len(fine), 'check')} fine"]
+    parts += [f"{len(unsure)} not known"] if unsure else []
     return [*shown, ", ".join(parts)]
 
 

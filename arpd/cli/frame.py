@@ -2,33 +2,58 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Group
 from rich.segment import Segment
 from rich.styled import Styled
 from rich.text import Text
 
-from arpd.cli.client import number, rows, series, text
-from arpd.cli.columns import clock, wall_clock, wrapped
-from arpd.cli.fitted_table import FittedTable
-from arpd.cli.status_facts import facts, findings, link_now
-from arpd.cli.status_tables import is_slowed, pressing_first, topic_table
-from arpd.model.quantities import format_duration, format_rate, format_share, printable
+from arpd.adapters.http.api.status import Finding
+from arpd.cli.columns import wall_clock, wrapped
+from arpd.cli.output import FittedTable
+from arpd.model.quantities import (
+    format_duration,
+    format_number,
+    format_period,
+    format_rate,
+    format_share,
+    format_size,
+    printable,
+)
+from arpd.report.events import Severity
+from arpd.report.situation import SLOWED_BELOW
+from arpd.report.wording import PACED_ONLY, confirmed, lease
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rich.console import Console, ConsoleOptions, RenderableType
+
+    from arpd.adapters.http.api.endpoints import Qos, Topic
+    from arpd.adapters.http.api.history import History
+    from arpd.adapters.http.api.status import Relay, Status
+
+    Show = Callable[[float], str]
 
 _LABEL, _FIGURES, _LEGEND = 9, 44, 14
 _LEAST_SPARKLINE, _MOST_SPARKLINE = 8, 60
 _LEAST_EVENTS, _PRINTED_EVENTS = 3, 5
+_DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
-_SEVERITIES = {"warning": "yellow", "error": "red"}
+_SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _IN_ASCII = str.maketrans("…→≤≥" + _BLOCKS, "~><>_.-:=+*#")
+_NOT_READY = "Not ready: the daemon has just started or is stuck; if this stays, see journalctl -u arpd."
+
+
+def findings(status: Status | None) -> list[Finding]:
+    """Return what the daemon says of its situation: its verdict, then faults, the worst first."""
+    if status is None or not status.ready:
+        return [Finding.model_construct(text=_NOT_READY, severity=Severity.ERROR, wrong=True)]
+    return [status.verdict, *status.faults]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,15 +65,15 @@ class Frame:
 
     Parameters
     ----------
-    status : document of ``/api/v1/status``, of any version of arpd
-    history : document of ``/api/v1/history``, None where there is none
+    status : what the daemon says, None before its first tick
+    history : its last ten minutes, None where there are none
     url : address of the daemon
     silent_s, why_silent : time since its last answer (s), and why the last try failed; empty while it answers
     is_on_screen : True for a screen, False for what is printed
     """
 
-    status: dict[str, Any]
-    history: dict[str, Any] | None = None
+    status: Status | None
+    history: History | None = None
     url: str = ""
     silent_s: float = 0.0
     why_silent: str = ""
@@ -56,58 +81,61 @@ class Frame:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Segment]:
         """Yield the frame, no line wider than the console."""
-        head = [self._title(), *self._findings(options.max_width)]
-        body = self._body(options.max_width, options.max_height - len(head)) if "link" in self.status else []
+        head = list(self._head(options.max_width))
+        body = self._body(self.status, options.max_width, options.max_height - len(head)) if self.status else []
         frame = Group(*head, Styled(Group(*body), "dim" if self.why_silent else ""))
         for shown, style, _ in console.render(frame, options.update(height=None, no_wrap=True, overflow="ellipsis")):
             yield Segment(shown.translate(_IN_ASCII) if options.ascii_only else shown, style)
 
-    def _title(self) -> Text:
-        age_s = number(self.status, "age_seconds")
-        age = "age unknown" if age_s is None else f"{format_duration(age_s)} ago"
-        at = wall_clock(number(self.status, "unix_time_seconds"))
-        title = f"arpd {text(self.status, 'version')} on {text(self.status, 'interface') or 'no link'}, {at} ({age})"
-        return Text(f"{title}, {printable(self.url, longest=80)}" if self.url else title, style="bold")
-
-    def _findings(self, width: int) -> list[Text]:
-        sentences = [
-            (f"wrong: {finding.text}", "bold red")
-            if finding.is_wrong
-            else (finding.text, _VERDICTS.get(finding.severity, "bold"))
-            for finding in findings(self.status)
+    def _head(self, width: int) -> Iterator[Text]:
+        at, url = "", f", {printable(self.url, longest=80)}" if self.url else ""
+        if status := self.status:
+            at = wall_clock(status.unix_time_seconds)
+            age = "age unknown" if status.age_seconds is None else f"{format_duration(status.age_seconds)} ago"
+            yield Text(f"arpd {status.version} on {status.interface or 'no link'}, {at} ({age}){url}", style="bold")
+        else:
+            yield Text(f"arpd{url}", style="bold")
+        said = [
+            (f"wrong: {each.text}", "bold red") if each.wrong else (each.text, _VERDICTS[each.severity])
+            for each in findings(self.status)
         ]
         if self.why_silent:
-            of = wall_clock(number(self.status, "unix_time_seconds"))
-            lost = f"no answer for {self.silent_s:.0f} s, this is from {of}: {printable(self.why_silent, longest=200)}"
-            sentences.insert(0, (lost, "bold red"))
-        return [Text(line, style=style) for said, style in sentences for line in wrapped(said, width, indent=2, most=4)]
+            of = f", this is from {at}" if at else ""
+            lost = f"no answer for {self.silent_s:.0f} s{of}: {printable(self.why_silent, longest=200)}"
+            said.insert(0, (lost, "bold red"))
+        for words, style in said:
+            yield from (Text(line, style=style) for line in wrapped(words, width, indent=2, most=4))
 
-    def _body(self, width: int, height: int) -> list[RenderableType]:
+    def _body(self, status: Status, width: int, height: int) -> list[RenderableType]:
         """Return what stands below the findings; a screen has so many lines for it."""
-        topics, log, courses = pressing_first(rows(self.status, "topics")), self._log(), self._courses(width)
-        sections: list[list[RenderableType]] = [
-            [*courses, *self._facts(width)],
-            [topic_table(topics)] if topics else [],
-        ]
-        if not self.is_on_screen:
-            return _airy([*sections, [*log[-_PRINTED_EVENTS:]]])
-        room = height - 1 - sum(1 + sum(map(_lines, section)) for section in sections if section)
-        if room >= _LEAST_EVENTS:
-            return _airy([*sections, [*log[-room:]]])
-        return _squeezed([*courses, *self._facts(width, most=1)], topics, log, height)
+        topics, log, courses = sorted(status.topics, key=_rank), list(_log(status)), self._courses(status, width)
+        table: list[RenderableType] = [topic_table(topics)] if topics else []
+        above = [*courses, *_facts(status, width)]
+        room = height - 2 - len(above) - (len(topics) + 2 if topics else 0)
+        if not self.is_on_screen or room >= _LEAST_EVENTS:
+            last = room if self.is_on_screen else _PRINTED_EVENTS
+            sections: tuple[Sequence[RenderableType], ...] = (above, table, log[-last:])
+            return [part for section in sections if section for part in ("", *section)]
+        return _squeezed([*courses, *_facts(status, width, most=1)], topics, log, height)
 
-    def _courses(self, width: int) -> list[Text]:
+    def _courses(self, status: Status, width: int) -> list[Text]:
         """Return the values that the history has a course of, now and over the last ten minutes."""
-        now = link_now(self.status)
-        courses: list[tuple[str, tuple[str, ...], Callable[[Iterable[float]], float], Callable[[float], str]]] = [
-            ("link", ("link", "capacity_bytes_per_second"), _mean, format_rate),
-            ("queue", ("link", "queue_delay_seconds"), max, format_duration),
-            ("admitted", ("gate",), min, format_share),
+        link, past = status.link, self.history
+        queue = [format_duration(link.queue_delay_seconds)]
+        queue += [] if link.loss_ratio is None else [f"loss {format_share(link.loss_ratio)}"]
+        back_s = link.return_delay_seconds
+        queue += [] if back_s is None else [f"return delay {format_duration(back_s)}"]
+        capacity = f"{format_rate(link.capacity_bytes_per_second)} ({link.kind}, {link.state})"
+        rates = past.link.capacity_bytes_per_second if past else []
+        delays = past.link.queue_delay_seconds if past else []
+        courses: list[tuple[str, str, Sequence[float | None], Callable[[Iterable[float]], float], Show]] = [
+            ("link", capacity, rates, _mean, format_rate),
+            ("queue", ", ".join(queue), delays, max, format_duration),
+            ("admitted", f"{format_share(status.gate)} above the floors", past.gate if past else [], min, format_share),
         ]
         lines = []
-        for label, keys, worst, show in courses:
-            line = _labelled(f"{label:{_LABEL}}{now[label]}")
-            samples = series(self.history, *keys)
+        for label, now, samples, worst, show in courses:
+            line = _labelled(f"{label:{_LABEL}}{now}")
             known = [sample for sample in samples if sample is not None]
             columns = min(_MOST_SPARKLINE, width - _LABEL - _FIGURES - _LEGEND)
             if known and columns >= _LEAST_SPARKLINE and len(line) < _LABEL + _FIGURES:
@@ -117,43 +145,169 @@ class Frame:
             lines.append(line)
         return lines
 
-    def _facts(self, width: int, *, most: int = 2) -> list[Text]:
-        """Return every fact in ``most`` lines."""
-        return [
-            _labelled(line)
-            for label, fact in facts(self.status)
-            for line in wrapped(f"{label:{_LABEL}}{fact}", width, indent=_LABEL, most=most)
-        ]
 
-    def _log(self) -> list[Text]:
-        now_s = number(self.status, "unix_time_seconds")
-        lines = []
-        for event in rows(self.status, "events"):
-            when = clock(event, now_s)
-            line = Text(f"{when}  {text(event, 'text')}", style=_SEVERITIES.get(text(event, "severity"), ""))
-            line.stylize("dim", 0, len(when))
-            lines.append(line)
-        return lines
-
-
-def _lines(part: RenderableType) -> int:
-    return len(part.rows) if isinstance(part, FittedTable) else 1
-
-
-def _airy(sections: Sequence[Sequence[RenderableType]]) -> list[RenderableType]:
-    return [part for section in sections if section for part in ("", *section)]
+def _facts(status: Status, width: int, *, most: int = 2) -> list[Text]:
+    """Return everything but courses, topics and log, each fact in ``most`` lines."""
+    plan = status.plan
+    confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
+    facts = [
+        ("traffic", _traffic(status)),
+        ("evidence", status.link.evidence),
+        ("plan", f"{plan.generation} for {format_rate(status.level_bytes_per_second)}: {confirms}"),
+        ("", "; ".join(filter(None, [plan.reason, *(f"refused {refusal}" for refusal in plan.refusals)]))),
+        ("program", _program(status)),
+        ("relay", _relay(status.relay) if status.relay else ""),
+        ("withheld", _withheld_by_all(status.topics)),
+        ("lease", lease(status.lease.after_seconds) if status.lease.after_seconds else ""),
+        ("rmw", status.rmw.refusal if status.rmw else ""),
+        *(("daemons", f"in charge; another one stands by on {host}") for host in status.daemons.others),
+    ]
+    return [
+        _labelled(line)
+        for label, fact in facts
+        if fact
+        for line in wrapped(f"{label:{_LABEL}}{fact}", width, indent=_LABEL, most=most)
+    ]
 
 
-def _squeezed(
-    above: Sequence[Text], topics: Sequence[dict[str, Any]], log: Sequence[Text], height: int
-) -> list[RenderableType]:
+def _traffic(status: Status) -> str:
+    link = status.link
+    budget = format_rate(status.allocation.capacity_bytes_per_second)
+    said = f"delivering {format_rate(link.delivery_rate_bytes_per_second)}, budget {budget}"
+    if not link.foreign_bytes_per_second:
+        return said
+    left = format_rate(link.available_bytes_per_second)
+    return f"{said}, {format_rate(link.foreign_bytes_per_second)} of cross traffic, {left} left"
+
+
+def _program(status: Status) -> str:
+    """Say how the program was solved, and what is left of the memory that its depths take."""
+    solved, memory = status.allocation, status.memory
+    said = f"{solved.status}, bound by {solved.binding.replace('_', ' ')}"
+    left = f"{format_size(memory.available_bytes)} of {format_size(memory.total_bytes)} memory available"
+    return f"{said} ({solved.backend}, {format_duration(solved.solve_seconds)}); {left}"
+
+
+def _relay(relay: Relay) -> str:
+    """Say what crosses between the two ends of the relay."""
+    to_ceddp, to_robot = (f"{way.wanted} of {way.offered}" for way in (relay.to_ceddp, relay.to_robot))
+    others = (
+        (relay.incomplete, "samples of incomplete groups dropped"),
+        (sum(relay.calls_failed.values()), "calls failed"),
+        (len(relay.types_differ), "topics with two types"),
+        (len(relay.strangers), "nodes in the link domain that are not arpd's"),
+    )
+    host = f" ({relay.other_host})" if relay.other_host else ""
+    now = "cross" if relay.reachable else "wait to cross"
+    crosses = f"{to_ceddp} topics {now} to the CEDDP{host}, {to_robot} to the robot"
+    return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
+
+
+def _withheld_by_all(topics: Sequence[Topic]) -> str:
+    """Say why messages of all topics together were withheld."""
+    withheld, offered = (sum(getattr(topic, name) for topic in topics) for name in ("withheld", "offered"))
+    if not withheld or not offered:
+        return ""
+    by_cause: Counter[str] = Counter()
+    for topic in topics:
+        by_cause.update({cause: many for cause, many in topic.withheld_by_cause.items() if many})
+    causes = ", ".join(f"{cause} {many}" for cause, many in by_cause.most_common())
+    return f"{withheld} of {offered} messages ({format_share(withheld / offered)})" + (f": {causes}" if causes else "")
+
+
+def _log(status: Status) -> Iterator[Text]:
+    for event in status.events:
+        at_s = event.unix_time_seconds
+        is_recent = abs(status.unix_time_seconds - at_s) < _DAY_S
+        when = wall_clock(at_s, "%H:%M:%S" if is_recent else "%b %d %H:%M")
+        line = Text(f"{when}  {event.text}", style=_SEVERITIES[event.severity])
+        line.stylize("dim", 0, len(when))
+        yield line
+
+
+def topic_table(topics: Sequence[Topic]) -> FittedTable:
+    """Return a heading and a line per topic; QoS as ``now→planned`` where the two differ."""
+    columns: list[tuple[str, int, Callable[[Topic], str]]] = [
+        ("TOPIC", 0, lambda topic: topic.topic),
+        ("NODE", 1, lambda topic: topic.node),
+        ("ALLOWED", 0, _allowed),
+        ("SENT", 0, lambda topic: format_number(topic.published_rate_hz)),
+        ("SOURCE", 3, lambda topic: format_number(topic.source_rate_hz)),
+        ("DEPTH", 4, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
+        ("DEADLINE", 5, lambda topic: _moving(topic, lambda qos: _deadline(qos.deadline_ns))),
+        ("WITHHELD", 1, _withheld),
+        ("CAUSES", 6, lambda topic: " ".join(f"{c}:{many}" for c, many in topic.withheld_by_cause.items() if many)),
+        ("LATE", 2, lambda topic: str(topic.deadlines_missed)),
+        ("BOUND BY", 0, _bound_by),
+    ]
+    has_content = {
+        "NODE": len({topic.topic for topic in topics}) < len(topics),
+        "CAUSES": any(any(topic.withheld_by_cause.values()) for topic in topics),
+        "LATE": any(topic.deadlines_missed for topic in topics),
+    }
+    columns = [column for column in columns if has_content.get(column[0], True)]
+    titles, ranks, cells = zip(*columns, strict=True)
+    rows = [titles, *([cell(topic) for cell in cells] for topic in topics)]
+    return FittedTable(rows=rows, ranks=ranks, styles=[_style(topic) for topic in topics])
+
+
+def _rank(topic: Topic) -> tuple[bool, float, float, str, str]:
+    """Order by what an operator looks for: refusals, then topics that give up most, then those that use most."""
+    kept = topic.kept_ratio if _is_slowed(topic) else 1.0
+    return not _is_refused(topic), kept, -(topic.share or 0.0), topic.topic, topic.node
+
+
+def _is_slowed(topic: Topic) -> bool:
+    return topic.kept_ratio < SLOWED_BELOW
+
+
+def _is_refused(topic: Topic) -> bool:
+    return bool(topic.refusal) and not topic.refusal_lasts
+
+
+def _style(topic: Topic) -> str:
+    if _is_refused(topic):
+        return "red"
+    if _is_slowed(topic):
+        return "yellow"
+    return "" if topic.planned else "dim"
+
+
+def _allowed(topic: Topic) -> str:
+    paced_hz, ceiling_hz = topic.confirmed.paced_rate_hz, topic.confirmed.rate_hz
+    rate_hz = ceiling_hz if paced_hz is None else paced_hz
+    return "unpaced" if rate_hz is None else format_number(rate_hz)
+
+
+def _moving(topic: Topic, show: Callable[[Qos], str]) -> str:
+    """Show the announced value, and the planned one where the two differ."""
+    now, planned = show(topic.confirmed), show(topic.planned or topic.confirmed)
+    return now if now == planned else f"{now}→{planned}"
+
+
+def _deadline(period_ns: int | None) -> str:
+    return "none" if period_ns is None else format_period(period_ns)
+
+
+def _withheld(topic: Topic) -> str:
+    """Show the share of offered messages that the publisher has withheld since it began."""
+    return format_share(topic.withheld / topic.offered) if topic.offered else str(topic.withheld)
+
+
+def _bound_by(topic: Topic) -> str:
+    if topic.refusal:
+        return f"{PACED_ONLY}: {topic.refusal}" if topic.refusal_lasts else topic.refusal
+    return topic.binding.replace("_", " ") if topic.binding else "-"
+
+
+def _squeezed(above: Sequence[Text], topics: Sequence[Topic], log: Sequence[Text], height: int) -> list[RenderableType]:
     """Return the topics that fit between the other two, and how many do not."""
     room = height - len(above)
     events = min(max(_LEAST_EVENTS, room - len(topics) - 1), room - bool(topics), len(log))
     log = log[len(log) - max(0, events) :]
     room -= len(log)
     shown = topics if len(topics) < room else topics[: max(0, room - 2)]
-    slowed = sum(map(is_slowed, rest := topics[len(shown) :]))
+    slowed = sum(map(_is_slowed, rest := topics[len(shown) :]))
     note = f"… and {len(rest)} more topics" + (f", {slowed} of them slowed" if slowed else "")
     return [*above, *([topic_table(shown)] if shown else []), *([Text(note, style="dim")] if rest else []), *log]
 
@@ -165,7 +319,7 @@ def _labelled(line: str) -> Text:
 
 
 def _mean(values: Iterable[float]) -> float:
-    there: Sequence[float] = list(values)
+    there = list(values)
     return sum(there) / len(there)
 
 

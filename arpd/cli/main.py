@@ -13,8 +13,7 @@ from arpd.cli.check import add_check
 from arpd.cli.doctor import add_doctor
 from arpd.cli.simulate import add_simulate
 from arpd.cli.solve import add_solve
-from arpd.cli.status import add_status
-from arpd.cli.top import add_top
+from arpd.cli.status import add_status, add_top
 from arpd.cli.topics import add_topics
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, RosUnavailableError
 
@@ -84,8 +83,8 @@ on the other end: arpd peer         reports what arrives, so that the daemon kno
 
 `arpd COMMAND --help` explains each, with examples.
 
-exit codes: 0 done, 1 failed, 2 wrong usage, 69 the daemon or ROS is not there, 78 the configuration is wrong;
-`arpd status` exits 3 where there is no daemon""",
+exit codes: 0 done, 1 failed, 2 wrong usage, 3 no daemon answers, 69 ROS or a package is not there, 78 the configuration
+is wrong""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"arpd {__version__}")

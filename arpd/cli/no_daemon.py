@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
-from arpd.model.errors import NoAnswerError, UsageError
+from arpd.cli.options import is_here
+from arpd.model.errors import NoAnswerError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from arpd.adapters.systemd.services import ServiceState
     from arpd.model.errors import DaemonUnreachableError
 
 _ROBOT, _OTHER_END = "arpd", "arpd-peer"
-_LOOPBACK = {"localhost", "::1"}
 _ENDED = {"inactive", "deactivating", ""}
 _JOURNAL = "see journalctl -u arpd"
 _CAUSES = {
@@ -34,37 +33,6 @@ def tell_no_daemon(error: DaemonUnreachableError, url: str) -> None:
         step = next_step(service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
         if step:
             print(f"arpd: {step}", file=sys.stderr)
-
-
-def _is_own_address(host: str) -> bool:
-    from arpd.adapters.host.kernel import is_own_address
-
-    return is_own_address(host)
-
-
-def is_here(url: str, *, is_own_address: Callable[[str], bool] = _is_own_address) -> bool:
-    """Return whether a URL names this computer.
-
-    Parameters
-    ----------
-    is_own_address : returns whether an IPv4 address, or a host name, is this computer's; by default the kernel tells
-    """
-    host = host_of(url)
-    return host in _LOOPBACK or (bool(host) and is_own_address(host))
-
-
-def host_of(url: str) -> str:
-    """Return the host that a URL names, empty if it names none.
-
-    Raises
-    ------
-    UsageError
-        If it is no URL.
-    """
-    try:
-        return urlsplit(url).hostname or ""
-    except ValueError as error:
-        raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
 
 
 def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -13,14 +13,23 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 
-class Progress(Protocol):
+class Progress:
     """Reports of long work about itself."""
+
+    def __init__(self, bar: Bar, task: TaskID) -> None:
+        self._bar, self._task = bar, task
+        self._begun = 0
 
     def step(self, what: str) -> None:
         """Begin the next step, and name it; the steps before it are done."""
+        self.reach(self._begun, what)
+        self._begun += 1
 
     def reach(self, done: float, what: str = "") -> None:
         """Say how much is done, in the unit of the total, and perhaps name the present step."""
+        self._bar.update(self._task, completed=done)
+        if what:
+            self._bar.update(self._task, what=what)
 
 
 @contextmanager
@@ -32,9 +41,6 @@ def progress(title: str, *, total: float | None = None) -> Iterator[Progress]:
     title : name of the work
     total : number of steps, or another measure of the whole; None = unknown
     """
-    if not sys.stderr.isatty():
-        yield _Quiet()
-        return
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
@@ -48,31 +54,9 @@ def progress(title: str, *, total: float | None = None) -> Iterator[Progress]:
         *([] if total is None else [TimeRemainingColumn(elapsed_when_finished=True)]),
         console=Console(stderr=True),
         transient=True,
+        disable=not sys.stderr.isatty(),
         # rich moves printed text to the bar's stream; that is right only where both go to the same terminal.
         redirect_stdout=sys.stdout.isatty(),
         refresh_per_second=4,
     ) as bar:
-        yield _Shown(bar, bar.add_task(title, total=total, what=""))
-
-
-class _Shown:
-    def __init__(self, bar: Bar, task: TaskID) -> None:
-        self._bar, self._task = bar, task
-        self._begun = 0
-
-    def step(self, what: str) -> None:
-        self.reach(self._begun, what)
-        self._begun += 1
-
-    def reach(self, done: float, what: str = "") -> None:
-        self._bar.update(self._task, completed=done)
-        if what:
-            self._bar.update(self._task, what=what)
-
-
-class _Quiet:
-    def step(self, what: str) -> None:
-        pass
-
-    def reach(self, done: float, what: str = "") -> None:
-        pass
+        yield Progress(bar, bar.add_task(title, total=total, what=""))

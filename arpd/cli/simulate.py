@@ -7,16 +7,25 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arpd.cli.options import within
 from arpd.model.errors import UsageError
+from arpd.model.quantities import (
+    format_duration,
+    parse_duration,
+    parse_size,
+    printable,
+    spell_duration,
+    spell_size,
+)
 
 if TYPE_CHECKING:
-    from arpd.adapters.sim.link import LinkModel
+    from collections.abc import Callable
+
     from arpd.adapters.sim.robot import SimTopic
     from arpd.adapters.sim.trace import LinkTrace
-    from arpd.cli.comparison import Asked
     from arpd.model.settings import Settings
 
-_LEAST_S, _MOST_S = 20.0, 86_400.0
+_LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
 _DEFAULT_S = 60.0  # when the trace is shorter
 _DRAIN_S = 10.0  # the link goes on after the end of the run
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
@@ -40,7 +49,6 @@ packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
         epilog="""\
 examples:
   arpd simulate --config robot.yaml --trace walk.csv
-  arpd simulate --config robot.yaml --trace walk.csv --plot walk.png
   arpd simulate --config robot.yaml --rate 0:20mbit,20:5mbit,50:20mbit      no trace at hand
   arpd simulate --config robot.yaml --trace lte.up --duration 5min --delay 30ms --loss 0.01
   arpd simulate --config robot.yaml --rate 0:20mbit --packet-overhead 200us --aggregate 16     like 802.11n
@@ -57,7 +65,10 @@ examples:
     source.add_argument("--trace", type=Path, metavar="FILE", help="the link's rate, and perhaps loss, over time")
     source.add_argument("--rate", metavar="SECONDS:RATE,...", help="the same in place, like 0:20mbit,20:5mbit")
     parser.add_argument(
-        "--duration", metavar="TIME", help="length of the run, like 5min (default: the trace's, at least 60s)"
+        "--duration",
+        type=_duration(_LEAST_S, _MOST_S),
+        metavar="TIME",
+        help="length of the run, like 5min (default: the trace's, at least 60s)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of phases and losses (default %(default)s)")
     parser.add_argument(
@@ -68,38 +79,56 @@ examples:
         help="this topic of the configuration crosses towards the robot; may be repeated",
     )
     _add_link(parser.add_argument_group("the link, besides its rate"))
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the course, too (needs arpd[plot])")
     parser.add_argument("--json", action="store_true", help="print JSON, with the course ten times a second")
     parser.set_defaults(handler=_simulate, default_config=default_config)
 
 
 def _add_link(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--loss", metavar="SHARE", help="of packets lost, 0..1, besides the trace's (default 0)")
-    group.add_argument("--delay", metavar="TIME", help="one way, without a queue (default 2ms)")
-    group.add_argument("--queue", metavar="SIZE", help="queue in front of the link (default 256kB)")
+    share = within(0.0, 1.0, parse=float)
+    delay, overhead = _duration(0.0, _MOST_DELAY_S), _duration(0.0, _MOST_OVERHEAD_S)
+    size = within(0.0, _MOST_QUEUE_BYTES, parse=parse_size, spell=spell_size)
+    packets = within(1, _MOST_AGGREGATE, parse=int)
+    group.add_argument("--loss", type=share, metavar="SHARE", help="of packets lost, besides the trace's (default 0)")
+    group.add_argument("--delay", type=delay, metavar="TIME", help="one way, without a queue (default 2ms)")
+    group.add_argument("--queue", type=size, metavar="SIZE", help="queue in front of the link (default 256kB)")
     group.add_argument(
         "--bottleneck",
         choices=("sender", "middle"),
         default="sender",
         help="sender: its interface, where a full queue makes a write wait; middle: between the hosts (default sender)",
     )
-    group.add_argument("--packet-overhead", metavar="TIME", help="link time a transmission costs besides its bytes")
-    group.add_argument("--aggregate", metavar="N", help="packets that may share a transmission (default 1)")
+    help_of_overhead = "link time a transmission costs besides its bytes"
+    group.add_argument("--packet-overhead", type=overhead, metavar="TIME", help=help_of_overhead)
+    group.add_argument("--aggregate", type=packets, metavar="N", help="packets that may share it (default 1)")
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from arpd.cli.plot import drawing, refuse_all_but_png, writing
-
-    if options.plot is not None:
-        refuse_all_but_png(options.plot)
-    draw = None if options.plot is None else drawing("arpd.cli.comparison_plot", "draw_comparison")
-    asked = _understand(options)
-
-    from arpd.cli.comparison import comparison_document, comparison_tables
+    from arpd.adapters.sim.demo import demo_topics
+    from arpd.adapters.sim.link import LinkModel
+    from arpd.cli.comparison import Asked, comparison_document, comparison_tables
     from arpd.cli.progress import progress
     from arpd.daemon.compare import compare
-    from arpd.model.quantities import format_duration
 
+    given = {
+        "loss": options.loss,
+        "delay_s": options.delay,
+        "queue_bytes": None if options.queue is None else int(options.queue),
+        "packet_overhead_s": options.packet_overhead,
+        "aggregate_packets": options.aggregate,
+    }
+    properties = {name: value for name, value in given.items() if value is not None}
+    trace, duration_s = _trace(options)
+    config, settings, configured = _robot(options)
+    asked = Asked(
+        config=config,
+        settings=settings,
+        trace=trace,
+        duration_s=duration_s,
+        seed=options.seed,
+        model=LinkModel(pushes_back=options.bottleneck == "sender", losses=trace.losses, **properties),
+        robot=configured or demo_topics(),
+        is_demo=not configured,
+    )
     with progress(f"simulating {format_duration(asked.duration_s)} three ways", total=3) as shown:
         comparison = compare(
             asked.settings,
@@ -114,31 +143,7 @@ def _simulate(options: argparse.Namespace) -> int:
         print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
     else:
         print(comparison_tables(asked, comparison))
-    if draw:
-        with writing(options.plot):
-            draw(comparison, title=asked.trace.name, path=options.plot)
     return 0
-
-
-def _understand(options: argparse.Namespace) -> Asked:
-    from dataclasses import replace
-
-    from arpd.adapters.sim.demo import demo_topics
-    from arpd.cli.comparison import Asked
-
-    model = _model(options)
-    trace, duration_s = _trace(options)
-    config, settings, configured = _robot(options)
-    return Asked(
-        config=config,
-        settings=settings,
-        trace=trace,
-        duration_s=duration_s,
-        seed=options.seed,
-        model=replace(model, losses=trace.losses),
-        robot=configured or demo_topics(),
-        is_demo=not configured,
-    )
 
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
@@ -170,11 +175,7 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
     """Return the trace, long enough for the run, and the length of the run (s)."""
     from arpd.adapters.sim.schedule import RateSchedule
     from arpd.adapters.sim.trace import LinkTrace, read_trace
-    from arpd.model.quantities import printable
 
-    asked_s = None if options.duration is None else _quantity("duration", options.duration, "duration", _MOST_S)
-    if asked_s is not None and asked_s < _LEAST_S:
-        raise UsageError(f"--duration {options.duration} is too short; the first 10 s are start-up, write 20s or more")
     if options.trace is not None:
         trace = read_trace(options.trace)
     else:
@@ -182,50 +183,10 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
             rates = RateSchedule.parse(options.rate)
         except ValueError as error:
             raise UsageError(f"--rate: {error}") from None
-        name = printable(options.rate)
-        trace = LinkTrace(name=name, rates=rates, losses=(), duration_s=rates.duration_s)
-    duration_s = asked_s or min(_MOST_S, max(_DEFAULT_S, trace.duration_s))
+        trace = LinkTrace(name=printable(options.rate), rates=rates, losses=(), duration_s=rates.duration_s)
+    duration_s = options.duration or min(_MOST_S, max(_DEFAULT_S, trace.duration_s))
     return trace.lasting(duration_s + _DRAIN_S), duration_s
 
 
-def _model(options: argparse.Namespace) -> LinkModel:
-    from arpd.adapters.sim.link import LinkModel
-
-    default = LinkModel()
-    delay, queue, overhead = options.delay, options.queue, options.packet_overhead
-    return LinkModel(
-        loss=_number("--loss", options.loss or "0", float, (0.0, 1.0)),
-        delay_s=default.delay_s if delay is None else _quantity("delay", delay, "duration", _MOST_DELAY_S),
-        queue_bytes=default.queue_bytes if queue is None else int(_quantity("queue", queue, "size", _MOST_QUEUE_BYTES)),
-        pushes_back=options.bottleneck == "sender",
-        packet_overhead_s=(
-            0.0 if overhead is None else _quantity("packet-overhead", overhead, "duration", _MOST_OVERHEAD_S)
-        ),
-        aggregate_packets=int(_number("--aggregate", options.aggregate or "1", int, (1, _MOST_AGGREGATE))),
-    )
-
-
-def _quantity(option: str, text: str, kind: str, most: float) -> float:
-    from arpd.model.quantities import parse_duration, parse_size, spell_duration, spell_size
-
-    parse, spell = (parse_size, spell_size) if kind == "size" else (parse_duration, spell_duration)
-    try:
-        value = parse(text)
-    except ValueError as error:
-        raise UsageError(f"--{option}: {error}") from None
-    if value > most:
-        raise UsageError(f"--{option}: {text} is out of range; write at most {spell(most)}")
-    return value
-
-
-def _number(option: str, text: str, kind: type[float], bounds: tuple[float, float]) -> float:
-    from arpd.model.quantities import printable
-
-    low, high = bounds
-    try:
-        value = kind(text)
-    except ValueError:
-        value = None
-    if value is None or not low <= value <= high:
-        raise UsageError(f"{option} '{printable(text)}' is not a number from {low:g} to {high:g}")
-    return value
+def _duration(least_s: float, most_s: float) -> Callable[[str], float]:
+    return within(least_s, most_s, parse=parse_duration, spell=spell_duration)

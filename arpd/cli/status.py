@@ -1,22 +1,35 @@
-"""`arpd status`: one frame of what the daemon sees and does, and an exit code for scripts."""
+"""`arpd status` and `arpd top`: one frame of what the daemon sees and does, once or live, and an exit code."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
+import os
 import sys
-from typing import TYPE_CHECKING, Any
+import time
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from arpd.cli.client import add_address, address
 from arpd.cli.no_daemon import tell_no_daemon
-from arpd.cli.status_facts import findings
-from arpd.model.errors import ArpdError, DaemonUnreachableError
-from arpd.report.status import API_VERSION
+from arpd.cli.options import add_address, within
+from arpd.model.errors import ArpdError, DaemonUnreachableError, UsageError
 
 if TYPE_CHECKING:
     from arpd.cli.client import DaemonAddress
 
-_NOT_RUNNING = 3  # as systemctl status and every init script since LSB say it
+_LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
+_HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
+_REDRAW_S = 1.0  # the age of a silent daemon's answer counts up
+_EXIT_CODES = """\
+exit codes:
+  0   the daemon governs, and all is well; a slow link that arpd copes with is well
+  1   the daemon answers, and a line says what is wrong: it is not ready, no tick finishes, it stands by for another
+      daemon, the interface or the link carries nothing, it refused the last reload, not even the floors and reserves
+      fit, or a plan is not confirmed after 15 s
+  2   wrong usage
+  3   no daemon answers there, or none that lets you in"""
 
 
 def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,55 +43,114 @@ admitted, with their last ten minutes; the budget of the topics; the plan and it
 then those that give up most) with the rate that each publisher is allowed, the DEPTH and DEADLINE that it announces
 (`now→planned` where the two differ) and its withheld messages; the last lines of the decision log. `arpd top` shows the
 same live. A pipe gets everything as wide as it is, or as COLUMNS says; NO_COLOR takes the colours away.""",
-        epilog="""\
+        epilog=f"""\
 examples:
   arpd status
   arpd status --url http://robot.local:9464
   ARPD_PASSWORD=… arpd status --url https://robot.local:9464 --cacert ca.crt --user robot
-  arpd status --json | jq '.topics[] | {topic, planned, confirmed}'
+  arpd status --json | jq '.topics[] | {{topic, planned, confirmed}}'
   arpd status >/dev/null || echo "look at the robot"
 
-exit codes:
-  0   the daemon governs, and all is well; a slow link that arpd copes with is well
-  1   the daemon answers, and a line says what is wrong: it is not ready, no tick finishes, it stands by for another
-      daemon, the interface or the link carries nothing, it refused the last reload, not even the floors and reserves
-      fit, or a plan is not confirmed after 15 s
-  2   wrong usage
-  3   no daemon answers there, or none that lets you in""",
+{_EXIT_CODES}""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_address(parser)
     parser.add_argument("--json", action="store_true", help="print the daemon's JSON")
-    parser.set_defaults(handler=show_status)
+    parser.set_defaults(handler=_status)
 
 
-def show_status(options: argparse.Namespace) -> int:
-    """Print a daemon's status; return the exit code."""
-    daemon = address(options)
+def add_top(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "top",
+        help="watch what the daemon sees and does, live",
+        description="""\
+Show live what `arpd status` prints once. Topics that do not fit the terminal are counted.
+q or Ctrl-C ends it. It waits for a daemon that goes away.""",
+        epilog="""\
+examples:
+  arpd top
+  arpd top --url http://robot.local:9464 --interval 5
+  ARPD_PASSWORD=… arpd top --url https://robot.local:9464 --cacert ca.crt --user robot
+
+exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start; with --once those of arpd status""",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_address(parser)
+    interval = within(_LEAST_INTERVAL_S, _MOST_INTERVAL_S, parse=float)
+    parser.add_argument(
+        "--interval", type=interval, default=1.0, metavar="S", help="seconds between updates (default 1)"
+    )
+    parser.add_argument("--once", action="store_true", help="do as arpd status does")
+    parser.set_defaults(handler=_top, json=False)
+
+
+def _top(options: argparse.Namespace) -> int:
+    if options.once:
+        return _status(options)
+    if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
+        raise UsageError("arpd top needs a terminal; arpd status prints the same once")
+    from arpd.cli.client import address
+
     try:
-        status = daemon.status()
+        _watch(address(options), interval_s=options.interval)
     except DaemonUnreachableError as error:
         tell_no_daemon(error, options.url)
-        return _NOT_RUNNING
-    wrong = [finding.text for finding in findings(status) if finding.is_wrong]
-    if "link" in status and not options.json:
-        if status["api_version"] != API_VERSION:
-            raise ArpdError(f"the daemon at {options.url} speaks another version of arpd; use --json")
-        _print_frame(daemon, status)
-        return 1 if wrong else 0
+        return error.exit_code
+    return 0
+
+
+def _status(options: argparse.Namespace) -> int:
+    """Print a daemon's status; return the exit code."""
+    from arpd.cli.client import address, read_status
+    from arpd.cli.frame import Frame, findings
+    from arpd.cli.output import show
+
+    daemon = address(options)
+    try:
+        document = daemon.document()
+    except DaemonUnreachableError as error:
+        tell_no_daemon(error, options.url)
+        return error.exit_code
     if options.json:
-        print(json.dumps(status, indent=2))
-    for fault in wrong:
-        print(f"arpd: {fault}", file=sys.stderr)
+        print(json.dumps(document, indent=2))
+    status = read_status(document, url=daemon.url)
+    wrong = [finding.text for finding in findings(status) if finding.wrong]
+    if status is None or options.json:
+        for fault in wrong:
+            print(f"arpd: {fault}", file=sys.stderr)
+    else:
+        show(Frame(status=status, history=daemon.history(), url=daemon.url))
     return 1 if wrong else 0
 
 
-def _print_frame(daemon: DaemonAddress, status: dict[str, Any]) -> None:
-    from arpd.cli.frame import Frame
-    from arpd.cli.output import show
+def _watch(daemon: DaemonAddress, *, interval_s: float) -> None:
+    """Show a daemon on the terminal until the user ends it.
 
-    try:
-        history = daemon.history()
-    except DaemonUnreachableError:
-        history = None
-    show(Frame(status=status, history=history, url=daemon.url))
+    Parameters
+    ----------
+    interval_s : pause between two questions (s)
+
+    Raises
+    ------
+    DaemonUnreachableError
+        If it does not answer at the start; later this waits for it.
+    """
+    from arpd.cli.frame import Frame
+    from arpd.cli.terminal import Terminal
+
+    seen = Frame(status=daemon.status(), history=daemon.history(), url=daemon.url, is_on_screen=True)
+    answered_s = history_s = time.monotonic()
+    due_s = answered_s + interval_s
+    with suppress(KeyboardInterrupt), Terminal() as terminal:
+        terminal.draw(seen)
+        while not terminal.wait(min(_REDRAW_S, max(0.0, due_s - time.monotonic()))):
+            if (now_s := time.monotonic()) >= due_s:
+                try:
+                    seen, answered_s = replace(seen, status=daemon.status(), why_silent=""), now_s
+                    if now_s - history_s >= _HISTORY_EVERY_S:
+                        seen, history_s = replace(seen, history=daemon.history()), now_s
+                except ArpdError as error:
+                    seen, history_s = replace(seen, why_silent=str(error)), -math.inf
+                due_s = time.monotonic() + interval_s
+            terminal.draw(replace(seen, silent_s=time.monotonic() - answered_s))

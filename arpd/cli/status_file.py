@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.errors import ArpdError, UsageError
@@ -14,8 +16,34 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAX_BYTES = 16 * 2**20
-_HIGHEST = 1e12  # above any real payload (bytes), rate (Hz) or period (ns); keeps nonsense finite
-_DIRECTIONS = tuple(str(direction) for direction in Direction)
+# Above any real payload (bytes), rate (Hz) or period (ns); keeps nonsense finite.
+_Amount = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False)]
+_Count = Annotated[int, Field(ge=0, le=10**12)]
+_STRICT = ConfigDict(strict=True)
+
+
+class _Topic(BaseModel):
+    model_config = _STRICT
+    direction: Direction
+    topic: str
+    node: str
+    payload_bytes: _Amount
+    source_rate_hz: _Amount
+    remote_readers: _Count
+    requested_deadline_ns: _Count | None = None
+
+
+class _Graph(BaseModel):
+    model_config = _STRICT
+    sensing_topics: _Count = 0
+    actuation_topics: _Count = 0
+
+
+class _Document(BaseModel):
+    model_config = _STRICT
+    api_version: str
+    topics: list[_Topic] | None = None
+    graph: _Graph = _Graph()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,34 +71,6 @@ def read_status(path: Path) -> SavedStatus:
     ArpdError
         If it is not a status document of a daemon that was ready.
     """
-    try:
-        document = json.loads(_text(path))
-    except (ValueError, RecursionError):  # ValueError: not JSON, not UTF-8, or a number too long to convert
-        raise _refused(path, "is not JSON") from None
-    if not isinstance(document, dict) or "api_version" not in document:
-        raise _refused(path, "is not a status of arpd")
-    rows = document.get("topics")
-    if rows is None:
-        raise _refused(path, "was saved before the daemon was ready")
-    if not isinstance(rows, list):
-        raise _refused(path, "topics: is not a list")
-    return SavedStatus(
-        publishers=tuple(_publisher(row, f"topics[{index}]", path) for index, row in enumerate(rows)),
-        sensing_topics=_crossing(document, "sensing_topics", path),
-        actuation_topics=_crossing(document, "actuation_topics", path),
-    )
-
-
-def _crossing(document: dict[str, Any], key: str, path: Path) -> int:
-    """Return a count of the graph; 0 from a daemon that did not say it."""
-    graph = document.get("graph", {})
-    count = graph.get(key, 0) if isinstance(graph, dict) else graph
-    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= _HIGHEST:
-        raise _refused(path, f"graph.{key}: {_shown(count)} is not a number of topics")
-    return count
-
-
-def _text(path: Path) -> bytes:
     name = printable(str(path), longest=4096)
     try:
         with path.open("rb") as file:
@@ -78,51 +78,45 @@ def _text(path: Path) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"--status {name} cannot be read ({reason}); save it with arpd status --json > FILE") from None
+    try:
+        document = _Document.model_validate_json(text)
+        wrong = "" if document.topics is not None else "was saved before the daemon was ready"
+    except ValidationError as error:
+        wrong = _wrong(text, error.errors(include_url=False)[0])
+    if wrong:
+        raise ArpdError(f"{name}: {wrong}; save it on the robot with arpd status --json > {name}")
+    return SavedStatus(
+        publishers=tuple(map(_publisher, document.topics or ())),
+        sensing_topics=document.graph.sensing_topics,
+        actuation_topics=document.graph.actuation_topics,
+    )
+
+
+def _wrong(text: bytes, fault: Any) -> str:
     if not text:
-        raise _refused(path, "is empty")
+        return "is empty"
     if len(text) > _MAX_BYTES:
-        raise _refused(path, "is larger than 16 MiB")
-    return text
+        return "is larger than 16 MiB"
+    if fault["type"] == "json_invalid":
+        return "is not JSON"
+    if not fault["loc"] or fault["loc"][0] == "api_version":
+        return "is not a status of arpd"
+    where = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in fault["loc"])
+    value = None if fault["type"] == "missing" else fault["input"]
+    return f"{where[1:]}: {printable(json.dumps(value))} is wrong ({fault['msg']})"
 
 
-def _publisher(row: Any, where: str, path: Path) -> PublisherState:
-    if not isinstance(row, dict):
-        raise _refused(path, f"{where}: is not a publisher")
-
-    def text(key: str) -> str:
-        value = row.get(key)
-        if not isinstance(value, str):
-            raise _refused(path, f"{where}.{key}: {_shown(value)} is not text")
-        return value
-
-    def number(key: str) -> float:
-        value = row.get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= _HIGHEST:
-            raise _refused(path, f"{where}.{key}: {_shown(value)} is not a number of 0 to {_HIGHEST:g}")
-        return float(value)
-
-    direction = text("direction")
-    if direction not in _DIRECTIONS:
-        raise _refused(path, f"{where}.direction: {_shown(direction)} is none of {', '.join(_DIRECTIONS)}")
+def _publisher(row: _Topic) -> PublisherState:
     return PublisherState(
-        node=text("node"),
-        topic=text("topic"),
+        node=row.node,
+        topic=row.topic,
         type_name="",
-        direction=Direction(direction),
-        payload_bytes=number("payload_bytes"),
-        source_rate_hz=number("source_rate_hz"),
-        remote_readers=int(number("remote_readers")),
-        requested_deadline_ns=0 if row.get("requested_deadline_ns") is None else int(number("requested_deadline_ns")),
+        direction=row.direction,
+        payload_bytes=row.payload_bytes,
+        source_rate_hz=row.source_rate_hz,
+        remote_readers=row.remote_readers,
+        requested_deadline_ns=row.requested_deadline_ns or 0,
         # The plan of that time does not matter for a new one.
         depth=1,
         baseline_depth=1,
     )
-
-
-def _shown(value: Any) -> str:
-    return printable(json.dumps(value))
-
-
-def _refused(path: Path, wrong: str) -> ArpdError:
-    name = printable(str(path), longest=4096)
-    return ArpdError(f"{name}: {wrong}; save it on the robot with arpd status --json > {name}")

@@ -8,7 +8,7 @@ import signal
 import sys
 import termios
 import tty
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
@@ -17,15 +17,13 @@ from rich.live import Live
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGWINCH)
-_ENDING = {signal.SIGINT, signal.SIGTERM}
 _QUIT_KEYS = b"qQ\x03"
 
 
 class Terminal:
     """The process's terminal as a context manager that takes it over and restores it.
 
-    Signals and other threads only wake the thread in `wait`, which does all the work.
+    SIGINT and SIGTERM raise KeyboardInterrupt in the block.
     """
 
     def __init__(self) -> None:
@@ -40,13 +38,12 @@ class Terminal:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._awake, self._waker = os.pipe()
-            for end in (self._awake, self._waker):
-                os.set_blocking(end, False)
-                stack.callback(os.close, end)
-            stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False))
-            for number in _SIGNALS:
-                stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+            for number, handler in (
+                (signal.SIGINT, signal.default_int_handler),
+                (signal.SIGTERM, signal.default_int_handler),
+                (signal.SIGTSTP, self._suspend),
+            ):
+                stack.callback(signal.signal, number, signal.signal(number, handler))
             self._take()
             stack.callback(self._give_back)
             self._stack = stack.pop_all()
@@ -55,25 +52,15 @@ class Terminal:
     def __exit__(self, *exception: object) -> None:
         self._stack.close()
 
-    def wake(self) -> None:
-        """End a `wait`, from any thread."""
-        with suppress(BlockingIOError, OSError):  # full: it is awake; closed: it has ended
-            os.write(self._waker, b"\0")
-
-    def wait(self, timeout_s: float | None) -> bool:
-        """Wait until there may be something new to draw; return whether the user wants to end."""
-        watched = [self._awake, *([self._keyboard] if self._keyboard >= 0 else [])]
-        ready, _, _ = select.select(watched, [], [], timeout_s)
-        if self._keyboard in ready:
-            keys = os.read(self._keyboard, 64)
-            if not keys:
-                self._keyboard = -1  # the keyboard is gone; signals still end this
-            if any(key in _QUIT_KEYS for key in keys):
-                return True
-        seen = set(os.read(self._awake, 4096)) if self._awake in ready else set()
-        if signal.SIGTSTP in seen:
-            self._suspend()
-        return bool(seen & _ENDING)
+    def wait(self, timeout_s: float) -> bool:
+        """Wait; return whether the user wants to end."""
+        watched = [self._keyboard] if self._keyboard >= 0 else []
+        if not select.select(watched, [], [], timeout_s)[0]:
+            return False
+        keys = os.read(self._keyboard, 64)
+        if not keys:
+            self._keyboard = -1  # the keyboard is gone; signals still end this
+        return any(key in _QUIT_KEYS for key in keys)
 
     def draw(self, frame: RenderableType) -> None:
         """Write a frame over the one before."""
@@ -93,7 +80,7 @@ class Terminal:
         if self._modes is not None:
             termios.tcsetattr(self._keyboard, termios.TCSANOW, self._modes)
 
-    def _suspend(self) -> None:
+    def _suspend(self, *_signal: object) -> None:
         """Restore the terminal and stop, as the shell asks; take the terminal again when the shell continues us."""
         self._give_back()
         ours = signal.signal(signal.SIGTSTP, signal.SIG_DFL)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
+from arpd.cli.options import within
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError, ConfigError, UsageError
 from arpd.model.names import is_hidden, is_internal
@@ -55,7 +56,11 @@ exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 7
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--seconds", type=float, default=_SECONDS, metavar="N", help="time to measure (s, default %(default)g)"
+        "--seconds",
+        type=within(0.1, _MOST_SECONDS, parse=float),
+        default=_SECONDS,
+        metavar="N",
+        help="time to measure (s, default %(default)g)",
     )
     parser.add_argument("--all", action="store_true", help="list topics of ROS and of arpd and hidden ones, too")
     output = parser.add_mutually_exclusive_group()
@@ -97,8 +102,6 @@ def _list_topics(options: argparse.Namespace) -> int:
 def _refuse_nonsense(options: argparse.Namespace) -> None:
     from arpd.adapters.config.kinds import Address
 
-    if not 0 < options.seconds <= _MOST_SECONDS:
-        raise UsageError(f"--seconds {options.seconds:g} is not a time; write one up to {_MOST_SECONDS:g}")
     for name in ("robot", "ceddp"):
         given = getattr(options, name)
         if given is None:

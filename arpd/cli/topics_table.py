@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.cli.columns import wrapped
-from arpd.cli.fitted_table import FittedTable
+from arpd.cli.output import FittedTable
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.report.wording import count
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME = 250
 _MOST_NAMED = 2
-_WORDS = ("TYPE", "LINK")  # columns that are flush left
+_WORDS = frozenset({"TYPE", "LINK"})  # columns that are flush left
 _LEAST_MBIT = 0.01
 _VARIES = 1.1
 _LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."
@@ -29,7 +29,7 @@ def link_table(topics: Sequence[LinkTopic]) -> FittedTable:
     if not any(map(_varies, topics)):
         at = titles.index("LARGEST")
         rows, ranks = [[*row[:at], *row[at + 1 :]] for row in rows], [*ranks[:at], *ranks[at + 1 :]]
-    return FittedTable(rows=rows, ranks=ranks, words=frozenset(rows[0].index(title) for title in _WORDS))
+    return FittedTable(rows=rows, ranks=ranks, words=_WORDS)
 
 
 def _varies(topic: LinkTopic) -> bool:

@@ -42,7 +42,7 @@ class TraceError(ArpdError):
 class DaemonUnreachableError(ArpdError):
     """URL at which no daemon answers."""
 
-    exit_code = 69
+    exit_code = 3  # as systemctl status and every init script since LSB say it
 
 
 class NoAnswerError(DaemonUnreachableError):

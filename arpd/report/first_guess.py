@@ -1,7 +1,4 @@
-"""First preferences for the topics of a robot that has none: weight, floor and ceiling, each with its reason.
-
-The floors together stay below what weak Wi-Fi carries: those of large topics are lowered until they do.
-"""
+"""First preferences for the topics of a robot that has none: weight, floor and ceiling, each with its reason."""
 
 from __future__ import annotations
 
@@ -20,15 +17,13 @@ if TYPE_CHECKING:
 
     from arpd.model.link_topics import LinkTopic
 
-FLOORS_BYTES_PER_SECOND = 2e6 / 8  # of all floors together: what a robot still gets at the edge of its Wi-Fi
-_LATCHED_BYTES_PER_SECOND = 50e3 / 8  # of the floor of one latched topic: it keeps it although it is silent
+WEAK_LINK_BYTES_PER_SECOND = 2e6 / 8  # what a robot still gets at the edge of its Wi-Fi
+_FLOOD_BYTES_PER_SECOND = 20e6 / 8
 _LEAST_FLOOR_HZ = 0.01
 _LARGE_BYTES = 100e3
 _LARGE_DEPTH = 5
 _MARGIN = 1.1  # of the highest useful rate above the measured one, for jitter
 _SAME_RATE = 0.2  # by which the rates of a picture and of its camera_info may differ
-# In this order. Those of commands and transforms stay.
-_LOWERED = (Role.PICTURE, Role.OTHER, Role.PERCEPTION, Role.LATCHED, Role.STATE, Role.STATUS, Role.DIAGNOSTIC)
 _INFO, _INFO_TYPE = "/camera_info", "sensor_msgs/msg/CameraInfo"
 _PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
@@ -76,13 +71,11 @@ class FirstGuess:
     ----------
     topics : the most important ones first
     groups : pictures that cross together with their camera_info
-    is_lowered : whether floors were lowered so that all fit
     left_out : topics that no configuration can name
     """
 
     topics: tuple[TopicGuess, ...]
     groups: tuple[TopicGroup, ...] = ()
-    is_lowered: bool = False
     left_out: tuple[str, ...] = ()
 
     @property
@@ -110,24 +103,26 @@ def first_guess(topics: Iterable[LinkTopic]) -> FirstGuess:
         for topic in named
         if topic.name not in group_of or group_of[topic.name].name == topic.name
     ]
-    lowered = _lowered(guesses)
     return FirstGuess(
-        topics=tuple(sorted(lowered, key=lambda guess: (-guess.weight, guess.name))),
+        topics=tuple(sorted(guesses, key=lambda guess: (-guess.weight, guess.name))),
         groups=groups,
-        is_lowered=lowered != guesses,
         left_out=tuple(topic.name for topic in found if len(topic.name) > LONGEST_NAME),
     )
 
 
 def _of_topic(topic: LinkTopic) -> TopicGuess:
-    """Return the preferences of one topic before its floor is weighed against the others."""
+    """Return the preferences of one topic."""
     role = role_of(topic)
     care, traffic = role.care, topic.traffic
     rate_hz = float(f"{traffic.rate_hz:.3g}") if traffic else 0.0
     payload = traffic.mean_bytes if traffic else None
     floor_hz = min(max(care.share * rate_hz, care.least_hz), care.most_hz, rate_hz or math.inf)
-    if role is Role.LATCHED:
-        floor_hz = _latched_floor(payload)
+    if role is Role.LATCHED:  # which may be silent for long, and then send several at once
+        floor_hz = care.least_hz if payload is None else care.most_hz
+    elif _is_flood(topic):
+        floor_hz = 0.0
+    if payload is not None:
+        floor_hz = min(floor_hz, care.most_bytes_per_second / wire_size(payload, rate_hz=1.0)[0])
     return TopicGuess(
         name=topic.name,
         role=role,
@@ -177,49 +172,8 @@ def _groups(topics: Sequence[LinkTopic]) -> tuple[TopicGroup, ...]:
     return tuple(groups)
 
 
-def _unfitness(picture: LinkTopic) -> tuple[bool, int, int, str]:
-    is_flood = role_of(picture) is Role.FLOOD
-    return is_flood, -_PICTURE_TYPES.index(picture.type_name), picture.name.count("/"), picture.name
-
-
-def _lowered(guesses: list[TopicGuess]) -> list[TopicGuess]:
-    """Lower floors until all together fit: role by role, and in a role the one that needs most first."""
-    excess = sum(guess.floor_bytes_per_second for guess in guesses) - FLOORS_BYTES_PER_SECOND
-    for role in _LOWERED:
-        needs = [guess.floor_bytes_per_second for guess in guesses if guess.role is role]
-        if excess > 0 and any(needs):
-            most = _level(needs, sum(needs) - excess)
-            guesses = [_with_floor(guess, most) if guess.role is role else guess for guess in guesses]
-            excess -= sum(needs) - sum(guess.floor_bytes_per_second for guess in guesses if guess.role is role)
-    return guesses
-
-
-def _level(needs: Sequence[float], total: float) -> float:
-    """Return the bound under which the needs are ``total`` together; 0 if none is left."""
-    left, many = max(total, 0.0), len(needs)
-    for need in sorted(needs):
-        if need * many >= left:
-            break
-        left, many = left - need, many - 1
-    return left / many if many else math.inf
-
-
-def _with_floor(guess: TopicGuess, most_bytes_per_second: float) -> TopicGuess:
-    """Return a guess whose floor needs at most so much."""
-    if guess.payload_bytes is None or guess.floor_bytes_per_second <= most_bytes_per_second:
-        return guess
-    # A sample may have a heartbeat of its own at the lower rate.
-    lower_hz = most_bytes_per_second / wire_size(guess.payload_bytes, rate_hz=1.0)[0]
-    return replace(guess, min_rate_hz=_down(min(lower_hz, guess.min_rate_hz)))
-
-
-def _latched_floor(payload_bytes: float | None) -> float:
-    """Return a floor that sends a few samples soon, and does not hold the link for a large map (Hz)."""
-    care = Role.LATCHED.care
-    if payload_bytes is None:
-        return care.least_hz
-    fitting_hz = _LATCHED_BYTES_PER_SECOND / wire_size(payload_bytes, rate_hz=care.least_hz)[0]
-    return min(fitting_hz, care.most_hz)
+def _unfitness(picture: LinkTopic) -> tuple[int, int, str]:
+    return -_PICTURE_TYPES.index(picture.type_name), picture.name.count("/"), picture.name
 
 
 def _remarks(topic: LinkTopic) -> Iterable[str]:
@@ -229,12 +183,18 @@ def _remarks(topic: LinkTopic) -> Iterable[str]:
     elif traffic.rate_hz:
         measured = f"{format_number(traffic.rate_hz)} Hz of {format_payload(traffic.mean_bytes)}"
         yield f"measured {measured}: {format_rate(traffic.bytes_per_second)}"
+        if _is_flood(topic):
+            yield "more than Wi-Fi may carry: read it compressed over the link, or keep it off by relay.deny"
     elif traffic.mean_bytes:
         yield f"its last message has {format_payload(traffic.mean_bytes)}"
     else:
         yield "no message arrived meanwhile"
     if topic.is_crossing:
         yield "crosses the link now"
+
+
+def _is_flood(topic: LinkTopic) -> bool:
+    return topic.traffic is not None and topic.traffic.bytes_per_second > _FLOOD_BYTES_PER_SECOND
 
 
 def _rate(topic: LinkTopic) -> float:

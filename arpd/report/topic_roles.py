@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from enum import Enum
@@ -11,8 +12,7 @@ if TYPE_CHECKING:
     from arpd.model.link_topics import LinkTopic
 
 _LARGE_BYTES_PER_SECOND = 1e6 / 8  # a part of weak Wi-Fi that other topics feel
-_FLOOD_BYTES_PER_SECOND = 20e6 / 8
-_LATCHED_MOST_HZ = 1.0  # a latched topic above it is a stream
+_KBIT = 1e3 / 8  # bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,6 +24,7 @@ class Care:
     weight : as in the configuration
     share : floor as a part of the measured rate, within the next two
     least_hz, most_hz : bounds of the floor; it never exceeds the measured rate (Hz)
+    most_bytes_per_second : further bound of the floor, on the wire: large samples are few (bytes/s)
     reason : why, for a comment
     latency_budget_s : as in the configuration; None = its default (s)
     is_periodic : whether the measured rate says what rate is useful
@@ -34,6 +35,7 @@ class Care:
     least_hz: float
     most_hz: float
     reason: str
+    most_bytes_per_second: float = math.inf
     latency_budget_s: float | None = None
     is_periodic: bool = False
 
@@ -54,52 +56,68 @@ class Role(Enum):
         share=1.0,
         least_hz=10,
         most_hz=100,
-        reason="transforms: each message may hold other frames, so none should be left out",
+        reason="transforms, or time: each message may hold other frames, and others wait for it",
     )
     STATE = Care(
         weight=5,
         share=0.25,
         least_hz=5,
         most_hz=30,
+        most_bytes_per_second=200 * _KBIT,
         is_periodic=True,
-        reason="the robot's motion: small, and control needs it fresh",
+        reason="the robot's motion, or a reading: small, and control needs it fresh",
     )
     LATCHED = Care(
         weight=4,
         share=1.0,
         least_hz=1,
         most_hz=10,
-        reason="latched: sent once and kept by its readers, so the relay sends every sample",
+        most_bytes_per_second=50 * _KBIT,  # it keeps that although it is silent
+        reason="latched: readers keep the newest one, so each should arrive",
     )
-    STATUS = Care(weight=4, share=1.0, least_hz=1, most_hz=1, reason="a reading: small, and one a second will do")
     PERCEPTION = Care(
         weight=3,
         share=0.25,
         least_hz=1,
         most_hz=5,
+        most_bytes_per_second=250 * _KBIT,
         is_periodic=True,
         reason="what the robot sees, in few bytes: useful at a lower rate, too",
     )
-    OTHER = Care(weight=2, share=1.0, least_hz=1, most_hz=1, reason="a type that arpd does not know: please judge")
+    OTHER = Care(
+        weight=2,
+        share=1.0,
+        least_hz=1,
+        most_hz=1,
+        most_bytes_per_second=50 * _KBIT,
+        reason="a type that arpd does not know: please judge",
+    )
+    VIDEO = Care(
+        weight=1,
+        share=1.0,
+        least_hz=0,
+        most_hz=math.inf,
+        reason=(
+            "WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key "
+            "frame: its floor is all it sends. If that is too much, let the encoder send less, or send single pictures"
+        ),
+    )
     PICTURE = Care(
         weight=1,
         share=0.1,
         least_hz=0.5,
         most_hz=2,
+        most_bytes_per_second=400 * _KBIT,
         is_periodic=True,
         reason="large: it takes what the others leave",
     )
-    DIAGNOSTIC = Care(weight=0.5, share=0.2, least_hz=0.2, most_hz=0.5, reason="diagnostics: nobody waits for them")
-    FLOOD = Care(
-        weight=0.2,
-        share=0.0,
-        least_hz=0,
-        most_hz=0,
-        is_periodic=True,
-        reason=(
-            "more than Wi-Fi may carry, so without a floor: read it compressed over the link, "
-            "or keep it off the link by relay.deny"
-        ),
+    DIAGNOSTIC = Care(
+        weight=0.5,
+        share=0.2,
+        least_hz=0.2,
+        most_hz=0.5,
+        most_bytes_per_second=50 * _KBIT,
+        reason="diagnostics: nobody waits for them",
     )
 
     @property
@@ -110,31 +128,32 @@ class Role(Enum):
 
 _TWIST = r"geometry_msgs/msg/Twist(Stamped)?"
 _BY_TYPE: tuple[tuple[Role, str], ...] = (
-    (Role.TRANSFORM, r"tf2?_msgs/msg/TFMessage"),
+    (Role.TRANSFORM, r"tf2?_msgs/msg/TFMessage|rosgraph_msgs/msg/Clock"),
     (Role.COMMAND, rf"{_TWIST}|ackermann_msgs/.*|trajectory_msgs/.*|control_msgs/.*|sensor_msgs/msg/Joy"),
-    (Role.PICTURE, r".*(Image|Picture|PointCloud|Packet)\w*|stereo_msgs/.*|\w*(image_transport|audio)\w*/.*"),
-    (Role.STATE, r"nav_msgs/msg/Odometry|sensor_msgs/msg/(Imu|JointState|MultiDOFJointState|MagneticField|NavSatFix)"),
-    (Role.STATE, r"geometry_msgs/msg/(Pose|Transform|TwistWith|Accel|Wrench|Vector3|Point|Quaternion)\w*"),
+    (Role.VIDEO, r"(ffmpeg|theora)_image_transport(_msgs)?/.*|.*/\w*Video\w*|\w*audio\w*/.*"),
+    (Role.PICTURE, r".*(Image|Picture|PointCloud|Packet)\w*|stereo_msgs/.*|\w*image_transport\w*/.*"),
+    (
+        Role.STATE,
+        r"nav_msgs/msg/Odometry|geometry_msgs/msg/(Pose|Transform|TwistWith|Accel|Wrench|Vector3|Point|Quaternion)\w*",
+    ),
     (Role.PERCEPTION, r"sensor_msgs/msg/(LaserScan|MultiEchoLaserScan|Range|CameraInfo|RegionOfInterest)"),
     (Role.PERCEPTION, r"(nav|map|visualization|vision|octomap|geometry|shape|object_recognition)_msgs/.*"),
     (Role.DIAGNOSTIC, r"(diagnostic_msgs|rcl_interfaces|statistics_msgs|lifecycle_msgs|bond)/.*"),
-    (Role.STATUS, r"sensor_msgs/.*"),
+    (Role.STATE, r"sensor_msgs/.*"),
 )
 _COMMAND_NAME = re.compile(r"(?:^|[/_])(?:cmd|command|commands|estop|e_stop|emergency|stop)(?:$|[/_])")
 
 
 def role_of(topic: LinkTopic) -> Role:
-    """Return the likely role of a topic, by its durability, its type, its direction and its traffic."""
-    rate_hz = topic.traffic.rate_hz if topic.traffic else 0.0
-    if topic.is_latched and rate_hz <= _LATCHED_MOST_HZ:
-        return Role.LATCHED
-    payload_bytes_per_second = topic.traffic.bytes_per_second if topic.traffic else 0.0
-    if payload_bytes_per_second > _FLOOD_BYTES_PER_SECOND:
-        return Role.FLOOD
+    """Return the likely role of a topic, by its durability, its type, its direction and what it sends."""
     role = _by_type(topic.type_name)
-    if role in {Role.TRANSFORM, Role.PICTURE, Role.DIAGNOSTIC, Role.COMMAND}:
+    # A map that comes once a second is latched, too; a stream of pictures is one, whatever its durability.
+    is_stream = role in {Role.VIDEO, Role.PICTURE} and topic.traffic is not None and topic.traffic.rate_hz > 0
+    if topic.is_latched and not is_stream:
+        return Role.LATCHED
+    if role in {Role.TRANSFORM, Role.VIDEO, Role.PICTURE, Role.DIAGNOSTIC, Role.COMMAND}:
         return role
-    if role is Role.OTHER and payload_bytes_per_second > _LARGE_BYTES_PER_SECOND:
+    if role is Role.OTHER and topic.traffic is not None and topic.traffic.bytes_per_second > _LARGE_BYTES_PER_SECOND:
         return Role.PICTURE
     if role is not Role.PERCEPTION and _is_command(topic):
         return Role.COMMAND

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import re
 import shutil
 import sys
 import tempfile
-import urllib.request
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from PIL import Image
 from playwright.sync_api import sync_playwright
@@ -25,6 +23,7 @@ from rich.console import Console
 from rich.screen import Screen
 
 from arpd.adapters.sim.schedule import RateSchedule
+from arpd.cli.client import DaemonAddress
 from arpd.cli.frame import Frame
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
@@ -116,8 +115,8 @@ def _page(
 def _top(browser: Browser, url: str, path: Path) -> None:
     """Draw a frame of `arpd top` as a terminal would."""
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
-    status, history = _get(f"{url}/api/v1/status"), _get(f"{url}/api/v1/history")
-    frame = Frame(status=status, history=history, url="http://robot.local:9464", is_on_screen=True)
+    daemon = DaemonAddress(url=url)
+    frame = Frame(status=daemon.status(), history=daemon.history(), url="http://robot.local:9464", is_on_screen=True)
     console.print(Screen(frame))
     # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)
@@ -126,13 +125,6 @@ def _top(browser: Browser, url: str, path: Path) -> None:
     picture = page.locator("svg.rich-terminal")
     picture.evaluate("(svg) => { svg.style.width = '1280px'; svg.style.display = 'block'; }")
     _write(path, picture.screenshot(omit_background=True))
-
-
-def _get(address: str) -> dict[str, Any]:
-    with urllib.request.urlopen(address, timeout=10) as answer:
-        document = json.load(answer)
-        assert isinstance(document, dict)
-        return document
 
 
 def _write(path: Path, png: bytes) -> None:

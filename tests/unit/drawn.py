@@ -6,18 +6,23 @@ import io
 
 from rich.console import Console
 
+from arpd.cli.client import read_history, read_status
 from arpd.cli.columns import WITHOUT_END
 from arpd.cli.frame import Frame
 
 
 def printed(status, history=None, *, width=WITHOUT_END, **said):
     """Print a frame; returns its lines."""
-    return _lines(Frame(status=status, history=history, **said), width, WITHOUT_END)
+    return _lines(_frame(status, history, **said), width, WITHOUT_END)
 
 
 def on_screen(status, history=None, *, width=110, height=40, **said):
     """Draw a frame for a screen; returns its lines, also those that a screen would cut off."""
-    return _lines(Frame(status=status, history=history, is_on_screen=True, **said), width, height)
+    return _lines(_frame(status, history, is_on_screen=True, **said), width, height)
+
+
+def _frame(status, history, **said):
+    return Frame(status=read_status(status, url="-"), history=read_history(history), **said)
 
 
 def _lines(shown, width, height):

@@ -11,13 +11,24 @@ from arpd.report.status import status_document
 from tests.golden.sample import FINISHED_AT_S, changed
 from tests.sample_publishers import publisher
 
+_COLUMNS = ("available", "budget", "level", "delivery_rate", "foreign")
 HISTORY = {
     "api_version": "v1",
+    "unix_time_seconds": 1e9,
+    "period_seconds": 1.0,
+    "span_seconds": 600.0,
+    "times": [1e9 - age for age in range(600)],
     "link": {
         "capacity_bytes_per_second": [None] * 100 + [2.5e6] * 250 + [6e5] * 250,
         "queue_delay_seconds": [0.0] * 349 + [0.35] + [0.0] * 250,
+        **{f"{name}_bytes_per_second": [None] * 600 for name in _COLUMNS},
+        "loss_ratio": [None] * 600,
+        "state": ["steady"] * 600,
     },
     "gate": [1.0] * 350 + [0.5] + [1.0] * 249,
+    "topics": [],
+    "topics_omitted": 0,
+    "events": [],
 }
 
 
@@ -89,9 +100,17 @@ def busy():
     for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
         topic = by_name[name]
         topic |= {"binding": "link", "share": 0.3, "kept_ratio": ratio}
-        topic["planned"] = {"rate_hz": topic["source_rate_hz"] * ratio, "depth": 10, "deadline_ns": None}
+        topic["planned"] = {
+            "rate_hz": topic["source_rate_hz"] * ratio,
+            "min_rate_hz": 0.0,
+            "depth": 10,
+            "deadline_ns": None,
+            "weight": 1.0,
+            "wire_bytes": 1000.0,
+            "packets": 1,
+        }
     by_name["/link/odom"] |= {"refusal": "depth 16: no match", "refusal_lasts": False}
     by_name["/link/imu"]["deadlines_missed"] = 3
-    answered["verdict"] = {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
+    answered["verdict"] |= {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
     answered["events"] = [event(number, f"event {number}") for number in range(30)]
     return answered

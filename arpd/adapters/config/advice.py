@@ -1,10 +1,13 @@
-"""Warns of a valid configuration that costs this host more than it needs."""
+"""Warns of a valid configuration that costs this host more than it needs, or asks more of the link than it has."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from arpd.model.quantities import format_rate
 from arpd.model.settings import Backend
+from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from arpd.model.settings import Settings
@@ -31,5 +34,25 @@ def warnings(settings: Settings, *, host_bytes: int) -> list[str]:
             f"program.backend: warning: {backend} takes {extra_bytes / 2**20:.0f} MiB, "
             f"{100 * extra_bytes / host_bytes:.1f} % of this host's memory; {Backend.CLOSED_FORM} takes none, "
             "and gives the same rates to a millionth"
+        )
+    ]
+
+
+def floor_warnings(settings: Settings) -> list[str]:
+    """Return a line where the floors of topics whose payload the file tells exceed the link, as `warnings` does."""
+    floors = 0.0
+    for topic in settings.topics.values():
+        rate_hz = min(topic.min_rate_hz, topic.max_rate_hz or math.inf, topic.source_rate_hz or math.inf)
+        if topic.payload_bytes is not None and rate_hz > 0:
+            floors += wire_size(topic.payload_bytes, rate_hz=rate_hz)[0] * rate_hz
+    link = settings.link
+    key = "initial_capacity" if link.capacity_bytes_per_second is None else "capacity"
+    usable = link.headroom * (link.capacity_bytes_per_second or link.initial_capacity_bytes_per_second)
+    if floors <= usable:
+        return []
+    return [
+        (
+            f"topics: warning: all min_rate_hz together need {format_rate(floors)} with headers, and link.{key} and "
+            f"link.headroom leave {format_rate(usable)}; the lightest weights fall below theirs, so lower some"
         )
     ]

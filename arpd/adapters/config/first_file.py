@@ -10,7 +10,7 @@ import yaml
 
 from arpd.adapters.config.kinds import NONE
 from arpd.model.quantities import format_rate, printable, spell_duration, spell_size
-from arpd.report.first_guess import FLOORS_BYTES_PER_SECOND
+from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -82,11 +82,13 @@ _HOW_TO = (
 
 def _sums(guess: FirstGuess) -> str:
     floors, full = format_rate(guess.floors_bytes_per_second), format_rate(guess.full_bytes_per_second)
-    lowered = f", lowered to fit into {format_rate(FLOORS_BYTES_PER_SECOND)}" if guess.is_lowered else ""
+    weak = format_rate(WEAK_LINK_BYTES_PER_SECOND)
+    is_much = guess.floors_bytes_per_second > WEAK_LINK_BYTES_PER_SECOND
+    much = f" That is more than weak Wi-Fi carries ({weak}): lower some." if is_much else ""
     unknown = sum(topic.payload_bytes is None for topic in guess.topics)
     besides = f" Topics of unknown size, which do not count: {unknown}." if unknown else ""
     return (
-        f"All floors together need {floors} of the link, with headers{lowered}. On a slower link the lightest weights "
+        f"All floors together need {floors} of the link, with headers.{much} On a slower link the lightest weights "
         f"fall below their floors first. At the measured rates everything needs {full}.{besides}"
     )
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from arpd.adapters.host.interface import index_of, ipv4_addresses
 from arpd.model.quantities import printable
 from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, UDP_BYTES
-from arpd.report.health import Unknown
-from arpd.report.health_link import Announcer, HeardDiscovery
+from arpd.report.health import Announcer, HeardDiscovery, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from arpd.adapters.host.interface import ipv4_addresses
-from arpd.report.health import Unknown
-from arpd.report.health_host import NetworkLimits
+from arpd.report.health import NetworkLimits, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable

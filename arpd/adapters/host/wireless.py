@@ -10,8 +10,7 @@ from arpd.adapters.host.interface import index_of
 from arpd.adapters.host.kernel import read_number
 from arpd.adapters.host.radio import ask_stations
 from arpd.adapters.systemd.services import service_states
-from arpd.report.health import Unknown
-from arpd.report.health_link import RadioState
+from arpd.report.health import RadioState, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

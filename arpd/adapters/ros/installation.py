@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.quantities import printable
-from arpd.report.health import Unknown
-from arpd.report.health_host import PythonRos
+from arpd.report.health import PythonRos, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,20 +13,10 @@ from arpd.cli import checkup
 from arpd.cli.checkup import Asked, Senses, check_up
 from arpd.cli.client import DaemonAddress
 from arpd.cli.doctor import lines
-from arpd.report.health import Health, Unknown
-from arpd.report.health_host import NetworkLimits, PythonRos
-from arpd.report.health_link import HeardDiscovery, RadioState
+from arpd.report.health import Health, HeardDiscovery, PythonRos, RadioState, Unknown
 from tests.unit.fake_daemon import document, serving
+from tests.unit.report.health_facts import LIMITS
 
-LIMITS = NetworkLimits(
-    buffer_bytes=212_992,
-    received=1000,
-    overflowed=0,
-    reassembly_s=30,
-    reassembly_bytes=4 * 2**20,
-    reassembled=100,
-    incomplete=0,
-)
 ROS = PythonRos(python="/venv/python", rclpy="/opt/ros/jazzy/rclpy.py", numpy="1.26.4", rmw="rmw_fastrtps_cpp")
 ACTIVE = ServiceState(is_installed=True, is_enabled=True, active="active")
 DISABLED = ServiceState(is_installed=True, is_enabled=False, active="inactive")
@@ -89,7 +79,7 @@ def asked(tmp_path):
 
 
 def healths(found):
-    return {each.about: each.health for each in found.judgements}
+    return {about: each.health for about, each in found.findings.items()}
 
 
 def test_an_ill_computer_shows_what_to_do(asked):

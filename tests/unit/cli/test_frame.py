@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import copy
+from functools import reduce
+from operator import getitem
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from arpd.model.errors import ArpdError
 from tests.examples import examples
 from tests.unit.drawn import on_screen, printed
 from tests.unit.fake_daemon import HISTORY, busy, document, event
@@ -59,10 +62,23 @@ def leaves(document, path=()):
 
 RICH = document(lease_s=3.0)
 RICH["events"] = [event(1, "text")]
-RICH["faults"] = [{"text": "Reload refused: so.", "severity": "error", "wrong": True}]
+RICH["faults"] = [RICH["verdict"] | {"text": "Reload refused: so.", "severity": "error", "wrong": True}]
+TEXTS = ["version", "interface", "link.evidence", "plan.reason", "verdict.text", "topics.0.topic", "events.0.text"]
 JUNK = st.one_of(
     st.none(), st.booleans(), st.floats(), st.integers(), st.sampled_from(HOSTILE), st.just([]), st.just({})
 )
+
+
+@examples(20)
+@given(st.fixed_dictionaries({name: st.sampled_from(HOSTILE) for name in TEXTS}), st.integers(1, 200))
+def test_words_of_the_daemon_do_not_steer_the_terminal(texts, width):
+    """A document that is right but for its words is drawn, and each control character is shown."""
+    answered = copy.deepcopy(RICH)
+    for name, words in texts.items():
+        *path, key = (int(step) if step.isdecimal() else step for step in name.split("."))
+        reduce(getitem, path, answered)[key] = words
+    for line in (*on_screen(answered, HISTORY, width=width, height=20), *printed(answered, HISTORY, width=width)):
+        assert all(character.isprintable() for character in line)
 
 
 @st.composite
@@ -90,7 +106,11 @@ def broken_documents(draw):
     st.integers(1, 200),
 )
 def test_whatever_answers_neither_breaks_a_frame_nor_steers_the_terminal(answered, history, width):
-    """Keys that are missing or hold something else leave a gap; control characters are shown, not sent."""
-    drawn = on_screen(answered, history, width=width, height=20, url=HOSTILE[0], why_silent=HOSTILE[1])
-    for line in (*drawn, *printed(answered, history, width=width)):
+    """Keys that are missing or hold something else are an error in one line; control characters are shown, not sent."""
+    try:
+        drawn = on_screen(answered, history, width=width, height=20, url=HOSTILE[0], why_silent=HOSTILE[1])
+        drawn += printed(answered, history, width=width)
+    except ArpdError as error:
+        drawn = [str(error)]
+    for line in drawn:
         assert all(character.isprintable() for character in line)

@@ -142,6 +142,20 @@ def test_check_warns_of_a_solver_that_takes_much_of_the_memory(run, config, host
 
 
 @pytest.mark.parametrize(
+    ("capacity", "options", "is_warned"),
+    [("2mbit", (), True), ("2mbit", ("--no-interfaces",), True), ("2mbit", ("--far",), False), ("10mbit", (), False)],
+)
+def test_check_warns_of_minimum_rates_that_exceed_the_link(run, config, capacity, options, is_warned):
+    """Floors whose payload is known must fit the capacity, less the headroom; a warning is no fault."""
+    path = config(
+        f"link: {{capacity: {capacity}}}\n"
+        "topics: [{name: /a, payload: 60kB, source_rate_hz: 30, min_rate_hz: 4}, {name: /b, min_rate_hz: 100}]\n"
+    )
+    code, _, err = run("check", *options, path)
+    assert (code, "topics: warning: " in err, "1.7 Mbit/s" in err) == (0, is_warned, is_warned)
+
+
+@pytest.mark.parametrize(
     ("error", "code", "message"),
     [
         (LinkError("wlan0 is gone"), 1, "arpd: wlan0 is gone\n"),

@@ -73,15 +73,6 @@ def test_the_same_seed_gives_the_same_document(simulate):
     assert first == again != other
 
 
-def test_the_picture_is_a_png(simulate, files):
-    """The table is printed, too."""
-    pytest.importorskip("matplotlib")
-    code, out, _ = simulate("--trace", "walk.csv", *QUICK, "--plot", "walk.png", config="tiny.yaml")
-    assert code == 0
-    assert out
-    assert (files / "walk.png").read_bytes().startswith(b"\x89PNG")
-
-
 # -- the robot and the link
 
 
@@ -114,7 +105,6 @@ def test_without_a_configuration_the_demo_robot_plays(simulate, files, monkeypat
         (("--rate", "0:8mbit", "--delay", "30"), "--delay"),
         (("--rate", "0:8mbit", "--queue", "2GB"), "--queue"),
         (("--rate", "0:8mbit", "--actuation", "/odom"), "--actuation"),
-        (("--rate", "0:8mbit", "--plot", "walk.jpg"), "--plot"),
     ],
 )
 def test_a_wrong_argument_is_named(simulate, arguments, option):

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import socket
+import threading
+from contextlib import contextmanager, suppress
 
 import pytest
 
 from arpd.adapters.systemd.services import ServiceState
+from arpd.cli import client
 from arpd.cli import main as cli
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
@@ -106,11 +110,71 @@ def test_it_exits_3_when_nothing_answers(capsys, monkeypatch):
     assert "systemctl status arpd" in err
 
 
+@contextmanager
+def trickling(line):
+    """Answer the line, then bytes of the body one by one, for ever."""
+    stopped = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            connection, _ = server.accept()
+            with connection, suppress(OSError):
+                connection.sendall(line)
+                while not stopped.wait(0.01):
+                    connection.sendall(b" ")
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.getsockname()[1]}"
+        finally:
+            stopped.set()
+            thread.join()
+
+
+@pytest.mark.parametrize("line", [b"HTTP/1.0 200 OK\r\n\r\n", b"HTTP/1.0 200 OK\r\nX: "], ids=["body", "headers"])
+def test_an_answer_that_only_trickles_ends_at_one_deadline(run, monkeypatch, line):
+    """Each byte comes in time, and the whole never does."""
+    monkeypatch.setattr(client, "_DEADLINE_S", 0.3)
+    with trickling(line) as url:
+        code, out, err = run("status", "--url", url)
+    assert (code, out) == (3, "")
+    assert "timed out" in err
+
+
+@pytest.mark.parametrize("command", [["status"], ["top", "--once"], ["doctor"]])
+def test_a_password_does_not_cross_the_network_in_clear(run, monkeypatch, command):
+    """Without TLS it goes to this computer only, or where the user says so."""
+    monkeypatch.setenv("ARPD_PASSWORD", "secret")
+    monkeypatch.setattr(client.DaemonAddress, "_fetch", lambda *_: pytest.fail("it asks"))
+    for url in ("http://robot.local:9464", "HTTP://192.0.2.1:9464", "http://127.0.0.1.example:9464"):
+        code, out, err = run(*command, "--url", url, "--user", "alice")
+        assert (code, out) == (2, "")
+        assert "--password-in-clear" in err
+        assert "https://" in err
+
+
+def test_a_password_goes_where_the_user_lets_it(run, monkeypatch):
+    """To this computer, over TLS, and with the option."""
+    monkeypatch.setenv("ARPD_PASSWORD", "secret")
+    asked = []
+
+    def fetch(daemon, _url):
+        asked.append(daemon.url)
+        raise ConnectionRefusedError
+
+    monkeypatch.setattr(client.DaemonAddress, "_fetch", fetch)
+    wanted = ["http://127.0.0.2:1", "http://[::1]:1", "http://localhost:1", "https://robot:1", "http://robot:1"]
+    for url in wanted:
+        run("status", "--user", "alice", "--url", url, *(["--password-in-clear"] if url == wanted[-1] else []))
+    assert asked == wanted
+
+
 @pytest.mark.parametrize("url", ["localhost:9464", "file:///etc/passwd", "http://[::1", "http://a b/"])
 @pytest.mark.parametrize("command", ["status", "top"])
 def test_what_is_no_http_address_is_refused(capsys, command, url):
     """Only http:// and https:// are accepted."""
-    assert cli.main([command, "--url", url, *(["--once"] if command == "top" else [])]) in {2, 3, 69}
+    assert cli.main([command, "--url", url, *(["--once"] if command == "top" else [])]) in {2, 3}
     err = capsys.readouterr().err
     assert err.startswith("arpd: ")
     assert err.count("\n") == 1

@@ -41,13 +41,13 @@ def test_once_prints_what_status_prints(capsys, daemon):
 
 
 @pytest.mark.parametrize(("is_terminal", "kind"), [(False, "xterm"), (True, "dumb")])
-def test_live_needs_a_terminal_that_can_be_drawn_on(capsys, monkeypatch, is_terminal, kind):
+def test_live_needs_a_terminal_that_can_be_drawn_on(run, monkeypatch, is_terminal, kind):
     """For a pipe or a dumb terminal the error names the other command."""
     monkeypatch.setattr(sys.stdout, "isatty", lambda: is_terminal)
     monkeypatch.setenv("TERM", kind)
-    assert cli.main(["top"]) == 2
-    assert "arpd status" in capsys.readouterr().err
-    assert cli.main(["top", "--interval", "0"]) == 2
+    code, _, err = run("top")
+    assert (code, "arpd status" in err) == (2, True)
+    assert run("top", "--interval", "0")[0] == 2
 
 
 class Screen:
@@ -122,6 +122,16 @@ def test_top_gives_the_terminal_back(top, daemon, end):
     assert written.rindex("\x1b[?25h") > written.rindex("\x1b[?25l")
     assert screen.modes() == screen.before
     assert "Traceback" not in written
+
+
+def test_top_exits_as_status_does_where_no_daemon_answers(top):
+    """The reason stands on the terminal as it was."""
+    with serving("{}") as url:
+        pass
+    screen = top(url)
+    assert "no daemon answers" in screen.await_text("systemctl status arpd")
+    assert screen.process.wait(60) == 3
+    assert ENTER not in screen.written
 
 
 def test_top_waits_for_a_daemon_that_goes_away(top):

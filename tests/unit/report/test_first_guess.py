@@ -1,12 +1,13 @@
-"""First preferences by type: what comes first, floors that fit together, and pictures with their camera_info."""
+"""First preferences by type: what comes first, floors that suit the link, and pictures with their camera_info."""
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.link_topics import LinkTopic, TopicTraffic
-from arpd.report.first_guess import FLOORS_BYTES_PER_SECOND, first_guess
+from arpd.report.first_guess import first_guess
 from arpd.report.topic_roles import Role
 from tests.examples import examples
 
@@ -19,6 +20,8 @@ TYPES = [
     "sensor_msgs/msg/CompressedImage",
     "sensor_msgs/msg/CameraInfo",
     "sensor_msgs/msg/PointCloud2",
+    "foxglove_msgs/msg/CompressedVideo",
+    "rosgraph_msgs/msg/Clock",
     "sensor_msgs/msg/LaserScan",
     "nav_msgs/msg/OccupancyGrid",
     "diagnostic_msgs/msg/DiagnosticArray",
@@ -51,23 +54,60 @@ TOPIC = st.builds(
 TOPICS = st.lists(TOPIC, max_size=25, unique_by=lambda each: each.name)
 
 
-def test_commands_come_first_and_diagnostics_nearly_last():
-    """Weights fall from commands to what floods the link."""
+def test_commands_come_first_and_diagnostics_last():
+    """Weights fall from commands to diagnostics."""
     weights = [role.care.weight for role in Role]
     assert weights == sorted(weights, reverse=True)
     assert next(iter(Role)) is Role.COMMAND
-    assert [*Role][-2:] == [Role.DIAGNOSTIC, Role.FLOOD]
+    assert [*Role][-1] is Role.DIAGNOSTIC
+
+
+def guess_of(kind, rate_hz, size, **other):
+    """Return the guess for one topic of the robot."""
+    traffic = TopicTraffic(samples=50, rate_hz=rate_hz, mean_bytes=size, largest_bytes=int(size))
+    (guess,) = first_guess([LinkTopic(name="/a", types=(kind,), writers=("/node",), traffic=traffic, **other)]).topics
+    return guess
+
+
+@examples(30)
+@given(st.floats(0.05, 20.0), st.floats(0.05, 20.0))
+def test_a_map_is_latched_at_any_rate(one_hz, other_hz):
+    """A timer that drifts from 1.00 to 1.01 Hz changes nothing."""
+    one, other = (guess_of("nav_msgs/msg/OccupancyGrid", rate, 4e5, is_latched=True) for rate in (one_hz, other_hz))
+    assert one.role is other.role is Role.LATCHED
+    assert (one.weight, one.min_rate_hz, one.max_rate_hz) == (other.weight, other.min_rate_hz, other.max_rate_hz)
+
+
+def test_the_clock_of_a_simulation_keeps_its_pace():
+    """Nodes with use_sim_time stand still between two of its messages."""
+    assert guess_of("rosgraph_msgs/msg/Clock", 940.0, 8.0).min_rate_hz >= 50
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket",
+        "foxglove_msgs/msg/CompressedVideo",
+        "theora_image_transport/msg/Packet",
+    ],
+)
+def test_a_video_is_not_thinned_like_pictures(kind):
+    """Its frames need those before them: the floor is the whole rate, with a warning."""
+    guess = guess_of(kind, 30.0, 20_000.0)
+    assert (guess.min_rate_hz, guess.max_rate_hz) == (30.0, None)
+    assert "WARNING" in guess.role.care.reason
+    assert guess_of("sensor_msgs/msg/CompressedImage", 30.0, 20_000.0).min_rate_hz < 5
 
 
 @examples(100)
 @given(TOPICS)
-def test_floors_fit_together_and_below_every_ceiling(topics):
-    """Floors fit into the budget, unless those of commands and transforms alone exceed it."""
+def test_every_floor_suits_its_role_and_is_below_its_ceiling(topics):
+    """A floor takes no more of the link than suits its role, and each topic or group has one guess."""
     guess = first_guess(topics)
-    kept = sum(each.floor_bytes_per_second for each in guess.topics if each.role in {Role.COMMAND, Role.TRANSFORM})
-    assert guess.floors_bytes_per_second <= max(FLOORS_BYTES_PER_SECOND, kept) * (1 + 1e-9)
     for each in guess.topics:
         assert 0 <= each.min_rate_hz <= (each.max_rate_hz or 1e5)
+        if each.name not in {group.name for group in guess.groups}:  # which carry their camera_info, too
+            assert each.floor_bytes_per_second <= each.role.care.most_bytes_per_second * 1.02
         if each.source_rate_hz and each.role is not Role.LATCHED:  # a few latched samples may come at once
             assert each.min_rate_hz <= each.source_rate_hz
     named = {each.name for each in guess.topics}

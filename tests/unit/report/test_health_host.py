@@ -1,4 +1,4 @@
-"""Judgements of `arpd doctor` about the computer: when something should be done, and when not enough is known."""
+"""Checks of `arpd doctor` on the computer: when something should be done, and when not enough is known."""
 
 from __future__ import annotations
 
@@ -6,29 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.report.health import Health, Unknown
-from arpd.report.health_host import (
-    NetworkLimits,
-    PythonRos,
-    Unit,
-    judge_buffers,
-    judge_fragments,
-    judge_numpy,
-    judge_profile,
-    judge_ros,
-    judge_units,
-    judge_versions,
-)
+from arpd.report.health import Health, PythonRos, Unit, Unknown
+from arpd.report.health_host import fragments, numpy, profile, receive_buffers, ros, units, versions
+from tests.unit.report.health_facts import LIMITS, facts, found
 
-LIMITS = NetworkLimits(
-    buffer_bytes=212_992,
-    received=1_000_000,
-    overflowed=0,
-    reassembly_s=30,
-    reassembly_bytes=4 * 2**20,
-    reassembled=10_000,
-    incomplete=0,
-)
 WORKS = PythonRos(python="/venv/bin/python", rclpy="/opt/ros/jazzy/lib/rclpy/__init__.py", numpy="1.26.4", rmw="rmw")
 SYSTEM = {"python": "/usr/bin/python3"}
 OWN_NUMPY = {"venv": "/venv", "numpy_file": "/venv/lib/python3.12/site-packages/numpy/__init__.py"}
@@ -51,7 +32,7 @@ UNINSTALL = "-m pip uninstall --break-system-packages numpy"
 )
 def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(changes, health):
     """A default size that loses nothing harms nobody, and one that was raised is fine, although the counters stay."""
-    judged = judge_buffers(replace(LIMITS, **changes))
+    judged = receive_buffers(facts(limits=replace(LIMITS, **changes)))
     assert judged.health is health
     assert "rmem_max" not in "".join(judged.remedies)  # tuning guides raise it far above what is enough
     assert bool(judged.remedies) is (health is Health.WRONG)
@@ -68,13 +49,13 @@ def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(change
 )
 def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, health):
     """Short patience and much memory make lost fragments harmless to the others."""
-    judged = judge_fragments(replace(LIMITS, **changes))
+    judged = fragments(facts(limits=replace(LIMITS, **changes)))
     assert judged.health is health
     assert bool(judged.remedies) is (health is Health.WRONG)
 
 
 @pytest.mark.parametrize(
-    ("found", "distro", "installed", "health", "remedy"),
+    ("python", "distro", "installed", "health", "remedy"),
     [
         (WORKS, "jazzy", ["jazzy"], Health.FINE, ""),
         (WORKS, "humble", ["humble", "jazzy"], Health.WRONG, "source /opt/ros/jazzy/setup.bash"),
@@ -84,9 +65,9 @@ def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(changes, he
         (Unknown("no answer"), "jazzy", ["jazzy"], Health.UNKNOWN, ""),
     ],
 )
-def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
+def test_ros_must_work_and_be_jazzy(python, distro, installed, health, remedy):
     """A shell in which ROS is not sourced tells nothing of the daemon's."""
-    judged = judge_ros(found, distro=distro, installed=installed)
+    judged = found(ros, pythons=[python], distro=distro, distros=installed)
     assert judged.health is health
     assert "".join(judged.remedies).startswith(remedy)
     assert bool(judged.remedies) is (health is Health.WRONG)
@@ -106,42 +87,42 @@ def test_ros_must_work_and_be_jazzy(found, distro, installed, health, remedy):
 )
 def test_numpy_2_does_not_fit_the_packages_of_apt(changes, health, remedy):
     """Wheels of ROS from PyPI take either."""
-    judged = judge_numpy([replace(WORKS, **changes)], installed=["jazzy"])
+    judged = numpy(facts(pythons=[replace(WORKS, **changes)]))
     assert judged.health is health
     assert "".join(judged.remedies) == remedy
 
 
 def test_versions_must_be_the_same():
     """On the robot a restart mends it, across the link an installation."""
-    assert judge_versions("1.0", "1.0", is_far=False).health is Health.FINE
-    assert "restart" in judge_versions("1.1", "1.0", is_far=False).remedies[0]
-    assert "./arpd-ros_*.deb" in judge_versions("1.1", "1.0", is_far=True).remedies[0]
-    assert judge_versions("1.1", Unknown("no daemon"), is_far=False).health is Health.UNKNOWN
+    assert versions(facts()).health is Health.FINE
+    assert "restart" in versions(facts(version="1.1")).remedies[0]
+    assert "./arpd-ros_*.deb" in versions(facts(version="1.1", is_far=True)).remedies[0]
+    assert found(versions, daemon_version=Unknown("no daemon")).health is Health.UNKNOWN
 
 
 @pytest.mark.parametrize(
-    ("units", "health"),
+    ("installed", "health"),
     [
-        ([], [Health.FINE]),
-        ([Unit(name="arpd", active="active", is_enabled=True)], [Health.FINE]),
-        ([Unit(name="arpd", active="failed", is_enabled=True)], [Health.WRONG]),
-        ([Unit(name="arpd", active="inactive", is_enabled=True)], [Health.WRONG]),
-        ([Unit(name="arpd", active="inactive", is_enabled=False)], [Health.FINE]),
-        ([Unit(name="arpd", active="activating", is_enabled=True)], [Health.FINE]),
-        ([Unit(name="arpd", active="activating", is_enabled=True, is_looping=True)], [Health.WRONG]),
-        (Unknown("systemd does not run here"), [Health.UNKNOWN]),
+        ([], Health.FINE),
+        ([Unit(name="arpd", active="active", is_enabled=True)], Health.FINE),
+        ([Unit(name="arpd", active="failed", is_enabled=True)], Health.WRONG),
+        ([Unit(name="arpd", active="inactive", is_enabled=True)], Health.WRONG),
+        ([Unit(name="arpd", active="inactive", is_enabled=False)], Health.FINE),
+        ([Unit(name="arpd", active="activating", is_enabled=True)], Health.FINE),
+        ([Unit(name="arpd", active="activating", is_enabled=True, is_looping=True)], Health.WRONG),
+        (Unknown("systemd does not run here"), Health.UNKNOWN),
     ],
 )
-def test_units_that_failed_or_do_not_run_are_wrong(units, health):
+def test_units_that_failed_or_do_not_run_are_wrong(installed, health):
     """A unit that nobody enabled may rest."""
-    assert [each.health for each in judge_units(units)] == health
+    assert found(units, units=installed).health is health
 
 
 def test_nodes_without_the_profile_are_named():
     """With the line to set."""
-    judged = judge_profile(["/camera", "/lidar"], line="export X=y")
+    judged = profile(facts(lacking=["/lidar", "/camera"], profile_line="export X=y"))
     assert judged.health is Health.WRONG
-    assert "/camera, /lidar" in judged.text or "/camera and /lidar" in judged.text
+    assert "/camera and /lidar" in judged.text
     assert judged.remedies[0].startswith("export X=y")
-    assert judge_profile([], line="").health is Health.FINE
-    assert judge_profile(Unknown("no daemon"), line="").health is Health.UNKNOWN
+    assert profile(facts()).health is Health.FINE
+    assert found(profile, lacking=Unknown("no daemon")).health is Health.UNKNOWN

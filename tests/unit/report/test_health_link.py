@@ -1,4 +1,4 @@
-"""Judgements of `arpd doctor` about the link: when something should be done, and when not enough is known."""
+"""Checks of `arpd doctor` on the link: when something should be done, and when not enough is known."""
 
 from __future__ import annotations
 
@@ -6,25 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.report.health import Health, Unknown
-from arpd.report.health_link import (
-    Announcer,
-    HeardDiscovery,
-    PeerClock,
-    RadioState,
-    judge_clock,
-    judge_discovery,
-    judge_mtu,
-    judge_radio,
-    judge_transports,
-)
+from arpd.report.health import Announcer, Health, HeardDiscovery, PeerClock, RadioState, Unknown
+from arpd.report.health_link import clock, discovery, mtu, power_save, region, signal, transports
+from tests.unit.report.health_facts import facts, found
 
 WELL = RadioState(saves_power=False, signal_dbm=-50, region="DE")
-
-
-def clock(offset_s, uncertainty_s=0.001, *, is_synchronised=None, is_far=False):
-    clocks = [PeerClock(peer="ceddp", offset_s=offset_s, uncertainty_s=uncertainty_s)]
-    return list(judge_clock(clocks, is_synchronised=is_synchronised, is_far=is_far))
 
 
 # -- clock
@@ -44,22 +30,25 @@ def clock(offset_s, uncertainty_s=0.001, *, is_synchronised=None, is_far=False):
 )
 def test_only_a_clock_that_is_surely_off_is_wrong(offset_s, uncertainty_s, health):
     """More than 20 ms after all that may be error of the measurement; what may be either is not known."""
-    assert clock(offset_s, uncertainty_s)[0].health is health
+    one = PeerClock(peer="ceddp", offset_s=offset_s, uncertainty_s=uncertainty_s)
+    well = PeerClock(peer="laptop", offset_s=0.0, uncertainty_s=0.001)
+    assert clock(facts(clocks=[well, one])).health is health
 
 
 # -- radio
 
 
 def radio(**changes):
-    return {each.about: each for each in judge_radio("wlan0", replace(WELL, **changes))}
+    radios = {"wlan1": WELL, "wlan0": replace(WELL, **changes)}
+    return {check: check(facts(radios=radios)) for check in (power_save, signal, region)}
 
 
 @pytest.mark.parametrize(
     ("changes", "about", "remedy"),
     [
-        ({"saves_power": True}, "power save", "sudo iw dev wlan0 set power_save off"),
-        ({"signal_dbm": -80}, "signal", "closer"),
-        ({"region": "00"}, "region", "sudo iw reg set"),
+        ({"saves_power": True}, power_save, "sudo iw dev wlan0 set power_save off"),
+        ({"signal_dbm": -80}, signal, "closer"),
+        ({"region": "00"}, region, "sudo iw reg set"),
     ],
 )
 def test_each_fault_of_a_radio_has_its_remedy(changes, about, remedy):
@@ -72,7 +61,7 @@ def test_each_fault_of_a_radio_has_its_remedy(changes, about, remedy):
 
 def test_no_country_is_guessed_and_no_file_overwritten():
     """A line that is copied as it is must not set a law of another country."""
-    lines = radio(region="00")["region"].remedies
+    lines = radio(region="00")[region].remedies
     assert all("YOUR_COUNTRY" in line for line in lines)
     assert "/etc/modprobe.d/arpd-" in lines[1]
 
@@ -81,7 +70,7 @@ def test_no_country_is_guessed_and_no_file_overwritten():
 
 
 @pytest.mark.parametrize(
-    ("mtu", "route", "health"),
+    ("own", "route", "health"),
     [
         (1500, None, Health.FINE),
         (9000, 1500, Health.FINE),
@@ -92,9 +81,9 @@ def test_no_country_is_guessed_and_no_file_overwritten():
         (Unknown("there is no interface x"), None, Health.UNKNOWN),
     ],
 )
-def test_packets_of_arpds_writers_must_fit(mtu, route, health):
+def test_packets_of_arpds_writers_must_fit(own, route, health):
     """They have up to 1420 bytes, which WireGuard takes, too."""
-    assert judge_mtu("wlan0", mtu, route_bytes=route).health is health
+    assert found(mtu, mtu_bytes=own, route_mtu_bytes=route).health is health
 
 
 # -- discovery
@@ -128,7 +117,7 @@ NODE = announcer("camera", host="robot", is_here=True)
 )
 def test_with_two_ends_nobody_else_is_on_the_link_and_with_one_only_many_harm(announcers, has_two_ends, health):
     """Nodes that meet across the link must announce themselves there."""
-    assert judge_discovery(heard(*announcers), interface="wlan0", has_two_ends=has_two_ends).health is health
+    assert discovery(facts(heard=heard(*announcers), has_two_ends=has_two_ends)).health is health
 
 
 @pytest.mark.parametrize(
@@ -146,6 +135,6 @@ def test_participants_that_share_no_transport_are_named(own, nodes, remedy):
     """What arpd speaks is right for it; without arpd, what most speak."""
     told = [announcer(transports=[kind] if kind else []) for kind in nodes]
     services = [replace(OWN, transports=frozenset({own}))] if own else []
-    judged = judge_transports(heard(*told, *services))
+    judged = transports(facts(heard=heard(*told, *services)))
     assert (judged.health is Health.WRONG, "".join(judged.remedies).startswith(remedy)) == (bool(remedy), True)
     assert bool(judged.remedies) == bool(remedy)

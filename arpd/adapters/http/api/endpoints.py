@@ -118,7 +118,7 @@ class Topic(Part):
     """Time that all writer swaps spent in each phase (s)."""
     last_swap: LastSwap | None
     lacks_profile: bool
-    """True if its process says that it runs without arpd's Fast DDS profile; an older version does not say so."""
+    """True if its process says that it runs without arpd's Fast DDS profile."""
     refusal: str
     """Why the publisher refuses the last request, in words; empty if it does not."""
     refusal_reason: str

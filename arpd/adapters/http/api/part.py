@@ -16,7 +16,7 @@ Ratio = Annotated[float, Field(ge=0, le=1)]
 class Part(BaseModel):
     """An object of a document; the docstring of a key is its description in the JSON Schema."""
 
-    model_config = ConfigDict(use_attribute_docstrings=True)
+    model_config = ConfigDict(use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class Event(Part):

@@ -18,7 +18,7 @@ from arpd.adapters.host.discovery import (
     is_arpd,
     listen,
 )
-from arpd.report.health_link import HeardDiscovery
+from arpd.report.health import HeardDiscovery
 from tests.waiting import eventually
 
 DOMAIN = 231

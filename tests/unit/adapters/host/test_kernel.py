@@ -10,7 +10,7 @@ from arpd.adapters.host.kernel import (
     read_limits,
     route_mtu,
 )
-from arpd.report.health_host import NetworkLimits
+from arpd.report.health import NetworkLimits
 
 SNMP = """\
 Ip: Forwarding DefaultTTL ReasmTimeout ReasmReqds ReasmOKs ReasmFails

@@ -11,8 +11,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 from pyroute2.netlink.nl80211 import nl80211cmd
 
 from arpd.adapters.host.wireless import radios_beneath, read_radio
-from arpd.report.health import Unknown
-from arpd.report.health_link import RadioState
+from arpd.report.health import RadioState, Unknown
 from tests.unit.adapters.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
 
 # linux/nl80211.h

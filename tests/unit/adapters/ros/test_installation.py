@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from arpd.adapters.ros.installation import read_ros
-from arpd.report.health_host import PythonRos
+from arpd.report.health import PythonRos
 
 
 def ended(output, code=0):

@@ -1,0 +1,95 @@
+"""Options that several commands have: the daemon's address, and what its URL says; numbers within bounds."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import urlsplit
+
+from arpd.model.errors import UsageError
+from arpd.model.quantities import printable
+from arpd.model.settings import HttpSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+_Number = TypeVar("_Number", int, float)
+_DEFAULT = HttpSettings()
+DEFAULT_URL = f"http://{_DEFAULT.host}:{_DEFAULT.port}"
+PASSWORD = "ARPD_PASSWORD"  # noqa: S105 - the variable's name
+IN_CLEAR = "--password-in-clear"
+
+
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name the daemon."""
+    parser.add_argument("--url", default=DEFAULT_URL, help="base URL of the daemon (default %(default)s)")
+    parser.add_argument(
+        "--cacert", type=Path, metavar="FILE", help="CA of the daemon's certificate (default: the system's)"
+    )
+    parser.add_argument("--user", metavar="NAME", default="", help=f"log in; the password is taken from ${PASSWORD}")
+    parser.add_argument(
+        IN_CLEAR, action="store_true", help="with --user over http://: whoever hears the link may read the password"
+    )
+
+
+def host_of(url: str) -> str:
+    """Return the host that a URL names, empty if it names none.
+
+    Raises
+    ------
+    UsageError
+        If it is no URL.
+    """
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError as error:
+        raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
+
+
+def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) -> bool:
+    """Return whether a URL names this computer.
+
+    Parameters
+    ----------
+    is_own_address : returns whether an IPv4 address, or a host name, is this computer's; by default the kernel tells
+    """
+    from arpd.adapters.host import kernel
+
+    host = host_of(url)
+    return host in {"localhost", "::1"} or (bool(host) and (is_own_address or kernel.is_own_address)(host))
+
+
+def plain_host(url: str) -> str:
+    """Return the other computer to which a URL leads without TLS, empty for this one."""
+    host = host_of(url)
+    if url.lower().startswith("https:") or host == "localhost":
+        return ""
+    try:
+        return "" if ipaddress.ip_address(host).is_loopback else host
+    except ValueError:
+        return host
+
+
+def within(
+    least: float,
+    most: float,
+    *,
+    parse: Callable[[str], _Number],
+    spell: Callable[[float], str] = "{:g}".format,
+) -> Callable[[str], _Number]:
+    """Return a reader of an option's value between two bounds, for argparse."""
+
+    def read(word: str) -> _Number:
+        bounds = f"write {spell(least)} to {spell(most)}"
+        try:
+            value = parse(word)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{printable(str(error), longest=200)}; {bounds}") from None
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{printable(word)} is out of range; {bounds}")
+        return value
+
+    return read
