@@ -1,234 +1,246 @@
 """Compare arpd with everything a user would do instead: the demo robot over links that change.
 
-Usage: .venv/bin/python -m scripts.bench.adapt [--quick] [--rounds N] [--only LINK,...] [--side SIDE,...] [--json FILE]
-       .venv/bin/python -m scripts.bench.adapt --side SIDE,... --into FILE
-       .venv/bin/python -m scripts.bench.adapt --report FILE
-       .venv/bin/python -m scripts.bench.adapt --trains N
-
-Needs root, as the simulated link does.
-
-Twelve topics between two network namespaces, real rclpy and Fast DDS, a real rate-limited link. Each side has a run
-and a robot of its own, over the same schedule; the order of sides is random in every round. A sample counts as lost if
-it has not arrived four seconds after the end. Ages are those of the newest sample at the reader, 20 times a second.
-arpd's estimate is compared with the link in every run (adapt_course.py, adapt_estimate.py); --trains measures instead
-what single probe trains read (adapt_trains.py).
+Latency and age are over all twelve topics, each with the same weight; a sample that neither arrived until four seconds
+after the end nor was withheld never arrives. The bound is an arpd that is told the mean of the link's next 0.2 s at
+every tick; price, pacing and governor are the same.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import os
 import random
-import shutil
 import sys
-import tempfile
-import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from statistics import fmean, median
+from typing import Any
 
-from arpd.cli.progress import progress
-from arpd.model.errors import ArpdError
-from scripts.bench.adapt_course import course_of, estimates_over_time, reading
-from scripts.bench.adapt_estimate import estimate_figures
-from scripts.bench.adapt_figures import check, document
-from scripts.bench.adapt_links import SEED, links, quick_link
-from scripts.bench.adapt_plot import draw
-from scripts.bench.adapt_sides import ARPD, DEFAULTS, SIDES, manner
-from scripts.bench.adapt_targets import more_tables, report
-from scripts.bench.adapt_trains import measure_trains, trains_report
-from scripts.bench.adapt_watch import Processors, Reassembly
-from scripts.bench.record import conditions, keep, options_of, read, write
-from scripts.netns.simlink import SimLink
-from scripts.robot.oracle import write_course
-from scripts.robot.run import robot, run
+import numpy as np
+import yaml
 
-if TYPE_CHECKING:
-    from argparse import ArgumentParser
-    from collections.abc import Iterator, Sequence
+from arpd.adapters.sim.demo import DEMO_CONFIG, demo_settings, demo_topics
+from arpd.adapters.sim.trace import read_trace
+from arpd.govern.what_if import OfflinePlanner
+from arpd.model.endpoints import Direction
+from arpd.model.wire import wire_size
+from arpd.solve.eq4 import Eq4Problem, rate_of
+from arpd.solve.topics import assumed_traffic
+from scripts.bench.child import ChildError
+from scripts.bench.harness import PREFIX, SIDES, Robot, errors, queues_s, settled_s, world_of
+from scripts.bench.links import MBIT, Course, at
+from scripts.bench.report import Summary, Table, figure, spread, table
+from scripts.bench.samples import BASE, Topic
 
-    from scripts.bench.adapt_links import Link
+WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
+ROUNDS, DURATION_S, CALM_S = 3, 28.0, 5.0
+_OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
+_GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
+SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
+_NODES = {"/scan/front": "lidar", "/scan/rear": "lidar", "/camera/image/compressed": "camera", "/points": "points"}
+_NODES |= dict.fromkeys(("/imu", "/odom", "/joint_states"), "chassis")
+
+_COLUMNS = {
+    "latency p50 ms": "p50_ms",
+    "p99 ms": "p99_ms",
+    "age p50 s": "age_p50_s",
+    "age p99 s": "age_p99_s",
+    "Mbit/s": "goodput_mbit",
+    "lost %": "lost_percent",
+    "withheld %": "withheld_percent",
+    "queue peak ms": "queue_peak_ms",
+}
+#: Sides by name: how the samples cross, and what it is in words.
+WAYS = {
+    "defaults": ("plain", "rclpy's defaults, KEEP_LAST 10"),
+    "keep-last-1": ("plain", "KEEP_LAST 1"),
+    "keep-last-5000": ("plain", "KEEP_LAST 5000"),
+    "paper": ("plain", "the paper's optimum, computed once for the rate at the start"),
+    "throttle": ("plain", "every topic throttled by hand, by what `arpd solve` gives for the link's mean rate"),
+    "arpd": ("two_ends", "arpd, with its relay's two ends"),
+    "bound": ("bound", "arpd, told the mean of the link's next 0.2 s at every tick"),
+}
 
 
-def play(link: Link, side_name: str, folder: Path) -> dict[str, Any]:
-    """Run one side's robot over one link, and return the figures of the run."""
-    folder.mkdir(parents=True)
-    truth = folder / "truth.json"
-    start_rate = link.rates.rate_at(0.0)
-    write_course(truth, link.rates, link.losses)
-    processors = Processors()
-
-    def on_tick(_elapsed_s: float) -> None:
-        processors.read(side)
-        reassembly.read()
-
-    with (
-        SimLink(f"adapt-{os.getpid()}-{time.monotonic_ns() % 10**6}", rate_bytes_per_second=start_rate) as wire,
-        robot(wire, folder, manner(side_name, link, truth)) as side,
-        reading(side) as readings,
-    ):
-        reassembly = Reassembly(wire.ceddp)
-        topics = run(
-            side,
-            link.rates,
-            link.duration_s,
-            on_tick=on_tick,
-            loss_at=link.loss_at,
-            # Called for the first time when the run begins.
-            on_change=lambda _rate, _loss: write_course(truth, link.rates, link.losses, started_s=side.started_s),
-        )
-        results = [read(path) for path in (folder / "planner.json", folder / "base_driver.json")]
-        final, fragments = side.final, reassembly.figures()
-    samples = {topic: values for result in results for topic, values in result["samples"].items()}
-    course = course_of(readings.buckets, readings.beliefs, started_s=side.started_s, duration_s=link.duration_s)
+def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
+    """Return what each link does, and its course."""
+    fast, slow, least = 20 * MBIT, 5 * MBIT, 3 * MBIT
+    ratio = (least / fast) ** (1 / 20)
+    falling = [(CALM_S + 0.5 * k, fast * ratio ** (k + 1), 0.0) for k in range(20)]
+    rising = [(CALM_S + 13.0 + 0.5 * k, least / ratio ** (k + 1), 0.0) for k in range(20)]
+    swings = [(CALM_S + 4.0 * k, (fast, slow)[(k + 1) % 2], 0.0) for k in range(6)]
+    trace = read_trace(WALK)
+    starts_s = sorted({step.start_s for step in trace.rates.steps} | {step.start_s for step in trace.losses})
+    losses = [(step.start_s, 0.0, step.loss) for step in trace.losses] or [(0.0, 0.0, 0.0)]
     return {
-        **document(topics, samples, link.duration_s),
-        "cpu": processors.shares(),
-        "swaps": sum(sum(topic["swaps"].values()) for topic in final["topics"]) if final else 0,
-        "reassembly": fragments,
-        "estimate": estimate_figures(course, link),
-        "estimates_over_time": estimates_over_time(course),
-        "load_average": os.getloadavg()[0],
+        "step-down": ("20 → 5 Mbit/s", [(0.0, fast, 0.0), (CALM_S, slow, 0.0)]),
+        "step-up": ("5 → 20 Mbit/s", [(0.0, slow, 0.0), (CALM_S, fast, 0.0)]),
+        "ramp": ("20 → 3 → 20 Mbit/s, each over 10 s", [(0.0, fast, 0.0), *falling, *rising]),
+        "burst-loss": ("20 Mbit/s; for 0.3 s every 3 s, at random, half or all packets are lost", _bursts(seed)),
+        "outage": ("20 Mbit/s; nothing passes for 5 s", [(0.0, fast, 0.0), (8.0, _OUT, 1.0), (13.0, fast, 0.0)]),
+        "oscillation": ("20 ↔ 5 Mbit/s every 4 s", [(0.0, fast, 0.0), *swings]),
+        "wifi-walk": (
+            "1.5 to 20 Mbit/s, as a walk away from the access point and back gives it",
+            [(start_s, trace.rates.rate_at(start_s), at(losses, start_s)[1]) for start_s in starts_s],
+        ),
+        "steady-20": ("20 Mbit/s", [(0.0, fast, 0.0)]),
+        "steady-5": ("5 Mbit/s", [(0.0, slow, 0.0)]),
     }
 
 
-def measure(
-    chosen: Sequence[Link], sides: Sequence[str], rounds: int, seed: int, logs: Path
-) -> Iterator[dict[str, Any]]:
-    """Yield every run as it ends; in each round the order of links and sides is random."""
-    rng = random.Random(seed)
-    turns = [
-        (number, link, side)
-        for number in range(1, rounds + 1)
-        for link in rng.sample(chosen, len(chosen))
-        for side in rng.sample(sides, len(sides))
-        if not link.sides or side in link.sides
-    ]
-    began_s = time.monotonic()
-    with progress("measuring", total=len(turns)) as shown:
-        for number, link, side in turns:
-            shown.step(f"{link.name}, {side}, round {number}")
-            folder = logs / f"{number}-{link.name}-{side}"
-            try:
-                done = {"link": link.name, "side": side, "round": number, **play(link, side, folder)}
-            except ArpdError as error:
-                print(f"{link.name}, {side}, round {number}: {error}", file=sys.stderr, flush=True)
-                continue
-            shutil.rmtree(folder, ignore_errors=True)
-            print(f"{time.monotonic() - began_s:5.0f} s  {line(done)}", flush=True)
-            yield done
+def _bursts(seed: int) -> Course:
+    """Return random bursts of loss; the last ends before the run does, so that samples under way can arrive."""
+    rng, fast = random.Random(seed), 20 * MBIT
+    course, now_s = [(0.0, fast, 0.0)], CALM_S
+    while (end_s := now_s + rng.expovariate(1.0 / _BAD_S)) < DURATION_S - 1.0:
+        course += [(now_s, fast, rng.choice((0.5, 1.0))), (end_s, fast, 0.0)]
+        now_s = end_s + rng.expovariate(1.0 / _GOOD_S)
+    return course
 
 
-def line(done: dict[str, Any]) -> str:
-    """Return a run's figures in a line."""
-    figures = done["all"]
-    p99, age = (math.inf if figures[name] is None else figures[name] for name in ("latency_p99_s", "age_p99_s"))
-    return (
-        f"{done['link']:>11} {done['side']:>14}  latency p99 {p99:.3f} s  age p99 {age:.3f} s"
-        f"  late {100 * figures['command_late_share']:.1f} %  {figures['goodput_bytes_per_second'] * 8e-6:.1f} Mbit/s"
-        f"  machine {100 * done['cpu']['machine']:.0f} %"
+def demo_robot() -> Robot:
+    """Return the demo's robot, with its names and weights for a relay with two ends."""
+    topics = tuple(
+        Topic(
+            name=topic.name.removeprefix(PREFIX),
+            type_name="std_msgs/String",
+            rate_hz=topic.rate_hz,
+            size=topic.payload_bytes,
+            node=BASE if topic.direction is Direction.ACTUATION else _NODES.get(topic.name, "slow"),
+        )
+        for topic in demo_topics()
+    )
+    wanted = yaml.safe_load(DEMO_CONFIG.read_text("utf-8"))["topics"]
+    return Robot(
+        topics=topics, settings={"topics": [{**each, "name": each["name"].removeprefix(PREFIX)} for each in wanted]}
     )
 
 
-def assembled(
-    chosen: Sequence[Link], sides: Sequence[str], runs: Sequence[dict[str, Any]], about: dict[str, Any], seed: int
-) -> dict[str, Any]:
-    """Return the document of all runs."""
-    return {
-        "conditions": about,
-        "seed": seed,
-        "links": [
-            {
-                "name": link.name,
-                "what": link.what,
-                "duration_s": link.duration_s,
-                "rates": [(step.start_s, step.rate_bytes_per_second) for step in link.rates.steps],
-                "losses": [(step.start_s, step.loss) for step in link.losses],
-            }
-            for link in chosen
-        ],
-        "sides": {side: SIDES[side] for side in SIDES if side in sides},
-        "runs": list(runs),
+def robot_for(way: str, course: Course, robot: Robot) -> Robot:
+    """Return the robot as a user without arpd would set it up for a link."""
+    if way.startswith("keep-last-"):
+        return robot.changed(depth=int(way.removeprefix("keep-last-")))
+    traffic = assumed_traffic(demo_settings())
+    if way == "paper":  # Rmax of a message of the mean size: N topics at Rmax/N fill the link exactly
+        mean_bytes = fmean(wire_size(topic.payload_bytes, rate_hz=1.0)[0] for topic in traffic)
+        problem = Eq4Problem(max_rate_hz=course[0][1] / mean_bytes, topics=len(traffic))
+        deadline_ns, depth = problem.applied(problem.vertex()[0])
+        rate_hz = rate_of(deadline_ns)
+        slowed = robot.changed(depth=depth, deadline_hz=rate_hz)
+        return replace(
+            slowed, topics=tuple(replace(each, rate_hz=min(each.rate_hz, rate_hz)) for each in slowed.topics)
+        )
+    if way == "throttle":
+        times = np.arange(0.0, DURATION_S, 0.1)
+        plan = OfflinePlanner(demo_settings(), traffic).plan(fmean(at(course, float(now_s))[0] for now_s in times))
+        rates = {row.topic.name.removeprefix(PREFIX): row.rate_hz for row in plan.topics}
+        return replace(
+            robot, topics=tuple(replace(each, rate_hz=min(each.rate_hz, rates[each.name])) for each in robot.topics)
+        )
+    return robot
+
+
+def measured(link: str, course: Course, way: str, seconds: float) -> dict[str, Any]:
+    """Return the figures of one side on one link."""
+    robot = demo_robot()
+    slowed = robot_for(way, course, robot)
+    with world_of(slowed, SIDES[WAYS[way][0]], rate=course[0][1]) as world:
+        account, spent = world.play(course, seconds, looks=True)
+    looks = world.looks
+    queues = queues_s(looks)
+    found = {
+        "link": link,
+        "way": way,
+        **account.pooled(),
+        "queue_peak_ms": 1e3 * max(queues, default=0.0),
+        "error_percent": None if (error := errors(looks)) is None else 100.0 * error,
+        "cpu_percent": {name: 100.0 * cpu_s / seconds for name, cpu_s in spent["cpu_s"].items()},
+        "faults": account.faults(),
     }
+    change_s, (rate, _) = course[1][0] if len(course) > 1 else 0.0, at(course, CALM_S)
+    if link == "step-down":
+        found["budget_s"] = settled_s(looks, change_s, lambda look: look["budget"] <= 1.1 * rate)
+    if link == "step-up":
+        found["budget_s"] = settled_s(looks, change_s, lambda look: look["estimate"] >= 0.8 * rate)
+    return found
 
 
-def renewed(old: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
-    """Return a document in which fresh runs replace those of the same links and sides; its key ``apart`` names them.
-
-    Links that the document does not have are added.
-
-    Raises
-    ------
-    ValueError
-        If a link has changed: its sides would not be comparable.
-    """
-    courses = {link["name"]: json.dumps(link) for link in old["links"]}
-    new = [link for link in fresh["links"] if link["name"] not in courses]
-    if other := [
-        link["name"] for link in fresh["links"] if link not in new and courses[link["name"]] != json.dumps(link)
-    ]:
-        raise ValueError(f"{', '.join(other)}: not the links of the document")
-    replaced = {(run["link"], run["side"]) for run in fresh["runs"]}
-    kept = [run for run in old["runs"] if (run["link"], run["side"]) not in replaced]
-    apart = {"sides": list(fresh["sides"]), "conditions": fresh["conditions"]}
-    sides = {**old["sides"], **fresh["sides"]}
-    return {**old, "links": [*old["links"], *new], "sides": sides, "runs": [*kept, *fresh["runs"]], "apart": apart}
+def play(*, is_quick: bool) -> Summary:
+    """Play every side on every link, in random order in each round."""
+    every = links()
+    if is_quick:
+        every = {"step-down": ("20 → 5 Mbit/s", [(0.0, 20 * MBIT, 0.0), (2.0, 5 * MBIT, 0.0)])}
+    ways = ["defaults", "arpd"] if is_quick else list(WAYS)
+    rng, runs = random.Random(SEED), []
+    for number in range(1 if is_quick else ROUNDS):
+        cells = [
+            (link, way) for link in every for way in ways if not link.startswith("steady") or way in {"arpd", "bound"}
+        ]
+        for link, way in rng.sample(cells, len(cells)):
+            try:
+                runs.append(measured(link, every[link][1], way, 6.0 if is_quick else DURATION_S))
+            except ChildError as error:
+                print(f"{link}, {way}, round {number + 1}: {error}", file=sys.stderr)
+    return summary(runs, every, ways)
 
 
-def main() -> None:
-    parser = options_of(__doc__, "adapt", quick="a short step down with two sides, as CI runs it", has_plot=True)
-    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="times everything runs (default 1)")
-    parser.add_argument("--only", default="", metavar="LINK,...", help="these links")
-    parser.add_argument("--side", default="", metavar="SIDE,...", help=f"these sides of {', '.join(SIDES)}")
-    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of bursts and order (default %(default)s)")
-    parser.add_argument("--logs", type=Path, metavar="DIR", help="folder for logs of runs that fail")
-    parser.add_argument("--into", type=Path, metavar="FILE", help="replace the runs of these sides in a document")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="measure nothing; print the tables of this file")
-    parser.add_argument("--trains", type=int, metavar="N", help="measure only what N probe trains of each kind read")
-    options = parser.parse_args()
-    if options.trains:
-        read_by_trains = {"conditions": conditions(), **measure_trains(options.trains)}
-        print(trains_report(read_by_trains))
-        write(read_by_trains, options.json)
-        return
-    if options.report:
-        reported = read(options.report)
-        print(report(reported), more_tables(reported), sep="\n\n")
-        if options.plot:
-            draw(reported, options.plot)
-        return
-    known = {link.name: link for link in ((quick_link(),) if options.quick else links(options.seed))}
-    chosen = _chosen(parser, "--only", options.only, known)
-    every = (DEFAULTS, ARPD) if options.quick else SIDES
-    sides = list(_chosen(parser, "--side", options.side, {side: side for side in every}))
-    logs = options.logs or Path(tempfile.mkdtemp(prefix="arpd-adapt-"))
-    about = conditions()
-    rounds = 1 if options.quick else options.rounds
-    runs = list(measure(chosen, sides, rounds, seed=options.seed, logs=logs))
-    found = assembled(chosen, sides, runs, about, options.seed)
-    if options.into:
-        found = renewed(read(options.into), json.loads(json.dumps(found)))
-        options.json = options.into
-    is_partial = options.quick or bool(options.only) or bool(options.side)
-    if runs:
-        print(report(found), more_tables(found), sep="\n\n")
-    wrong = [f"{done['link']}, {done['side']}: {what}" for done in runs for what in check(done)]
-    turns = rounds * sum(not link.sides or side in link.sides for link in chosen for side in sides)
-    if len(runs) < turns:
-        wrong.append(f"only {len(runs)} of {turns} runs ended; logs in {logs}")
-    if runs:
-        keep(found, options, "adapt", is_partial=is_partial, draw=None if wrong else partial(draw, found))
-    if wrong:
-        sys.exit("adapt: " + "\n       ".join(wrong))
+def summary(runs: list[dict[str, Any]], every: dict[str, tuple[str, Course]], ways: list[str]) -> Summary:
+    """Return medians over the rounds: arpd beside the bound, and every side on every link."""
+
+    def of(link: str, way: str, key: str) -> list[float | None]:
+        return [run[key] for run in runs if (run["link"], run["way"]) == (link, way) and key in run]
+
+    def middle(link: str, way: str, key: str) -> float | None:
+        known = of(link, way, key)
+        return None if not known or None in known else float(median(value for value in known if value is not None))
+
+    def p99s(link: str, way: str) -> str:
+        latency, age = middle(link, way, "p99_ms"), middle(link, way, "age_p99_s")
+        text = f"{_duration(latency and latency / 1e3)} / {_duration(age)}" if of(link, way, "p99_ms") else ""
+        return f"**{text}**" if way == "arpd" and text else text
+
+    figures = []
+    for link in every:
+        for what, key, unit, most, least in (
+            ("p99 latency", "p99_ms", "ms", 1.5, None),
+            ("p99 age", "age_p99_s", "s", 2.0, None),
+            ("goodput", "goodput_mbit", "Mbit/s", None, 0.92),
+            ("longest queue", "queue_peak_ms", "ms", None, None),
+            ("error of the estimate, median", "error_percent", "%", None, None),
+            ("until the budget follows", "budget_s", "s", None, None),
+            ("commands later than 100 ms, or lost", "late_commands_percent", "%", None, None),
+        ):
+            if of(link, "arpd", key):
+                bound = middle(link, "bound", key)
+                limits = {"most": most and bound and most * bound, "least": least and bound and least * bound}
+                if key == "late_commands_percent":
+                    limits["most"] = 1.0
+                figures.append(figure(f"{link}: {what}", middle(link, "arpd", key), unit, bound=bound, **limits))
+    rows = [
+        {"link": link, "side": way, **{head: spread(of(link, way, key)) for head, key in _COLUMNS.items()}}
+        for link in every
+        for way in ways
+        if of(link, way, "p99_ms")
+    ]
+
+    def crossed(title: str, value: Any) -> Table:
+        full = [link for link in every if not link.startswith("steady")]  # arpd and the bound alone play the others
+        return table(title, [{"link": link, **{way: value(link, way) for way in ways}} for link in full])
+
+    return Summary(
+        about="Medians of all rounds over all twelve topics, each with the same weight; a lost sample never arrives, "
+        "so with more than 1 % lost the p99 is never.",
+        figures=figures,
+        tables=[
+            crossed("p99 latency / p99 age", p99s),
+            table("", [{"side": way, "what": WAYS[way][1]} for way in ways]),
+            table("", [{"link": link, "course": what} for link, (what, _) in every.items()]),
+            table("All figures, the worst round in brackets", rows),
+            crossed("p99 age (s)", partial(middle, key="age_p99_s")),
+        ],
+    )
 
 
-def _chosen(parser: ArgumentParser, option: str, text: str, known: dict[str, Any]) -> list[Any]:
-    names = [name for name in text.split(",") if name] or list(known)
-    if unknown := [name for name in names if name not in known]:
-        parser.error(f"{option}: no {', '.join(unknown)}; there are {', '.join(known)}")
-    return [known[name] for name in names]
-
-
-if __name__ == "__main__":
-    main()
+def _duration(value_s: float | None) -> str:
+    if value_s is None:
+        return "never"
+    return f"{value_s * 1e3:.0f} ms" if value_s < 1.0 else f"{value_s:.1f} s"

@@ -9,18 +9,16 @@ import queue
 import subprocess
 import sys
 import threading
-from pathlib import Path
+import time
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE
-from scripts.bench.record import REPO
-from scripts.netns.namespaces import inside
+from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from scripts.netns.namespaces import HostName
-    from scripts.netns.simlink import Host, SimLink
+    from scripts.netns.simlink import SimLink
 
 
 class ChildError(Exception):
@@ -36,12 +34,11 @@ class Child:
     environment : replaces variables of the link's environment
     """
 
-    def __init__(self, link: SimLink, host: HostName, *argv: str, environment: dict[str, str] | None = None) -> None:
-        extra = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE), **(environment or {})}
+    def __init__(self, link: SimLink, host: HostName, *argv: str, environment: dict[str, str]) -> None:
         self.name = " ".join(argv)
         self.process: subprocess.Popen[str] = link.popen(
             host,
-            ["env", *(f"{key}={value}" for key, value in extra.items()), sys.executable, "-u", "-m", *argv],
+            ["env", *(f"{key}={value}" for key, value in environment.items()), sys.executable, "-u", "-m", *argv],
             env={**os.environ, "PYTHONPATH": str(REPO)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -132,37 +129,14 @@ def serve(turn: Callable[[], float], reply: Callable[[dict[str, Any]], dict[str,
         answer(**reply(order))
 
 
-def footprint(pid: int) -> dict[str, int]:
-    """Return a process's resident memory (bytes), and the number of its threads and open files."""
-    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines())
-    return {
-        "rss_bytes": int(status["VmRSS"].split()[0]) * 1024,
-        "threads": int(status["Threads"]),
-        "files": len(list(Path(f"/proc/{pid}/fd").iterdir())),
-    }
-
-
-def sent_bytes(host: Host, interface: str | None = None) -> int:
-    """Return the bytes that an interface of a host has sent; by default its end of the link."""
-    name = interface or host.interface
-    text = inside(host.namespace, lambda: Path("/proc/thread-self/net/dev").read_text(encoding="utf-8"))
-    for line in text.splitlines():
-        if line.strip().startswith(f"{name}:"):
-            return int(line.split(":", 1)[1].split()[8])
-    raise ChildError(f"no interface {name} on {host.name}")
-
-
-def kernel_count(host: Host, protocol: str, name: str) -> int:
-    """Return a counter of a host's kernel (/proc/net/snmp, the counters of RFC 1213).
-
-    Parameters
-    ----------
-    protocol, name : as in /proc/net/snmp, for example ``Udp`` and ``RcvbufErrors``
-    """
-    # /proc/net is the namespace of the process, not of this thread.
-    lines = inside(host.namespace, Path("/proc/thread-self/net/snmp").read_text).splitlines()
-    names, values = (line.split() for line in lines if line.startswith(f"{protocol}:"))
-    return int(values[names.index(name)])
+def becomes_true(condition: Callable[[], bool], timeout_s: float, *, poll_s: float = 0.05) -> bool:
+    """Wait until a condition holds; return whether it did in time."""
+    until_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > until_s:
+            return False
+        time.sleep(poll_s)
+    return True
 
 
 def sample_of(number: int, payload_bytes: int) -> bytes:

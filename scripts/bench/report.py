@@ -1,76 +1,188 @@
-"""The parts of every benchmark's report: tables, targets and forms of figures, as Markdown for docs/results.md.
+"""Summaries of scenarios, and docs/results.md and README.md made from them.
 
-A benchmark declares its report as ``report(document) -> str`` over its JSON document; `results_page.py` calls it.
+A scenario returns a `Summary`: figures, each beside its bound and its target, and tables. Nothing else is stored.
+`python -m scripts.bench --docs` writes each into the page between `<!-- NAME:begin -->` and `<!-- NAME:end -->`.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from statistics import median
 from typing import Any
 
-from scripts.bench.record import described
-
-Form = str | Callable[[Any], str]
-#: Head, then the value of a row (its key, or a function), then the form of the value if it is no text.
-Column = tuple[str, str | int | Callable[[Any], Any]] | tuple[str, str | int | Callable[[Any], Any], Form]
-NEVER = "–"
-
-
-def milli(seconds: float) -> str:
-    """Return milliseconds, below ten with a decimal."""
-    return f"{1e3 * seconds:.{0 if seconds >= 0.01 else 1}f}"
+REPO = Path(__file__).resolve().parents[2]
+RESULTS = Path(__file__).parent / "results"
+_WIDTH = 130
+_BLOCK = re.compile(r"(?P<begin><!-- (?P<name>[\w-]+):begin -->\n).*?(?P<end><!-- (?P=name):end -->\n)", re.DOTALL)
+#: Head of a column, and the value of a row: its key, or a function; a key alone is its own head.
+Column = str | tuple[str, str | Callable[[Any], Any]]
 
 
-def scaled(factor: float, spec: str) -> Callable[[float], str]:
-    """Return the form of a quantity in another unit."""
-    return lambda value: format(factor * value, spec)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Figure:
+    """One measured number.
+
+    Parameters
+    ----------
+    value : None = never
+    bound : the same figure of the best that this link or machine allows; None = not measured
+    target : most that it should be, with ``at_least`` the least; None = there is none
+    """
+
+    what: str
+    value: float | None
+    unit: str = ""
+    bound: float | None = None
+    target: float | None = None
+    at_least: bool = False
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the target is met; without a target always."""
+        if self.target is None:
+            return True
+        if self.value is None:
+            return False
+        return self.value >= self.target if self.at_least else self.value <= self.target
 
 
-percent = scaled(100.0, ".1f")
-kilo = scaled(1e-3, ".1f")
-mbit = scaled(8e-6, ".3g")  # of bytes/s
-mib = scaled(2.0**-20, ".0f")  # of bytes
+def figure(
+    what: str,
+    value: float | None,
+    unit: str = "",
+    *,
+    bound: float | None = None,
+    most: float | None = None,
+    least: float | None = None,
+) -> Figure:
+    """Return a figure whose target is the most or the least that it should be."""
+    known = [None if each is None or not math.isfinite(each) else _short(each) for each in (value, bound, most, least)]
+    target = known[2] if least is None else known[3]
+    return Figure(what=what, value=known[0], unit=unit, bound=known[1], target=target, at_least=least is not None)
 
 
-def shown(value: Any, form: Form = "{}") -> str:
-    """Return a value in its form; text as it is, and a dash for what never came."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Table:
+    """Rows of numbers and texts; None = never or not measured."""
+
+    title: str = ""
+    columns: list[str]
+    rows: list[list[Any]]
+
+
+@dataclass(kw_only=True, slots=True)
+class Summary:
+    """What a scenario found.
+
+    Parameters
+    ----------
+    about : how it was measured, in sentences
+    conditions : when, at which commit, on what and under which load; one for each part that was measured apart
+    """
+
+    about: str
+    figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    conditions: list[dict[str, Any]] = field(default_factory=list)
+
+    def write(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(asdict(self), indent=0, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+
+    @classmethod
+    def read(cls, path: Path) -> Summary:
+        found = json.loads(path.read_text("utf-8"))
+        return cls(
+            about=found["about"],
+            conditions=found["conditions"],
+            figures=[Figure(**each) for each in found["figures"]],
+            tables=[Table(**each) for each in found["tables"]],
+        )
+
+    def markdown(self) -> str:
+        """Return it for a page: the figures that miss their target come first."""
+        parts = [self.about, " ".join(map(_said, self.conditions))]
+        if self.figures:
+            ordered = sorted(self.figures, key=lambda each: each.is_met)
+            missed = sum(not each.is_met for each in self.figures)
+            aimed = sum(each.target is not None for each in self.figures)
+            parts.append(f"{missed} of {aimed} figures with a target miss it." if aimed else "")
+            parts.append(_markdown(["figure", "value", "bound", "target", ""], [_cells(each) for each in ordered]))
+        for table in self.tables:
+            parts.append(f"{table.title}:" if table.title else "")
+            parts.append(_markdown(table.columns, [list(map(shown, row)) for row in table.rows]))
+        return "\n\n".join(filter(None, parts))
+
+
+def _said(noted: dict[str, Any]) -> str:
+    """Return conditions in a sentence."""
+    load = "load not noted" if noted["load"] is None else f"load average {noted['load']:g} before"
+    of = f"{noted['of']}: " if "of" in noted else ""
+    modified = ", modified" if noted["is_modified"] else ""
+    void = f"; **void**: {noted['void']}" if noted.get("void") else ""
+    return f"{of}{noted['date']}, commit {noted['commit'][:7]}{modified}, {noted['machine']}, {load}{void}."
+
+
+def _cells(figure: Figure) -> list[str]:
+    value = shown(figure.value)
+    sign = "≥" if figure.at_least else "≤"
+    target = "" if figure.target is None else f"{sign} {shown(figure.target)}"
+    bound = "" if figure.bound is None else shown(figure.bound)
+    return [figure.what, value if figure.is_met else f"**{value}**", bound, target, figure.unit]
+
+
+def shown(value: Any) -> str:
+    """Return a number with three digits or all before its point, a text as it is, a dash for None."""
     if value is None:
-        return NEVER
-    if isinstance(value, str):
-        return value
-    return form.format(value) if isinstance(form, str) else form(value)
+        return "–"
+    if not isinstance(value, float):
+        return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def spread(values: Iterable[float | None], form: Form) -> str:
-    """Return the median and in brackets the worst, which is the largest or one that never came."""
+def table(title: str, rows: Iterable[Any], *columns: Column) -> Table:
+    """Return a table with a row for each of ``rows``; without columns, of all keys of the first one."""
+    rows = list(rows)
+    columns = columns or tuple(rows[0] if rows else ())
+    named = [(column, column) if isinstance(column, str) else column for column in columns]
+    found = [[_short(row[what] if isinstance(what, str) else what(row)) for _, what in named] for row in rows]
+    return Table(title=title, columns=[head for head, _ in named], rows=found)
+
+
+def _short(value: Any) -> Any:
+    """Return a number with four digits: more are noise, and cost bytes; None for what is none."""
+    if isinstance(value, float):
+        return float(f"{value:.4g}") if math.isfinite(value) else None
+    return value
+
+
+def spread(values: Iterable[float | None]) -> str | None:
+    """Return the median of several rounds, and in brackets the largest; None counts as never."""
     every = list(values)
     known = sorted(value for value in every if value is not None)
+    if not every or not known:
+        return None
     if len(known) < len(every):
         return f"never in {len(every) - len(known)} of {len(every)}"
-    if not known:
-        return ""
-    middle, worst = shown(median(known), form), shown(known[-1], form)
+    middle, worst = shown(_short(float(median(known)))), shown(_short(float(known[-1])))
     return middle if middle == worst else f"{middle} ({worst})"
 
 
-def table(rows: Iterable[Any], *columns: Column) -> str:
-    """Return a table with a row for each of ``rows``; columns of numbers stand right."""
-    cells = [[_cell(row, column) for column in columns] for row in rows]
-    rules = ["---:" if _is_numeric([row[at] for row in cells]) else "---" for at in range(len(columns))]
-    lines = [f"| {' | '.join(line)} |" for line in ([column[0] for column in columns], *cells)]
+def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table; columns of numbers stand right."""
+    rules = ["---:" if _is_numeric([row[at] for row in rows]) else "---" for at in range(len(columns))]
+    lines = [f"| {' | '.join(line)} |" for line in (columns, *rows)]
     return "\n".join([lines[0], f"|{'|'.join(rules)}|", *lines[1:]])
 
 
-def _cell(row: Any, column: Column) -> str:
-    value = column[1](row) if callable(column[1]) else row[column[1]]
-    return shown(value, column[2] if len(column) == 3 else "{}")
-
-
 def _is_numeric(cells: Sequence[str]) -> bool:
-    known = [cell for cell in cells if cell not in {"", NEVER}]
+    known = [cell for cell in cells if cell not in {"", "–"}]
     return 2 * sum(map(_is_number, known)) > len(known)
 
 
@@ -80,59 +192,58 @@ def _is_number(cell: str) -> bool:
     return re.match(r"never|\W*\d", cell) is not None and 3 * digits >= letters
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A figure and the most that it may be, or with ``at_least`` the least; a figure that never came misses.
-
-    Parameters
-    ----------
-    parts : what a figure that misses consists of
-    """
-
-    what: str
-    value: float | None
-    limit: float
-    form: Form = "{}"
-    at_least: bool = False
-    parts: str = ""
-
-    @property
-    def is_met(self) -> bool:
-        if self.value is None:
-            return False
-        return self.value >= self.limit if self.at_least else self.value <= self.limit
-
-    @property
-    def bound(self) -> str:
-        return f"{'≥' if self.at_least else '≤'} {shown(self.limit, self.form)}"
-
-    @property
-    def outcome(self) -> str:
-        return "✓" if self.is_met else f"✗ {self.parts}".rstrip()
+def _wrapped(line: str) -> str:
+    """Break prose to the width of the page; tables and headings stay whole."""
+    if line.startswith(("|", "#", "<", "!")):
+        return line
+    return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def targets(judged: Sequence[Target]) -> str:
-    """Return how many targets are met, and a table of them all."""
-    rows = table(
-        judged,
-        ("target", lambda each: each.what),
-        ("", lambda each: each.bound),
-        ("measured", lambda each: shown(each.value, each.form)),
-        ("", lambda each: each.outcome),
-    )
-    return f"Targets: {sum(each.is_met for each in judged)} of {len(judged)} met.\n\n{rows}"
+def _selected(name: str, *columns: str) -> str:
+    """Return some columns of the first table of a summary."""
+    first = Summary.read(RESULTS / f"{name}.json").tables[0]
+    at = [first.columns.index(column) for column in columns]
+    return _markdown(columns, [[shown(row[k]) for k in at] for row in first.rows])
 
 
-def paragraphs(*parts: str) -> str:
-    """Return the parts of a report that say something, a blank line between them."""
-    return "\n\n".join(filter(None, parts))
+#: Blocks of README.md.
+README = {
+    "adapt-summary": lambda: _selected("adapt", "link", "defaults", "paper", "arpd", "bound"),
+    "sizes": lambda: _selected("pi", "topics", "board", "lost %", "latency p99 ms", "run CPU %", "relay CPU %"),
+}
 
 
-def about(document: dict[str, Any], what: str) -> str:
-    """Return what is measured and under which conditions, as the first line of a report."""
-    return f"{what} ({described(document)})."
+def write_pages() -> None:
+    """Fill every block of docs/results.md whose summary is there, and those of README.md."""
+    blocks = {path.stem: Summary.read(path).markdown for path in sorted(RESULTS.glob("*.json"))}
+    for path, known in ((REPO / "docs/results.md", blocks), (REPO / "README.md", README)):
+
+        def written(match: re.Match[str], known: Any = known) -> str:
+            if match["name"] not in known:
+                return match[0]
+            text = "\n".join(map(_wrapped, known[match["name"]]().split("\n")))
+            return f"{match['begin']}{text}\n{match['end']}"
+
+        path.write_text(_BLOCK.sub(written, path.read_text("utf-8")), "utf-8")
+    plot(RESULTS / "adapt.png", Summary.read(RESULTS / "adapt.json").tables[-1], unit="p99 of the age (s)")
 
 
-def details(summary: str, *parts: str) -> str:
-    """Return parts that a reader of the page unfolds."""
-    return paragraphs(f"<details><summary>{summary}</summary>", *parts, "</details>")
+def plot(path: Path, table: Table, *, unit: str) -> None:
+    """Draw a table as dots on a logarithmic axis, a color for each column; the first one names the rows."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(9, 1.2 + 0.35 * len(table.rows)), layout="constrained")
+    never = 2.0 * max((value for row in table.rows for value in row[1:] if value), default=1.0)
+    for at, name in enumerate(table.columns[1:], start=1):
+        values = [row[at] or never for row in table.rows]
+        axes.plot(values, range(len(values)), "o", markersize=5, alpha=0.8, label=name)
+    axes.set(xscale="log", xlabel=f"{unit}; at {never:.3g}: never")
+    axes.set_yticks(range(len(table.rows)), [str(row[0]) for row in table.rows])
+    axes.invert_yaxis()
+    axes.grid(visible=True, color="0.9")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.15), ncols=len(table.columns), frameon=False)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)

@@ -1,10 +1,8 @@
 """Time a division of the link by each back end, beside the paper's way: cvxpy with its default solver.
 
-Usage: .venv/bin/python scripts/bench/solve.py [--quick] [--json FILE]
-
 Every side divides the same link among the same topics (G1) while the capacity wanders by a few per cent, as in the
 daemon. Time is that of the CPU, in the one thread that solves. The sides take turns with the same few instances, in
-rotating order, so that other load on the machine slows all of them.
+rotating order. An answer is off when a share differs by more than the tolerance of the back ends.
 """
 
 from __future__ import annotations
@@ -13,26 +11,20 @@ import random
 import subprocess
 import sys
 import time
-from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from arpd.cli.progress import progress
 from arpd.model.allocation import Topic
 from arpd.model.settings import Backend, Settings
 from arpd.solve import cvxpy_, osqp_
 from arpd.solve.level import TOLERANCE, water_level
 from arpd.solve.program import Program
-from scripts.bench.record import conditions, keep, options_of
-from scripts.bench.report import about, mib, paragraphs, table
+from scripts.bench.report import Summary, figure, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from arpd.solve.level import Column
 
@@ -42,12 +34,11 @@ LEVELS: dict[str, Callable[[Column, Column, Column, float], float]] = {
     "osqp": osqp_.level,
     "closed form": water_level,
 }
-WHOLE = {backend: f"*the whole program: (G1), (G2), rounding; {backend}*" for backend in Backend}
+WHOLE = {f"*the whole program: (G1), (G2), rounding; {backend}*": backend for backend in Backend}
 #: topics → turns; in each turn every side solves `TURN` instances
 TURNS = {1: 30, 12: 40, 100: 40, 1000: 20}
 QUICK = {1: 5, 12: 15}
-TURN = 5
-HEADROOM = 0.85
+TURN, HEADROOM, MEMORY_BYTES = 5, 0.85, 2.0**26
 #: Runs in a process of its own, for the memory of a back end without ROS.
 FOOTPRINT = """
 import sys, time
@@ -60,7 +51,7 @@ imported_s = time.perf_counter() - started
 topic = dict(packets=1, desired_rate_hz=20.0, min_rate_hz=1.0)
 program.solve(1e5, [Topic(name=f"/t{i}", wire_bytes=1000.0 + i, **topic) for i in range(12)], 2.0**26)
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))
-print(imported_s, int(status["VmHWM"].split()[0]) * 1024, "cvxpy" in sys.modules)
+print(imported_s, int(status["VmHWM"].split()[0]) * 1024)
 """
 
 
@@ -78,16 +69,6 @@ def topics_like_a_robots(count: int, rng: random.Random) -> list[Topic]:
         )
         for i in range(count)
     ]
-
-
-def wandering(topics: Sequence[Topic], rng: random.Random, length: int) -> list[float]:
-    """Return capacities (bytes/s) of about half of the demand, so that some topics get less than they want."""
-    demand = sum(topic.wire_bytes * topic.desired_rate_hz for topic in topics)
-    part, parts = 0.6, []
-    for _ in range(length):
-        part = min(0.9, max(0.3, part * rng.uniform(0.95, 1.05)))
-        parts.append(part)
-    return [demand * part for part in parts]
 
 
 def papers_way(weights: Column, low: Column, high: Column, budget: float) -> Column:
@@ -109,19 +90,22 @@ def shares_of(name: str, weights: Column, low: Column, high: Column, budget: flo
 
 
 def race(count: int, turns: int) -> dict[str, Any]:
-    """Time all sides and the whole program ((G1), (G2), rounding) on the same instances, in turns."""
+    """Time all sides and the whole program on the same instances, in turns."""
     rng = random.Random(count)
     topics = topics_like_a_robots(count, rng)
     cost, weights, floor, wish = (
         np.array([getattr(topic, name) for topic in topics])
         for name in ("wire_bytes", "weight", "min_rate_hz", "desired_rate_hz")
     )
-    programs = {WHOLE[backend]: Program(Settings(), backend=backend) for backend in Backend}
+    programs = {name: Program(Settings(), backend=backend) for name, backend in WHOLE.items()}
     seconds: dict[str, list[float]] = {name: [] for name in (PAPER, *LEVELS, *programs)}
     off = dict.fromkeys(seconds, 0)
-    order = list(seconds)
+    order, part = list(seconds), 0.6
     for turn in range(turns + 1):
-        capacities = wandering(topics, rng, TURN)
+        capacities = []
+        for _ in range(TURN):  # about half of the demand, so that some topics get less than they want
+            part = min(0.9, max(0.3, part * rng.uniform(0.95, 1.05)))
+            capacities.append(part * float(cost @ wish))
         order = order[1:] + order[:1]
         for name in order:
             for capacity in capacities:
@@ -129,75 +113,48 @@ def race(count: int, turns: int) -> dict[str, Any]:
                 problem = weights, low, np.maximum(low, np.minimum(1.0, cost * wish / capacity)), HEADROOM
                 started = time.thread_time()
                 if name in programs:
-                    programs[name].solve(capacity, topics, 2.0**26)
+                    programs[name].solve(capacity, topics, MEMORY_BYTES)
                 else:
                     shares = shares_of(name, *problem)
                 elapsed_s = time.thread_time() - started
                 if turn:  # the first turn imports libraries
                     seconds[name].append(elapsed_s)
                     if name not in programs:
-                        truth = shares_of("closed form", *problem)
-                        off[name] += not np.abs(shares - truth).max() <= TOLERANCE
-    return {
-        "topics": count,
-        "instances": turns * TURN,
-        "median_s": {name: median(times) for name, times in seconds.items()},
-        "p99_s": {name: float(np.quantile(times, 0.99)) for name, times in seconds.items()},
-        "failed_or_wrong": off,
-    }
+                        off[name] += not np.abs(shares - shares_of("closed form", *problem)).max() <= TOLERANCE
+    times = {name: f"{median(each) * 1e3:.3g}, {np.quantile(each, 0.99) * 1e3:.3g}" for name, each in seconds.items()}
+    return {"topics": count, "times": times, "off": off}
 
 
-def footprint(backend: Backend) -> dict[str, Any]:
-    """Return import time and peak memory of a fresh process that solves one program without ROS."""
+def footprint(backend: Backend) -> tuple[float, float]:
+    """Return import time (s) and peak memory (MiB) of a fresh process that solves one program without ROS."""
     command = [sys.executable, "-c", FOOTPRINT, backend]
-    fields = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() for _ in range(3)]
-    return {
-        "import_s": median(float(field[0]) for field in fields),
-        "peak_rss_bytes": median(int(field[1]) for field in fields),
-        "loads_cvxpy": fields[0][2] == "True",
-    }
+    runs = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() for _ in range(3)]
+    return median(float(run[0]) for run in runs), median(int(run[1]) for run in runs) / 2**20
 
 
-def report(document: dict[str, Any]) -> str:
-    return paragraphs(
-        about(document, "CPU time (ms) of a division among N topics, median and 99th percentile"),
-        table(
-            document["races"][0]["median_s"],
-            ("", lambda way: way),
-            *((f"N = {race['topics']:,}", partial(_time, race)) for race in document["races"]),
-        ),
-        table(
-            document["footprints"].items(),
-            ("a process that solves, without ROS", 0),
-            ("MiB", lambda found: found[1]["peak_rss_bytes"], mib),
-            ("imports in s", lambda found: found[1]["import_s"], "{:.2f}"),
-            ("imports cvxpy", lambda found: "yes" if found[1]["loads_cvxpy"] else "no"),
-        ),
+def play(*, is_quick: bool) -> Summary:
+    races = [race(count, turns) for count, turns in (QUICK if is_quick else TURNS).items()]
+    footprints = [(str(backend), *footprint(backend)) for backend in Backend]
+    off = {name: sum(each["off"][name] for each in races) for name in (PAPER, *LEVELS)}
+    return Summary(
+        about="CPU time (ms) of a division among N topics, median and 99th percentile.",
+        figures=[
+            figure(f"{name}: answers that are off", many, most=None if name == PAPER else 0)
+            for name, many in off.items()
+        ],
+        tables=[
+            table(
+                "",
+                list(races[0]["times"]),
+                ("way", str),
+                *((f"N = {each['topics']:,}", each["times"].__getitem__) for each in races),
+            ),
+            table(
+                "",
+                footprints,
+                ("a process that solves, without ROS", lambda row: row[0]),
+                ("imports in s", lambda row: row[1]),
+                ("MiB", lambda row: round(row[2])),
+            ),
+        ],
     )
-
-
-def _time(race: dict[str, Any], way: str) -> str:
-    text = f"{race['median_s'][way] * 1e3:.3g}, {race['p99_s'][way] * 1e3:.3g}"
-    wrong = race["failed_or_wrong"][way]
-    return f"{text}; {wrong} of {race['instances']} off" if wrong else text
-
-
-def main() -> None:
-    options = options_of(__doc__, "solve", quick="1 and 12 topics only").parse_args()
-    sizes = QUICK if options.quick else TURNS
-    noted = conditions()
-    races, footprints = [], {}
-    with progress("timing", total=len(sizes) + len(Backend)) as shown:
-        for count, turns in sizes.items():
-            shown.step(f"{count} topics")
-            races.append(race(count, turns))
-        for backend in Backend:
-            shown.step(f"footprint of {backend}")
-            footprints[str(backend)] = footprint(backend)
-    document = {"conditions": noted, "races": races, "footprints": footprints}
-    keep(document, options, "solve", is_partial=options.quick)
-    print(report(document))
-
-
-if __name__ == "__main__":
-    main()

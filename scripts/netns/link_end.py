@@ -58,10 +58,10 @@ class Bucket:
 
 def raise_up(host: Host, bucket: Bucket) -> None:
     """Shape the end, give it its address and switch it on."""
-    _disable_offloads(host.interface)
+    disable_offloads(host.interface)
     with IPRoute() as route:
         index = route.link_lookup(ifname=host.interface)[0]
-        _shape(route, "add", index, bucket)
+        shape(route, "add", index, bucket)
         route.link("set", index=route.link_lookup(ifname="lo")[0], state="up")
         route.addr("add", index=index, address=host.address, prefixlen=30)
         route.link("set", index=index, state="up")
@@ -73,7 +73,7 @@ def raise_up(host: Host, bucket: Bucket) -> None:
 def reshape(host: Host, bucket: Bucket) -> None:
     """Change the token bucket; queued packets stay."""
     with IPRoute() as route:
-        _shape(route, "change", route.link_lookup(ifname=host.interface)[0], bucket)
+        shape(route, "change", route.link_lookup(ifname=host.interface)[0], bucket)
 
 
 def set_loss(host: Host, loss: float) -> None:
@@ -117,7 +117,7 @@ def disable_ipv6() -> None:
             switch.write_text("1", encoding="ascii")
 
 
-def _disable_offloads(interface: str) -> None:
+def disable_offloads(interface: str) -> None:
     """Switch offloads off, so that the bucket gets packets as on the air instead of bundles of 64 kB."""
     ethtool = IoctlEthtool(interface)
     try:
@@ -129,7 +129,7 @@ def _disable_offloads(interface: str) -> None:
         ethtool.close()
 
 
-def _shape(route: IPRoute, command: str, index: int, bucket: Bucket) -> None:
+def shape(route: IPRoute, command: str, index: int, bucket: Bucket) -> None:
     route.tc(
         command,
         "tbf",

@@ -1,6 +1,6 @@
 """The planner on the CEDDP: it reads every sensor topic and sends commands back.
 
-Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
+Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json
 
 It prints one JSON line a second with the arrivals, for the live table. It obeys the same signals as the sensors.
 """
@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from arpd import AdaptivePublisher
 from arpd.adapters.sim.demo import COMMAND_TOPIC
-from scripts.robot.process import command_line, live, reading
+from scripts.robot.process import RCLPY_DEPTH, command_line, live, reading
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 from scripts.robot.stamped import StampedArrivals
 
@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 class Planner(Node):
     """Subscribes to all sensors and publishes commands at a fixed rate."""
 
-    def __init__(self, prefix: str, qos: QoSProfile, *, is_adaptive: bool, command_rate_hz: float) -> None:
+    def __init__(self, prefix: str, *, is_adaptive: bool) -> None:
         super().__init__("planner")
         self.arrivals = {topic: StampedArrivals() for topic in SENSORS}
         self.offered = 0
         self.is_publishing = False
         for topic, (rate_hz, make) in SENSORS.items():
-            self._read(type(make()), prefix + topic, self.arrivals[topic].on_sample, reading(qos, rate_hz))
+            self._read(type(make()), prefix + topic, self.arrivals[topic].on_sample, reading(rate_hz))
         self.commands: Any
         if is_adaptive:
-            self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, qos)
+            self.commands = AdaptivePublisher(self, TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
         else:
-            self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, qos)
-        self.create_timer(1.0 / command_rate_hz, self._command)
+            self.commands = self.create_publisher(TwistStamped, COMMAND_TOPIC, RCLPY_DEPTH)
+        self.create_timer(1.0 / COMMAND_RATE_HZ, self._command)
         self.create_timer(1.0, self._report)
 
     def _read(self, kind: Any, topic: str, arrived: Callable[..., None], qos: QoSProfile) -> None:
@@ -76,23 +76,15 @@ class Planner(Node):
         for arrivals in self.arrivals.values():
             arrivals.sample_ages(began_s, ended_s)
         received = {topic: asdict(arrivals.reception()) for topic, arrivals in self.arrivals.items()}
-        samples = {topic: arrivals.samples() for topic, arrivals in self.arrivals.items()}
         numbers = {topic: arrivals.number for topic, arrivals in self.arrivals.items()}
         offered = {COMMAND_TOPIC: self.offered}
-        return {"offered": offered, "received": received, "numbers": numbers, "samples": samples}
+        return {"offered": offered, "received": received, "numbers": numbers}
 
 
 def main() -> None:
     order = command_line("prefix", "kind", "out")
-    live(
-        lambda: Planner(
-            order.prefix if order.prefix != "-" else "",
-            order.qos,
-            is_adaptive=order.kind == "adaptive",
-            command_rate_hz=order.rate_hz or COMMAND_RATE_HZ,
-        ),
-        order.out,
-    )
+    prefix = order.prefix if order.prefix != "-" else ""
+    live(lambda: Planner(prefix, is_adaptive=order.kind == "adaptive"), order.out)
 
 
 if __name__ == "__main__":

@@ -10,19 +10,18 @@ import json
 import math
 import signal
 import time
-from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import rclpy
-from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
-from scripts.robot.manner import RCLPY_DEPTH
-
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+
+RCLPY_DEPTH = 10  # what every rclpy tutorial passes; RELIABLE, VOLATILE, KEEP_LAST are rclpy's own defaults
 
 
 class DemoNode(Protocol):
@@ -35,31 +34,16 @@ class DemoNode(Protocol):
 
 
 def command_line(*positional: str) -> argparse.Namespace:
-    """Read a node's command line: the given names, ``out`` as a path, QoS as ``qos``, ``rate_hz`` (0 = its own)."""
+    """Read a node's command line: the given names, ``out`` as a path."""
     parser = argparse.ArgumentParser()
     for name in positional:
         parser.add_argument(name, type=Path if name == "out" else str)
-    parser.add_argument("--depth", type=int, default=RCLPY_DEPTH)
-    parser.add_argument("--deadline-ns", type=int, default=0)
-    parser.add_argument("--rate", type=float, default=0.0, dest="rate_hz")
-    order = parser.parse_args()
-    order.qos = QoSProfile(depth=order.depth)  # RELIABLE, VOLATILE, KEEP_LAST: rclpy's own defaults
-    if order.deadline_ns:
-        order.qos.deadline = Duration(nanoseconds=order.deadline_ns)
-    return order
+    return parser.parse_args()
 
 
-def reading(qos: QoSProfile, rate_hz: float) -> QoSProfile:
-    """Return the QoS of a reader that loses nothing on its own host while it is busy for a second, and catches up.
-
-    Parameters
-    ----------
-    qos : that of the run, with its depth for writers
-    rate_hz : rate of the topic (Hz)
-    """
-    wanted = copy(qos)
-    wanted.depth = max(qos.depth, math.ceil(2.0 * rate_hz))
-    return wanted
+def reading(rate_hz: float) -> QoSProfile:
+    """Return the QoS of a reader that loses nothing on its own host while it is busy for a second, and catches up."""
+    return QoSProfile(depth=max(RCLPY_DEPTH, math.ceil(2.0 * rate_hz)))
 
 
 def live(make: Callable[[], DemoNode], out: Path) -> None:

@@ -77,8 +77,8 @@ class Side:
         return self.workdir / "arpd.yaml"
 
     def start_daemon(self) -> None:
-        """Start `arpd run` or its substitute on the robot."""
-        self.start("run", "robot", *self.manner.daemon, "--config", str(self.config))
+        """Start `arpd run` on the robot."""
+        self.start("run", "robot", "arpd.cli", "run", "--config", str(self.config))
 
     def start_relay(self) -> None:
         """Start `arpd relay` on the robot."""
@@ -175,9 +175,8 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
     prefix, kind = (PREFIX, "adaptive") if is_adaptive else ("-", "plain")
     with contextlib.ExitStack() as stack:
         stack.callback(_end, side)
-        arguments = manner.arguments(COMMAND_TOPIC, COMMAND_RATE_HZ)
         out = str(workdir / "planner.json")
-        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, *arguments, env=profile)
+        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, env=profile)
         if manner.is_managed:
             side.config.write_text(two_ended_config(link) if manner.has_two_ends else CONFIG.read_text())
             side.start_peer()
@@ -188,9 +187,7 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
             side.url = stack.enter_context(window(link.robot, HTTP_PORT))
         for topic in (*SENSORS, BASE_DRIVER):
             name = node_name(topic)
-            carried = COMMAND_TOPIC if topic == BASE_DRIVER else topic
-            arguments = manner.arguments(carried, _rate_hz(carried))
-            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"), *arguments)
+            side.start(name, "robot", "scripts.robot.sensors", topic, str(workdir / f"{name}.json"))
         for name in SOURCES:
             side.await_ready(name)
         _await_discovery(side)
@@ -217,14 +214,12 @@ def run(
     duration_s: float,
     *,
     on_tick: Callable[[float], None],
-    loss_at: Callable[[float], float] = lambda _elapsed_s: 0.0,
-    on_change: Callable[[float, float], None] = lambda _rate, _loss: None,
 ) -> list[TopicResult]:
     """Run the robot for ``duration_s`` while the link follows the schedule, and return the arrivals.
 
     Parameters
     ----------
-    on_tick, loss_at, on_change : as in `play`
+    on_tick : as in `play`
 
     Raises
     ------
@@ -232,7 +227,7 @@ def run(
         If arpd does not answer at the end, or the link was bypassed.
     """
     before = sum(counters.rx_bytes for counters in side.link.counters().values())
-    play(side, schedule.rate_at, duration_s, on_tick=on_tick, loss_at=loss_at, on_change=on_change)
+    play(side, schedule.rate_at, duration_s, on_tick=on_tick)
     side.signal(signal.SIGUSR2, *SOURCES)
     time.sleep(_DRAIN_S)
     side.final = side.status()
@@ -254,7 +249,6 @@ def play(
     *,
     on_tick: Callable[[float], None],
     loss_at: Callable[[float], float] = lambda _elapsed_s: 0.0,
-    on_change: Callable[[float, float], None] = lambda _rate, _loss: None,
 ) -> None:
     """Let every source publish while the link follows ``rate_at`` and ``loss_at``; they go on publishing afterwards.
 
@@ -263,11 +257,9 @@ def play(
     rate_at : rate of both directions, by the time since the start (bytes/s by s)
     on_tick : called twice a second with the time since the start (s)
     loss_at : probability that an arriving packet is lost, in both directions (by s)
-    on_change : called with rate and loss at the start and after each change of the link (bytes/s, 0..1)
     """
     side.signal(signal.SIGUSR1, *SOURCES)
     side.started_s = time.monotonic()
-    now: tuple[float, float] | None = None
     next_tick_s = 0.0
     while (elapsed_s := time.monotonic() - side.started_s) < duration_s:
         rate, loss = rate_at(elapsed_s), loss_at(elapsed_s)
@@ -275,9 +267,6 @@ def play(
             side.link.set_rate(rate)
         if loss != side.link.loss:
             side.link.set_loss(loss)
-        if (rate, loss) != now:
-            now = rate, loss
-            on_change(rate, loss)
         if elapsed_s >= next_tick_s:
             next_tick_s = elapsed_s + _TICK_S
             on_tick(elapsed_s)
@@ -325,14 +314,13 @@ def _results(side: Side, status: dict[str, Any] | None, duration_s: float) -> li
     for topic, summary in received.items():
         managed = by_topic.get(topic if topic == COMMAND_TOPIC else side.prefix + topic)
         rate_hz = _rate_hz(topic)
-        slowed = round((rate_hz - side.manner.rate_hz(topic, rate_hz)) * duration_s)  # not published by its source
         results.append(
             TopicResult(
                 topic=topic,
                 source_rate_hz=rate_hz,
                 expected=round(rate_hz * duration_s),
-                offered=offered[topic] + slowed,
-                withheld=slowed + (managed["withheld"] if managed else 0),
+                offered=offered[topic],
+                withheld=managed["withheld"] if managed else 0,
                 sent=managed["published"] if managed else offered[topic],
                 handed=numbers[topic] if side.manner.has_two_ends else None,
                 **summary,

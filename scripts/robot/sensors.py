@@ -1,6 +1,6 @@
 """The robot's sensors: ordinary rclpy nodes without arpd.
 
-Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json [--depth N] [--deadline-ns N] [--rate HZ]
+Usage: python -m scripts.robot.sensors TOPIC|base_driver OUT.json
 
 Each is a process of its own, as a robot's drivers are: their send buffers fill the link's queue. On SIGUSR1 they start
 to publish, on SIGUSR2 they stop, on SIGTERM they write the number of samples they published and end.
@@ -29,13 +29,11 @@ from sensor_msgs.msg import (
 )
 
 from arpd.adapters.sim.demo import COMMAND_TOPIC, demo_topics
-from scripts.robot.process import DemoNode, command_line, live, reading
+from scripts.robot.process import RCLPY_DEPTH, DemoNode, command_line, live, reading
 from scripts.robot.stamped import StampedArrivals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from rclpy.qos import QoSProfile
 
 
 def laser_scan() -> LaserScan:
@@ -90,14 +88,14 @@ def node_name(topic: str) -> str:
 class Sensor(Node):
     """One sensor: a timer and a publisher."""
 
-    def __init__(self, topic: str, rate_hz: float, message: Any, qos: QoSProfile) -> None:
+    def __init__(self, topic: str, rate_hz: float, message: Any) -> None:
         super().__init__(node_name(topic))
         self._message = message
         self._frame = node_name(topic)
         self.topic = topic
         self.offered = 0
         self.is_publishing = False
-        self._publisher = self.create_publisher(type(message), topic, qos)
+        self._publisher = self.create_publisher(type(message), topic, RCLPY_DEPTH)
         self.create_timer(1.0 / rate_hz, self._publish)
 
     def _publish(self) -> None:
@@ -115,12 +113,12 @@ class Sensor(Node):
 class BaseDriver(Node):
     """Receives the command topic, and notes the arrivals of the commands."""
 
-    def __init__(self, qos: QoSProfile) -> None:
+    def __init__(self) -> None:
         super().__init__(BASE_DRIVER)
         self.commands = StampedArrivals()
         self.is_publishing = False  # the signals set it during the measured part of the run
-        wanted = reading(qos, COMMAND_RATE_HZ)
-        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, wanted, raw=True)
+        qos = reading(COMMAND_RATE_HZ)
+        self.create_subscription(TwistStamped, COMMAND_TOPIC, self.commands.on_sample, qos, raw=True)
 
     def result(self, began_s: float, ended_s: float) -> dict[str, Any]:
         self.commands.sample_ages(began_s, ended_s)
@@ -128,7 +126,6 @@ class BaseDriver(Node):
             "offered": {},
             "received": {COMMAND_TOPIC: asdict(self.commands.reception())},
             "numbers": {COMMAND_TOPIC: self.commands.number},
-            "samples": {COMMAND_TOPIC: self.commands.samples()},
         }
 
 
@@ -137,9 +134,9 @@ def main() -> None:
 
     def make() -> DemoNode:
         if order.name == BASE_DRIVER:
-            return BaseDriver(order.qos)
+            return BaseDriver()
         rate_hz, message = SENSORS[order.name]
-        return Sensor(order.name, order.rate_hz or rate_hz, message(), order.qos)
+        return Sensor(order.name, rate_hz, message())
 
     live(make, order.out)
 

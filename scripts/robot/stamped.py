@@ -64,13 +64,6 @@ class StampedArrivals(Arrivals):
                 upcoming += 1
             self.ages_s.append(now_s - newest_s)
 
-    def samples(self) -> dict[str, list[float]]:
-        """Return every latency and every age (s), to a tenth of a millisecond."""
-        return {
-            "latencies_s": [round(seconds, 4) for seconds in self.latencies_s],
-            "ages_s": [round(seconds, 4) for seconds in self.ages_s],
-        }
-
     def take_recent(self) -> tuple[int, float]:
         """Return count and worst latency (s) since the last call."""
         recent = self.recent, self.recent_worst_s

@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from scripts.bench import pi_cgroup
+from scripts.bench import slow
 from scripts.netns import simlink
 from scripts.netns.simlink import user_namespace_argv
 from tests.all.system import machine
@@ -21,7 +21,7 @@ def _runs(*argv):
 CAPABILITIES = {
     "network namespaces with a shaped link that loses packets": simlink.available,
     "a machine with its own systemd, in systemd-nspawn on an overlay": machine.available,
-    "cgroups with a quota of cpu": pi_cgroup.available,
+    "cgroups with a quota of cpu": slow.available,
     "clocks of its own": lambda: _runs("unshare", "--time", "--boottime=60", "--fork", "--", "true"),
     "root of a user namespace": lambda: _runs(*user_namespace_argv(["true"])),
     "a /dev/shm of its own": lambda: _runs("unshare", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"),

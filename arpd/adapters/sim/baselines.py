@@ -1,4 +1,4 @@
-"""Estimators to compare arpd's with: an oracle, and two that look at throughput only.
+"""The estimator to compare arpd's with: an oracle.
 
 The governor sees delivery rates, outages and queues by the same definitions as with arpd's estimator.
 """
@@ -6,7 +6,6 @@ The governor sees delivery rates, outages and queues by the same definitions as 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,10 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.model.observation import Observation
-    from arpd.model.probing import PeerReport, ProbeRequest
+    from arpd.model.probing import ProbeRequest
     from arpd.model.settings import LinkSettings
-
-_FIRST_S = 1.0  # reports of this time come before the first plan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,119 +93,3 @@ class Oracle:
 
     def reconfigure(self, settings: LinkSettings) -> None:
         """Ignore the settings."""
-
-
-class _FromThroughput:
-    """Base of both estimators: takes delivery rates from the peer's reports, and silence as an outage.
-
-    They see no queue, and cannot tell a link that is full from a robot that sends no more.
-    """
-
-    def __init__(self, settings: LinkSettings) -> None:
-        self._capacity = settings.initial_capacity_bytes_per_second
-        self._reports: deque[PeerReport] = deque()
-        self._first_at_s = math.inf
-        self._last_at_s = -math.inf
-
-    @property
-    def has_evidence(self) -> bool:
-        """True after a second of reports."""
-        return self._last_at_s - self._first_at_s >= _FIRST_S
-
-    def update(self, observation: Observation) -> LinkEstimate:
-        """Return the estimate after the new reports."""
-        for report in observation.reports:
-            self._note(report)
-        silent_s = observation.now_s - self._last_at_s
-        return LinkEstimate(
-            capacity_bytes_per_second=max(1.0, self._capacity),
-            kind=CapacityKind.PEER,
-            state=LinkState.OUTAGE if parameters.OUTAGE_S < silent_s < math.inf else LinkState.STEADY,
-            queue_delay_s=0.0,
-            delivery_rate_bytes_per_second=self._delivery_rate,
-            age_s=silent_s,
-            evidence="throughput",
-        )
-
-    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:  # noqa: ARG002 - the protocol's
-        """Look always."""
-        return True
-
-    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
-        """Ask for none."""
-        return ()
-
-    def reconfigure(self, settings: LinkSettings) -> None:
-        """Ignore the settings."""
-
-    @property
-    def _delivery_rate(self) -> float:
-        covered_s = sum(report.interval_s for report in self._reports)
-        return sum(report.rx_bytes for report in self._reports) / covered_s if covered_s > 0 else 0.0
-
-    def _note(self, report: PeerReport) -> None:
-        if report.received_at_s - self._last_at_s > parameters.OUTAGE_S:
-            self._reports.clear()  # the lost reports leave a gap
-        self._first_at_s = min(self._first_at_s, report.received_at_s)
-        self._last_at_s = report.received_at_s
-        self._reports.append(report)
-        while (
-            sum(report.interval_s for report in self._reports) - self._reports[0].interval_s
-            >= parameters.DELIVERY_WINDOW_S
-        ):
-            self._reports.popleft()
-        self._learn(report)
-
-    def _learn(self, report: PeerReport) -> None:
-        raise NotImplementedError
-
-
-class ThroughputAverage(_FromThroughput):
-    """An exponentially weighted average of arrivals, the first estimate of most adaptive streamers.
-
-    Parameters
-    ----------
-    settings : settings with the initial capacity
-    time_constant_s : time in which the average follows 63 % of a change (s)
-    """
-
-    def __init__(self, settings: LinkSettings, *, time_constant_s: float = 1.0) -> None:
-        super().__init__(settings)
-        self._time_constant_s = time_constant_s
-        self._is_first = True
-
-    def _learn(self, report: PeerReport) -> None:
-        if report.interval_s <= 0:
-            return
-        rate = report.rx_bytes / report.interval_s
-        weight = 1.0 if self._is_first else -math.expm1(-report.interval_s / self._time_constant_s)
-        self._is_first = False
-        self._capacity += weight * (rate - self._capacity)
-
-
-class WindowMaximum(_FromThroughput):
-    """The largest delivery rate of a window, the bandwidth filter of BBR.
-
-    Cardwell, Cheng, Gunn, Yeganeh, Jacobson: BBR: Congestion-Based Congestion Control, ACM Queue 14(5), 2016. There,
-    BtlBw is the maximum delivery rate over six to ten round trips; Wi-Fi has many more in the 8 s here. BBR's gain
-    cycle, which sends faster from time to time, belongs to the controller and not to the filter.
-
-    Parameters
-    ----------
-    settings : settings with the initial capacity
-    window_s : length of the window (s)
-    """
-
-    def __init__(self, settings: LinkSettings, *, window_s: float = 8.0) -> None:
-        super().__init__(settings)
-        self._window_s = window_s
-        self._rates: deque[tuple[float, float]] = deque()  # falling; the first is the maximum
-
-    def _learn(self, report: PeerReport) -> None:
-        now_s, rate = report.received_at_s, self._delivery_rate
-        while self._rates and self._rates[-1][1] <= rate:
-            self._rates.pop()
-        self._rates.append((now_s, rate))
-        while now_s - self._rates[0][0] > self._window_s:
-            self._rates.popleft()
-        self._capacity = self._rates[0][1]

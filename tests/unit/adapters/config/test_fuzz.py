@@ -10,15 +10,14 @@ from hypothesis import strategies as st
 
 from arpd.adapters.config.load import load_settings
 from arpd.model.errors import ConfigError
-from scripts.bench.fuzz_target import FAULT
-from scripts.bench.fuzz_targets import TARGETS
+from scripts.bench.fuzz_targets import FAULT, TARGETS
 from tests.examples import examples
 
 SHIPPED = (Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml").read_text(encoding="utf-8")
 # Without its comments, which cost time and change nothing.
 LINES = [line for line in SHIPPED.splitlines() if line.strip() and not line.lstrip().startswith("#")]
 QUICK = examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
-ROS_TARGETS = {"report", "probe", "publisher", "wire", "claim"}
+ROS_TARGETS = {"report", "probe", "snapshot", "plan"}
 
 
 @pytest.fixture

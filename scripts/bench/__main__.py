@@ -1,0 +1,110 @@
+"""List the benchmarks, run them, and write docs/results.md from what they found.
+
+Usage: python -m scripts.bench                                  list them, with the date of each
+       python -m scripts.bench NAME …|all [--quick] [--again]   run those that this commit has not been measured by
+       python -m scripts.bench --docs                           only write docs/results.md and README.md's tables
+       python -m scripts.bench robots …                         other robots, links and sides: `robots --help`
+
+Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed
+is void, and is not kept. With --quick the short forms run, and nothing is kept but in the folder of --out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import time
+from pathlib import Path
+
+from scripts.bench.harness import conditions, watched
+from scripts.bench.report import RESULTS, Summary, write_pages
+
+#: By name: module and function that return the summary, about how many minutes it takes, and those of the short form.
+SCENARIOS = {
+    "demo": ("demo.play", 2, 2, "does the demo show what arpd is for?"),
+    "adapt": ("adapt.play", 170, 1, "how do latency, age and loss compare on links that change?"),
+    "paper": ("paper.play", 45, 1.5, "does the paper's optimum hold with real ROS 2?"),
+    "swap": ("swap.play", 30, 1.5, "what does a change of QoS lose?"),
+    "faults": ("faults.play", 22, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
+    "cost": ("cost.play_topics", 10, 1, "what do 12 to 1,000 topics cost?"),
+    "pi": ("cost.play_pi", 12, 1, "does a Raspberry Pi suffice?"),
+    "relay": ("cost.play_relay", 12, 1, "what does a relayed message cost?"),
+    "rest": ("cost.play_rest", 12, 1, "what does a link carry at rest?"),
+    "http": ("cost.play_http", 3, 1, "do scrapes and idle clients delay ticks?"),
+    "estimate": ("estimate.play", 12, 1, "how good is the estimate beside the bound, in virtual time?"),
+    "solve": ("solve.play", 1, 0.5, "how fast is a plan?"),
+    "fuzz": ("fuzz.play", 12, 1, "does foreign input crash a reader?"),
+}
+
+
+def is_known(name: str) -> bool:
+    """Return whether this commit has been measured by a benchmark."""
+    path, now = RESULTS / f"{name}.json", conditions()
+    kept = Summary.read(path).conditions if path.exists() else [{"commit": "", "is_modified": True}]
+    return not any(each["is_modified"] or each["commit"] != now["commit"] for each in [now, *kept])
+
+
+def is_kept(name: str, *, is_quick: bool, out: Path | None) -> bool:
+    """Run a benchmark and print its summary; return whether it is valid, and so kept."""
+    plays, *minutes, _ = SCENARIOS[name]
+    module, _, function = plays.partition(".")
+    print(f"{name}: about {minutes[is_quick]:g} min, load average {os.getloadavg()[0]:.1f}", flush=True)
+    began_s = time.monotonic()
+    with watched() as noted:
+        summary: Summary = getattr(importlib.import_module(f"scripts.bench.{module}"), function)(is_quick=is_quick)
+    summary.conditions.append(noted)
+    print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
+    if out or not (is_quick or noted.get("void")):
+        summary.write((out or RESULTS) / f"{name}.json")
+    return not noted.get("void")
+
+
+def listed() -> str:
+    """Return every benchmark with its question, and when it was measured."""
+    lines = []
+    for name, (_, minutes, _, question) in SCENARIOS.items():
+        path = RESULTS / f"{name}.json"
+        kept = Summary.read(path).conditions if path.exists() else []
+        when = ", ".join(f"{one['date']} at {one['commit'][:7]}" for one in kept) or "never"
+        lines.append(f"{name:9} {minutes:4.0f} min  {question}  ({when})")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    if sys.argv[1:2] == ["robots"]:
+        from scripts.bench import robots
+
+        robots.main(sys.argv[2:])
+        return 0
+    parser = argparse.ArgumentParser(
+        prog="python -m scripts.bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "all"]))
+    parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
+    parser.add_argument("--again", action="store_true", help="also what this commit has been measured by")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
+    parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
+    options = parser.parse_args()
+    names = list(SCENARIOS) if options.names == ["all"] else options.names
+    if unknown := sorted({*names} - {*SCENARIOS}):
+        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
+    if not names and not options.docs:
+        print(listed())
+        return 0
+    wrong = []
+    for name in names:
+        if not (options.quick or options.again) and is_known(name):
+            print(f"{name}: this commit has been measured")
+        elif not is_kept(name, is_quick=options.quick, out=options.out) and not options.quick:
+            wrong.append(name)
+    if options.docs or (names and not options.quick and not options.out):
+        write_pages()
+    if wrong:
+        print(f"void, and not kept: {', '.join(wrong)}")
+    return len(wrong) > 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
