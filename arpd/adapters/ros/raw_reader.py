@@ -19,7 +19,6 @@ import struct
 import sys
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -65,7 +64,7 @@ class Sample(NamedTuple):
 
 
 class ReadingThread:
-    """Reads any number of sources; their functions are called in this thread.
+    """Takes the samples of any number of `RawReader`; their functions are called in this thread.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ class ReadingThread:
         self._rcl = rcl()
         self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
-        self._sources: dict[int, Source] = {}  # by the event that the middleware writes
+        self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
         self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -119,20 +118,20 @@ class ReadingThread:
         self._events.close()
         os.close(self._stop)
 
-    def watch(self, source: Source) -> int:
-        """Read a source from now on; return its event, for `unwatch`."""
+    def watch(self, reader: RawReader) -> int:
+        """Read from a reader from now on; return its event, for `unwatch`."""
         event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._sources[event] = source
+        self._readers[event] = reader
         self._events.register(event, select.EPOLLIN)
-        with source.handle:
-            source.notify(source.handle.pointer, self._rcl.eventfd_write, event)
+        with reader.handle:
+            self._rcl.notify_reader(reader.handle.pointer, self._rcl.eventfd_write, event)
         return event
 
-    def unwatch(self, source: Source, event: int) -> None:
+    def unwatch(self, reader: RawReader, event: int) -> None:
         """Read it no more; something may still be delivered meanwhile."""
-        with source.handle:
-            source.notify(source.handle.pointer, None, None)
-        del self._sources[event]
+        with reader.handle:
+            self._rcl.notify_reader(reader.handle.pointer, None, None)
+        del self._readers[event]
         if self._events.closed:
             os.close(event)
             return
@@ -167,7 +166,7 @@ class ReadingThread:
             os.close(self._retired.popleft())
 
     def _run(self) -> None:
-        unfinished: set[int] = set()  # sources with more than one turn takes
+        unfinished: set[int] = set()  # readers with more than one turn takes
         while True:
             self._close_retired()
             wait_s = min(_TURN_S, self._step_now() - self._clock())
@@ -177,18 +176,17 @@ class ReadingThread:
                 return
             for event in ready | unfinished:
                 unfinished.discard(event)
-                source = self._sources.get(event)
+                reader = self._readers.get(event)
                 try:
-                    news = os.eventfd_read(event) if event in ready else 0  # first: later samples set it again
-                    if source is not None:
-                        source.news += news
-                        if not source.read():
-                            unfinished.add(event)
-                            source.flooded_until_s = self.finished_s + _FLOOD_S
+                    if event in ready:
+                        os.eventfd_read(event)  # first: later samples set it again
+                    if reader is not None and not reader.read():
+                        unfinished.add(event)
+                        reader.flooded_until_s = self.finished_s + _FLOOD_S
                 except (InvalidHandle, OSError):
                     continue  # just destroyed
                 except Exception:
-                    log.exception("a sample of %s failed; the next one follows", source.name if source else "a topic")
+                    log.exception("a sample of %s failed; the next one follows", reader.name if reader else "a topic")
                     unfinished.add(event)
             if ready and self._rest_s:
                 time.sleep(self._rest_s)
@@ -201,38 +199,7 @@ class ReadingThread:
             return math.inf
 
 
-class Source(ABC):
-    """What a `ReadingThread` reads: an endpoint of rcl that announces news through an eventfd.
-
-    Parameters
-    ----------
-    name : of its topic or service
-    thread : reads it
-    notify : function of rcl that sets what announces the news of such an endpoint
-    """
-
-    handle: Any
-    news = 0  # that the middleware announced; `read` may count them down
-    flooded_until_s = -math.inf  # before, more wait than one turn takes, or just did: some may be lost
-
-    def __init__(self, name: str, *, thread: ReadingThread, notify: Callable[..., int]) -> None:
-        self.name, self.notify = name, notify
-        self._thread = thread
-
-    @abstractmethod
-    def read(self) -> bool:
-        """Take and deliver some of what waits; return whether that was all. Only for the thread."""
-
-    def _open(self, handle: Any) -> None:
-        self.handle = handle
-        self._event = self._thread.watch(self)
-
-    def _close(self) -> None:
-        self._thread.unwatch(self, self._event)
-        self.handle.destroy_when_not_in_use()
-
-
-class RawReader(Source):
+class RawReader:
     """A reader of one topic whose samples a `ReadingThread` takes.
 
     Parameters
@@ -261,7 +228,8 @@ class RawReader(Source):
         most_bytes: int = sys.maxsize,
         refuse: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__(topic, thread=thread, notify=rcl().notify_reader)
+        self.name, self._thread = topic, thread
+        self.flooded_until_s = -math.inf  # before, more wait than one turn takes, or just did: some may be lost
         self._deliver, self._refuse = deliver, refuse
         self._node, self._msg_type, self._qos = node, msg_type, qos
         self._most_held_bytes, self._most_bytes = most_held_bytes, most_bytes
@@ -327,13 +295,17 @@ class RawReader(Source):
                 self._close()
                 self._make()
 
+    def _close(self) -> None:
+        self._thread.unwatch(self, self._event)
+        self.handle.destroy_when_not_in_use()
+
     def _make(self) -> None:
         with self._node.handle:
             # Not by Node.create_subscription: an executor would take the samples.
-            handle = rclpy_implementation.Subscription(
+            self.handle = rclpy_implementation.Subscription(
                 self._node.handle, self._msg_type, self.name, self._qos.get_c_qos_profile()
             )
-        self._open(handle)
+        self._event = self._thread.watch(self)
 
 
 def octets(data: bytes) -> bytes:
