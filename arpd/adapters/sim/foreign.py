@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from typing import Self
 
     from arpd.adapters.sim.link import SimulatedLink
@@ -53,45 +49,3 @@ class ForeignFlow:
                 timeline.at(origin_s + next_s, send)
 
         timeline.at(origin_s + self.start_s, send)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Contention:
-    """Another station on the channel: no counter of the robot sees its bytes, but it takes air time.
-
-    Parameters
-    ----------
-    start_s, end_s : run time of its first and its last transmission (s)
-    share : share of the air time that it takes, 0..1
-    """
-
-    start_s: float
-    end_s: float
-    share: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.start_s < self.end_s:
-            raise ValueError(f"contention from {self.start_s} s to {self.end_s} s: start it at 0 or later and end it")
-        if not 0.0 <= self.share <= 1.0:
-            raise ValueError(f"contention share {self.share}: must be from 0 to 1")
-
-
-def contended(schedule: RateSchedule, stations: Sequence[Contention]) -> RateSchedule:
-    """Return the part of a schedule's rate that other stations leave.
-
-    The robot's rate falls in proportion to the air time that they take, independently of their bytes. The overhead of
-    the robot's own transmissions (`LinkModel`) stays the same.
-    """
-    starts_s = {step.start_s for step in schedule.steps}
-    starts_s.update(moment for station in stations for moment in (station.start_s, station.end_s))
-    return RateSchedule(
-        steps=tuple(
-            RateStep(start_s=start_s, rate_bytes_per_second=schedule.rate_at(start_s) * _free_share(stations, start_s))
-            for start_s in sorted(starts_s)
-            if start_s < math.inf
-        )
-    )
-
-
-def _free_share(stations: Sequence[Contention], t_s: float) -> float:
-    return max(0.0, 1.0 - sum(station.share for station in stations if station.start_s <= t_s < station.end_s))
