@@ -67,9 +67,7 @@ class Chunks:
         message, offset = current.message, current.offset
         most = len(message) if is_whole else self._chunk_bytes
         part = message[offset : offset + most] if most < len(message) else message
-        size, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
-        size += asking_bytes
-        number = self._flight.send(int(size), now_s)
+        number, size, packets = self._send(part, now_s, asking_bytes)
         if offset == 0:
             current.number = number
         current.offset += len(part)
@@ -80,12 +78,16 @@ class Chunks:
     def join(self, messages: Sequence[tuple[bytes, bytes]], now_s: float, *, asking_bytes: float) -> Part:
         """Return one chunk with the keys and messages of several topics."""
         part = join(messages)
-        size, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
-        size += asking_bytes
-        number = self._flight.send(int(size), now_s)
+        number, size, packets = self._send(part, now_s, asking_bytes)
         departed_us = int(now_s * 1e6) % WRAP
         chunk = Chunk(self._session, number, departed_us, number, 0, len(part), is_kept=False, part=part)
         return Part(encode_chunk(chunk), size, packets)
+
+    def _send(self, part: bytes, now_s: float, asking_bytes: float) -> tuple[int, float, int]:
+        """Count a chunk as sent; return its number, and the bytes and packets that it takes of the link."""
+        size, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
+        size += asking_bytes
+        return self._flight.send(int(size), now_s), size, packets
 
     @staticmethod
     def _bytes_of(packets: int) -> int:

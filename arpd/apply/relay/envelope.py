@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 # CDR, little endian: an array without dimensions, no offset, and its length (OMG DDSI-RTPS 2.3, 10.5).
 _MESSAGE = struct.Struct("<4sIII")
@@ -74,18 +74,10 @@ def unpack(message: bytes) -> list[Record]:
     ValueError
         If the bytes are none that `pack` returns.
     """
-    records, at = [], 0
-    try:
-        while at < len(message):
-            member, writer, length, sequence = _RECORD.unpack_from(message, at)
-            at += _RECORD.size
-            if at + length > len(message):
-                raise ValueError("a sample of a relay is cut off")
-            records.append(Record(member, writer, sequence, message[at : at + length]))
-            at += length
-    except struct.error as fault:
-        raise ValueError("no samples of a relay") from fault
-    return records
+    return [
+        Record(member, writer, sequence, sample)
+        for (member, writer, _, sequence), sample in _parts(message, _RECORD, 2, "samples of a relay")
+    ]
 
 
 def key_of(link_name: str) -> bytes:
@@ -106,17 +98,20 @@ def split(joined: bytes) -> list[tuple[bytes, bytes]]:
     ValueError
         If the bytes are none that `join` returns.
     """
-    found, at = [], 0
-    try:
-        while at < len(joined):
-            key, length = _PASSENGER.unpack_from(joined, at)
-            at += _PASSENGER.size + length
-            found.append((key, joined[at - length : at]))
-    except struct.error as fault:
-        raise ValueError("no messages that left together") from fault
-    if at > len(joined):
-        raise ValueError("the last of the messages that left together is cut off")
-    return found
+    return [(key, message) for (key, _), message in _parts(joined, _PASSENGER, 1, "messages that left together")]
+
+
+def _parts(data: bytes, header: struct.Struct, length_at: int, what: str) -> Iterator[tuple[tuple[Any, ...], bytes]]:
+    """Yield every header's fields with the bytes behind it, whose length is one of the fields."""
+    at = 0
+    while at < len(data):
+        if at + header.size > len(data):
+            raise ValueError(f"no {what}")
+        fields = header.unpack_from(data, at)
+        at += header.size + fields[length_at]
+        if at > len(data):
+            raise ValueError(f"the last of the {what} is cut off")
+        yield fields, data[at - fields[length_at] : at]
 
 
 def wrap(data: bytes) -> bytes:
