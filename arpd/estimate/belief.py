@@ -34,6 +34,14 @@ class Belief:
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
         self.events_by_kind[event] += 1
 
+    def in_force(self, *, pinned: float | None, radio: float | None) -> tuple[float, CapacityKind]:
+        """Return the capacity that counts (bytes/s), and its kind; `stated` explains the arguments."""
+        if pinned is not None:
+            return pinned, CapacityKind.CONFIGURED
+        if radio is not None and self.kind is not CapacityKind.PEER and RADIO_SHARE * radio < self.capacity:
+            return RADIO_SHARE * radio, CapacityKind.RADIO
+        return self.capacity, self.kind
+
     def stated(
         self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None
     ) -> tuple[float, CapacityKind, str, float]:
@@ -44,10 +52,10 @@ class Belief:
         since_s : time of the newest evidence, even if it changed nothing (s)
         pinned, radio : capacity that the configuration pins, over everything; bit rate of the radio (bytes/s)
         """
+        capacity, kind = self.in_force(pinned=pinned, radio=radio)
         if pinned is not None:
-            return pinned, CapacityKind.CONFIGURED, "pinned by the configuration", 0.0
-        capacity, kind, evidence = self.capacity, self.kind, self.evidence
-        if radio is not None and kind is not CapacityKind.PEER and RADIO_SHARE * radio < capacity:
-            capacity, kind = RADIO_SHARE * radio, CapacityKind.RADIO
+            return capacity, kind, "pinned by the configuration", 0.0
+        evidence = self.evidence
+        if radio is not None and kind is CapacityKind.RADIO:
             evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
         return capacity, kind, evidence, now_s - max(self.changed_at_s, since_s)

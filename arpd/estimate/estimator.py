@@ -350,11 +350,8 @@ class Estimator:
     @property
     def _capacity(self) -> float:
         """Capacity in force, which the configuration or the radio may set; no division by a silent radio (bytes/s)."""
-        return max(1.0, self._stated()[0])
-
-    def _stated(self) -> tuple[float, CapacityKind, str, float]:
-        since_s, pinned = max(self._trains.newest_s, self._started_at_s), self._settings.capacity_bytes_per_second
-        return self._belief.stated(self._last_s, since_s=since_s, pinned=pinned, radio=self._radio)
+        pinned = self._settings.capacity_bytes_per_second
+        return max(1.0, self._belief.in_force(pinned=pinned, radio=self._radio)[0])
 
     @property
     def _outage_s(self) -> float:
@@ -376,7 +373,8 @@ class Estimator:
         return last[0] if last and abs(last[0] / self._belief.capacity - 1) > parameters.SURPRISE else None
 
     def _estimate(self, now_s: float, cross_traffic: float) -> LinkEstimate:
-        capacity, kind, evidence, age_s = self._stated()
+        since_s, pinned = max(self._trains.newest_s, self._started_at_s), self._settings.capacity_bytes_per_second
+        capacity, kind, evidence, age_s = self._belief.stated(now_s, since_s=since_s, pinned=pinned, radio=self._radio)
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
