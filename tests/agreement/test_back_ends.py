@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from arpd.model.settings import Backend
 from arpd.solve import cvxpy_, osqp_
 from arpd.solve.backends import Solver
-from arpd.solve.eq4 import Eq4Problem
 from arpd.solve.level import TOLERANCE, residual, water_level
 from tests.examples import examples
+from tests.unit.solve.test_eq4 import problems
 
 LIBRARIES = {Backend.OSQP: osqp_, Backend.CVXPY: cvxpy_}
 
@@ -81,16 +81,6 @@ def test_nu_is_the_dual_without_a_kappa(backend):
     level = LIBRARIES[backend].level(weights, low, high, 0.85)
     assert level == pytest.approx(0.55 / 3, rel=1e-6)
     assert residual(level, weights, low, high, 0.85) <= TOLERANCE
-
-
-problems = st.builds(
-    Eq4Problem,
-    max_rate_hz=st.floats(1.0, 1e5),
-    topics=st.integers(1, 200),
-    min_rate_hz=st.floats(0.01, 20.0),
-    min_depth=st.integers(1, 50),
-    max_depth=st.integers(50, 10000),
-)
 
 
 @examples(150)

@@ -118,9 +118,8 @@ class OtherDaemons:
     def active_daemon(self) -> str:
         """Return where the active daemon is, empty when it is this one."""
         now_s = self._clock()
-        drives = min(
-            (who for who, at_s in self._heard_s.copy().items() if now_s - at_s <= _PRICE_SILENT_S), default=b""
-        )
+        # `take` never changes what is read here, in another thread.
+        drives = min((who for who, at_s in self._heard_s.items() if now_s - at_s <= _PRICE_SILENT_S), default=b"")
         return self._place(drives) if drives and drives < self._own else ""
 
     def see(self, writers: Iterable[Endpoint]) -> None:

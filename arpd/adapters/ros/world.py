@@ -129,7 +129,7 @@ class RosControl:
         self._snapshots = NodeSnapshots(node, **shared)
         self._nodes = Nodes()  # of the thread that ticks
         self._shows_writer: Callable[[str, str], bool] | None = None  # in the graph that the nodes have not seen yet
-        self._report_reader = RawReader(
+        RawReader(
             node,
             UInt8MultiArray,
             REPORT_TOPIC,
